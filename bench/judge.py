@@ -58,8 +58,7 @@ class _Judge:
         ip: str,
         leaves: Mapping[str, str],
     ) -> None:
-        import understudy.monitor.running  # noqa: F401  (what the monitor's process has in memory)
-
+        import understudy.monitor.process  # noqa: F401  (what the monitor's process has in memory)
         from understudy.api.kinds.failure_policy import FailurePolicySpec
         from understudy.api.kinds.robot_workload import RobotWorkloadSpec
         from understudy.failover.interfaces import Instance

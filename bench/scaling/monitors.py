@@ -39,11 +39,12 @@ from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.report.status_writer import StatusWriter
 
 TICK = 10.0
 """Seconds between two looks of a monitor that nothing wakes: what it looks at is simulated here, and wakes it."""
@@ -57,7 +58,7 @@ CLAIM_WITHIN = 20.0
 _UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
-class Recording(Reporter):
+class Recording(Notices):
     """Tells of each recovery as it is recorded."""
 
     robot = ""
@@ -100,7 +101,7 @@ class Monitor:
         self.supervisor: Supervisor | None = None
         self.fleet: Fleet | None = None
         self.gate: GateControl | None = None
-        self.reporter: Recording | None = None
+        self.notices: Recording | None = None
 
     async def run(self, watching: asyncio.Event) -> None:
         """As ``understudy.monitor.process`` puts it together; ``watching`` is set once its copies are there."""
@@ -110,14 +111,12 @@ class Monitor:
             view.waiting_gates = [Borrowed(self._waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)]
             await view.run(group)
             crash_points = CrashPoints(self._state)
-            self.fleet = Fleet(client, view, crash_points)
+            self.notices = Recording(PublishedStatus.adopt(view.object))
+            self.notices.robot = self.robot.key
+            self.fleet = Fleet(client, view, crash_points, self.notices)
             probes = Probes(self.application)
-            self.gate = probes.gate = GateControl(client, view, self.fleet, probes, crash_points)
+            self.gate = probes.gate = GateControl(client, view, self.fleet, probes, crash_points, self.notices)
             recorder = Recorder(client, "understudy-monitor", "bench")
-            self.reporter = Recording(client, namespace, self.robot.name, recorder)
-            self.reporter.robot = self.robot.key
-            if (item := view.object) is not None:
-                self.reporter.adopt(item)
             parts = Parts(
                 wakeups=self.wakeups,
                 cluster=Cluster(view, self.fleet, self.gate),
@@ -126,7 +125,7 @@ class Monitor:
                 sidecars=cast(Any, Sidecars(self.application)),
                 sight=cast(Any, Sight(self.application)),
                 probes=probes,
-                reporter=self.reporter,
+                notices=self.notices,
                 journal=Journal(self._state / "recovery.json"),
                 crash_points=crash_points,
                 keeping=cast(Any, Keeping()),
@@ -134,7 +133,7 @@ class Monitor:
             )
             self.supervisor = Supervisor(parts)
             group.create_task(keep_warm(client))
-            group.create_task(self.reporter.run())
+            group.create_task(StatusWriter(client, view, recorder, self.notices).run())
             watching.set()
             await self.supervisor.run()
 
@@ -153,9 +152,9 @@ class Monitor:
     def fail(self, intended: float) -> bool:
         """Have the instance in control fail now; whether there was one."""
         uid = self.drives
-        if not uid or self.reporter is None:
+        if not uid or self.notices is None:
             return False
-        self.reporter.intended = intended
+        self.notices.intended = intended
         self.application.failed[uid] = time.time()
         self.wake()
         return True

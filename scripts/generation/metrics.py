@@ -12,7 +12,6 @@ from understudy.controller.runtime import operator_metrics as operator
 from understudy.controller.runtime.object_store import Store
 from understudy.controller.status.fleet_metrics import FleetMetrics
 from understudy.monitor.report import monitor_metrics as monitor
-from understudy.monitor.report.topic_metrics import TopicMetrics
 
 _INTRODUCTION = """\
 # Metrics reference
@@ -48,7 +47,7 @@ def _operator() -> list[tuple[Metric, tuple[str, ...]]]:
 
 
 def _monitor() -> list[tuple[Metric, tuple[str, ...]]]:
-    return [*_of_module(monitor), *_of(TopicMetrics(dict).describe())]
+    return [*_of_module(monitor), *_of(monitor.ObservationMetrics(dict, lambda: (0, 0)).describe())]
 
 
 def _of_module(module: ModuleType) -> Iterator[tuple[Metric, tuple[str, ...]]]:

@@ -34,6 +34,7 @@ from understudy.kube.client import Access, Client
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet as Instances
 from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
 
@@ -275,8 +276,9 @@ async def failing_again_and_again(
         async with Client(access) as client, asyncio.TaskGroup() as group:
             view = View(client, namespace, robot, Wakeups())
             await view.run(group)
-            instances = Instances(client, view, steps)
-            control = GateControl(client, view, instances, cast(Any, None), steps)
+            notices = Notices()
+            instances = Instances(client, view, steps, notices)
+            control = GateControl(client, view, instances, cast(Any, None), steps, notices)
             while time.monotonic() < until:
                 await instances.look("spare")
                 for candidate in instances.unclaimed("spare"):

@@ -215,7 +215,7 @@ def beside(recovery: str) -> Progress | None:
 
 LASTS = 10.0
 """Seconds after its beginning for which a recovery that only a gate tells of counts as under way, for whoever doesn't wait for its end by a
-time of their own. A status follows its gate within three where its monitor lives (understudy.monitor.report.reporter), and
+time of their own. A status follows its gate within three where its monitor lives (understudy.monitor.report.status_writer), and
 the next monitor says so itself; of one that was given up the gate tells until that is said there (understudy.monitor.act.abandonment).
 """
 

@@ -43,6 +43,7 @@ from understudy.monitor.judge.degradation_level import Levels
 from understudy.monitor.judge.failure_detection import Detector, Failure
 from understudy.monitor.judge.gate_enforcement import Enforcement
 from understudy.monitor.judge.situation_tracking import Situations
+from understudy.monitor.notices import FailureDetected, Notices
 from understudy.monitor.observe import interrupted_recovery
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -50,9 +51,7 @@ from understudy.monitor.observe.dependencies import Dependencies
 from understudy.monitor.observe.health_observer import Sight
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, Looks, Wakeups
-from understudy.monitor.report import monitor_metrics
 from understudy.monitor.report.black_box import BlackBox
-from understudy.monitor.report.reporter import Reporter
 from understudy.monitor.report.status_conditions import Saying
 
 _logger = logging.getLogger(__name__)
@@ -75,7 +74,7 @@ class Parts:
     sidecars: Sidecars
     sight: Sight
     probes: Proof
-    reporter: Reporter
+    notices: Notices
     journal: Journal
     crash_points: CrashPoints
     keeping: StateKeeping
@@ -91,40 +90,40 @@ class Supervisor:
         cluster, roles = parts.cluster, parts.roles
         self._view, self._fleet, self._gate = view, fleet, gate = cluster.view, cluster.pods, cluster.gate
         self._sidecars, self._sight = sidecars, sight = parts.sidecars, parts.sight
-        self._reporter, self._keeping = reporter, keeping = parts.reporter, parts.keeping
+        self._notices, self._keeping = notices, keeping = parts.notices, parts.keeping
         self._journal, self._crash_points = parts.journal, parts.crash_points
         self._next_slow = 0.0
         self._new_until = -math.inf
         """Until when (monotonic seconds) an understudy that nobody has heard of yet may well be there."""
-        self._looks = Looks(parts.wakeups, sight.coming)
+        self.looks = Looks(parts.wakeups, sight.coming)
         self._detector = detector = Detector(fleet, gate, sidecars, sight)
         self._current = current = parts.current
         self._unattended = unattended = Unattended()
-        self._limits = limits = Limits(view, reporter)
-        self._line = Line(view, reporter)
+        self._limits = limits = Limits(view, notices)
+        self._line = Line(view, notices)
         self._repertoire = repertoire = Repertoire(view, limits.storms, self._means)
-        self._postponing = postponing = Postponing(reporter, limits, repertoire)
-        self._dependencies = dependencies = Dependencies(view, reporter, parts.wakeups)
-        self._leftovers = leftovers = Leftovers(fleet, gate, reporter)
-        self._switching = switching = Switching(view, fleet, gate, reporter, leftovers)
-        self._levels = levels = Levels(sight, reporter)
-        self._situations = Situations(sight, reporter)
+        self._postponing = postponing = Postponing(notices, limits, repertoire)
+        self._dependencies = dependencies = Dependencies(view, notices, parts.wakeups)
+        self._leftovers = leftovers = Leftovers(fleet, gate, notices)
+        self._switching = switching = Switching(view, fleet, gate, notices, leftovers)
+        self._levels = levels = Levels(sight, notices)
+        self._situations = Situations(sight, notices)
         self._occasions = Occasions(view, gate, detector, levels, switching, dependencies, repertoire, limits)
         self._safety = SafeCommands(sight.graph, self._waited_since)
-        self._saying = Saying(view, gate, sight, self._safety, repertoire, reporter)
-        self._opening = Opening(fleet, gate, sidecars, reporter, limits.pauses)
+        self._saying = Saying(view, gate, sight, self._safety, repertoire, notices)
+        self._opening = Opening(fleet, gate, sidecars, notices, limits.pauses)
         self._labels = Labels(fleet)
-        self._standbys = Standbys(cluster, sidecars, roles, current, keeping, reporter)
-        self._giving_up = GivingUp(gate, parts.journal, reporter)
-        self._enforcement = Enforcement(gate, parts.probes, reporter, parts.ungated)
-        self._reflexes = Reflexes(view, fleet, gate, sidecars, sight, parts.probes, reporter)
-        holding = Holding(view, gate, reporter, parts.black_box, limits, current, self._save, self._meanwhile)
+        self._standbys = Standbys(cluster, sidecars, roles, current, keeping, notices)
+        self._giving_up = GivingUp(gate, parts.journal, notices)
+        self._enforcement = Enforcement(gate, parts.probes, notices, parts.ungated)
+        self._reflexes = Reflexes(view, fleet, gate, sidecars, sight, parts.probes, notices)
+        holding = Holding(view, gate, notices, parts.black_box, limits, current, self._save, self._meanwhile)
         aftermath = Aftermath(
-            gate, reporter, keeping, detector, limits, postponing, unattended, dependencies, leftovers, switching
+            gate, notices, keeping, detector, limits, postponing, unattended, dependencies, leftovers, switching
         )
         self._recoveries = Recoveries(
             view,
-            reporter,
+            notices,
             keeping,
             parts.black_box,
             parts.crash_points,
@@ -146,7 +145,9 @@ class Supervisor:
 
     async def _resume(self) -> None:
         """Go on with what an earlier monitor had begun."""
-        interrupted = interrupted_recovery.interrupted(self._journal, self._gate, self._reporter, self._giving_up.ids)
+        interrupted = interrupted_recovery.interrupted(
+            self._journal, self._gate, self._notices.status, self._giving_up.ids
+        )
         if interrupted is not None:
             _logger.warning("finishing recovery %s, begun before this monitor started", interrupted.id)
             await self._sidecars.settle(self._fleet.of_workload(), SETTLE)
@@ -154,7 +155,7 @@ class Supervisor:
                 await self._recoveries.recover(interrupted)
             elif interrupted.result != "Running" or switchover.committed(interrupted, self._means()):
                 await self._recoveries.hand_over(Prepared(interrupted))
-        elif (done := interrupted_recovery.concluded(self._gate, self._reporter)) is not None:
+        elif (done := interrupted_recovery.concluded(self._gate, self._notices.status)) is not None:
             self._limits.retries.note(done)
 
     async def _act_on(self, failure: Failure) -> None:
@@ -171,11 +172,11 @@ class Supervisor:
         failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
         if failure.planned:
             self._levels.handed_over()
-            self._reporter.event("Normal", "Rescheduling", failure.reason)
+            self._notices.event("Normal", "Rescheduling", failure.reason)
         elif failure.follows:
-            self._reporter.event("Normal", "FollowsDependency", failure.reason)
+            self._notices.event("Normal", "FollowsDependency", failure.reason)
         else:
-            monitor_metrics.lateness(time.time() - failure.detected)
+            self._notices.add(FailureDetected(time.time() - failure.detected))
         what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
         _logger.warning("%s of %s: %s", what, active.name if active else state.active, failure.reason)
         if failure.taken is not None:
@@ -212,14 +213,14 @@ class Supervisor:
 
     async def _watch(self) -> Failure:
         """Look at every deadline until the workload has failed."""
-        self._looks.restart()
+        self.looks.restart()
         while True:
-            now = self._looks.begin()
+            now = self.looks.begin()
             next_look = now + TICK
             self._limits.pauses.look(now)
             policy = self._view.policy
             if policy is None or self._view.retired:
-                self._reporter.set(health="Unknown")
+                self._notices.set(health="Unknown")
                 next_look = now + SLOW
             else:
                 self._limits.retries.look(self._limits.spending.resumed, now)
@@ -240,7 +241,7 @@ class Supervisor:
             if (clock := time.monotonic()) >= self._next_slow:  # which isn't set, as the other one may be
                 self._next_slow = clock + SLOW
                 self._housekeeping()
-            await self._looks.until(next_look)
+            await self.looks.until(next_look)
 
     def _follow_safety(self, policy: FailurePolicySpec) -> None:
         if (spec := self._view.spec) is not None:
@@ -257,7 +258,7 @@ class Supervisor:
         """What is so at this moment: a failure that counts, and else the time to look again at the latest."""
         state = self._gate.state
         if not self._gate.exists:
-            self._reporter.set(health="Unknown")
+            self._notices.set(health="Unknown")
             return None, None
         self._enforcement.look(now)
         if state.closed:
@@ -266,8 +267,8 @@ class Supervisor:
             return None, None
         active = self._fleet.find(state.active_uid)
         if (taken := self._reflexes.taken_over(now)) is not None:
-            if now < self._looks.trusted_from:
-                return None, self._looks.trusted_from
+            if now < self.looks.trusted_from:
+                return None, self.looks.trusted_from
             reason = f"{state.active} is silent and {taken.standby.name} has taken over"
             return Failure(reason, taken.last, taken.first, taken), None
         if (loss := self._detector.lost(active, now)) is not None:
@@ -289,16 +290,16 @@ class Supervisor:
                 self._postponing.healthy()
             if verdict.state == "Healthy" and now - self._detector.since >= seconds(policy.limits.healthy_delay):
                 self._limits.retries.healthy()
-                if self._reporter.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
-                    self._reporter.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
+                if self._notices.status.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
+                    self._notices.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
             if (switch := self._occasions.switchover(verdict, now)) is not None:
                 return switch, None
             if verdict.state == "Healthy" and degraded and (due := self._occasions.hand_over(active, now)) is not None:
                 return due, None
             return None, self._sight.deadline(now=now, since=self._detector.since)
         detected = time.time()
-        if detected < self._looks.trusted_from:
-            return None, self._looks.trusted_from
+        if detected < self.looks.trusted_from:
+            return None, self.looks.trusted_from
         onset = verdict.onset if verdict.onset is not None else self._detector.onset(active.name, now)
         self._dependencies.notice(onset, detected)
         counts = self._detector.counts_from(detected, policy.monitoring)
@@ -313,7 +314,7 @@ class Supervisor:
     def _counted(self, failure: Failure, now: float) -> Failure | None:
         """The failure, unless the limits say not now."""
         self._keeping.judge("Failed", now)
-        self._reporter.set(health="Failed", failing_since=failure.onset)
+        self._notices.set(health="Failed", failing_since=failure.onset)
         return self._postponing.admit(failure, now)
 
     def _housekeeping(self) -> None:

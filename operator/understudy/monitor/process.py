@@ -30,6 +30,7 @@ from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -43,8 +44,7 @@ from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.diagnostics_publisher import Telling
 from understudy.monitor.report.live_tree_pages import Showing
 from understudy.monitor.report.recording_archive import Archive
-from understudy.monitor.report.reporter import Reporter
-from understudy.monitor.report.topic_metrics import TopicMetrics
+from understudy.monitor.report.status_writer import StatusWriter
 from understudy.process import cpu_scheduling, json_logs
 from understudy.process.http_pages import Page, serve
 from understudy.state.state_store import Shelf
@@ -94,24 +94,21 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         proof = await gate_kind.proof()
         await view.run(group)
         crash_points = CrashPoints(state)
-        fleet = Fleet(client, view, crash_points)
-        gate = GateControl(client, view, fleet, proof, crash_points)
+        notices = Notices(PublishedStatus.adopt(view.object))
+        fleet = Fleet(client, view, crash_points, notices)
+        gate = GateControl(client, view, fleet, proof, crash_points, notices)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
-        reporter = Reporter(client, namespace, workload, recorder)
-        item = view.object
-        if item is not None:
-            reporter.adopt(item)
-        reporter.sign(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
+        writer = StatusWriter(client, view, recorder, notices)
+        notices.sign(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
         cluster, current = Cluster(view, fleet, gate), CurrentRecovery()
         roles = InstanceRoles(view, gate, current)
         sidecars = Sidecars(client, view, address, crash_points, roles, wakeups)
         meter = Meter(client, namespace, workload)
         sight = Sight(meter)
-        REGISTRY.register(TopicMetrics(lambda: sight.heard))
-        black_box = BlackBox(view, sight, reporter, Archive(state / "kept" / "recordings"))
+        black_box = BlackBox(view, sight, notices, Archive(state / "kept" / "recordings"))
         await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
-        readership = Readership(view, sight, reporter, address)
+        readership = Readership(view, sight, notices, address)
         parts = Parts(
             wakeups=wakeups,
             cluster=cluster,
@@ -120,27 +117,31 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             sidecars=sidecars,
             sight=sight,
             probes=proof,
-            reporter=reporter,
+            notices=notices,
             journal=Journal(state / "recovery.json"),
             crash_points=crash_points,
-            keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, reporter),
+            keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, notices),
             black_box=black_box,
             ungated=lambda: readership.ungated,
         )
-        telling = Telling(view, sight, reporter, lambda: parts.keeping.taken)
-        showing = Showing(view, sight, reporter, lambda: telling.problems)
+        telling = Telling(view, sight, notices, lambda: parts.keeping.taken)
+        showing = Showing(view, sight, notices, lambda: telling.problems)
         pages |= {"/": showing.page, "/tree": showing.tree}
         supervisor = Supervisor(parts)
-        permits = Permits(cluster, sidecars, sight.graph, current, wakeups, reporter)
+        looks = supervisor.looks
+        REGISTRY.register(
+            monitor_metrics.ObservationMetrics(lambda: sight.heard, lambda: (looks.count, looks.overruns))
+        )
+        permits = Permits(cluster, sidecars, sight.graph, current, wakeups, notices)
         group.create_task(keep_warm(client))
         group.create_task(permits.run())
-        group.create_task(reporter.run())
+        group.create_task(writer.run())
         group.create_task(meter.run())
         group.create_task(telling.run())
         group.create_task(black_box.run())
         group.create_task(readership.run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
-        group.create_task(TaskLink(socket, view, fleet, gate, sidecars, reporter).run())
+        group.create_task(TaskLink(socket, view, fleet, gate, sidecars, notices).run())
         alive["ready"] = time.time()
         # What is there now stays: looking through all of it for garbage took up to 10 ms, in the midst of a recovery too.
         gc.collect()

@@ -41,11 +41,12 @@ from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.report.status_writer import StatusWriter
 
 NAMESPACE = "fleet"
 RESYNC = 30.0
@@ -108,7 +109,7 @@ class Monitor:
         self.wakeups = Wakeups()
         self.current = CurrentRecovery()
         self._view: View | None = None
-        self.reporter: Reporter | None = None
+        self.notices: Notices | None = None
         self.sidecars = self._make_sidecars(initializes=initializes)
 
     def _make_sidecars(self, *, initializes: bool) -> Sidecars:
@@ -130,12 +131,10 @@ class Monitor:
         async with asyncio.TaskGroup() as group:
             view = self._view = View(client, NAMESPACE, self.workload, self.wakeups)
             await view.run(group)
-            fleet = Fleet(client, view, self.fuse)
+            notices = self.notices = Notices(PublishedStatus.adopt(view.object))
+            fleet = Fleet(client, view, self.fuse, notices)
             probes = self._make_probes()
-            gate = GateControl(client, view, fleet, probes, self.fuse)
-            reporter = self.reporter = Reporter(client, NAMESPACE, self.workload, Silent())
-            if (item := view.object) is not None:
-                reporter.adopt(item)
+            gate = GateControl(client, view, fleet, probes, self.fuse, notices)
             parts = Parts(
                 wakeups=self.wakeups,
                 cluster=Cluster(view, fleet, gate),
@@ -144,14 +143,14 @@ class Monitor:
                 sidecars=cast(Any, self.sidecars),
                 sight=cast(Any, self._make_sight()),
                 probes=probes,
-                reporter=reporter,
+                notices=notices,
                 journal=Journal(self._journal),
                 crash_points=self.fuse,
                 keeping=cast(Any, Keeping()),
                 black_box=cast(Any, BlackBox()),
             )
             self._beside(parts, group)
-            group.create_task(reporter.run())
+            group.create_task(StatusWriter(client, view, Silent(), notices).run())
             await Supervisor(parts).run()
 
     def _look_at_gate(self) -> None:
@@ -173,9 +172,9 @@ class Monitor:
         view = self._view
         if view is None:
             return
-        if self.reporter is not None:
+        if self.notices is not None:
             status = server.items["robotworkloads"][(NAMESPACE, self.workload)].get("status") or {}
-            said = self.reporter._body()["status"]
+            said = self.notices.status.to_wire()
             for key in [key for key in said if key != "conditions" and said[key] != status.get(key)]:
                 yield f"{self.process} says another {key} than the status"
             for condition in said["conditions"]:

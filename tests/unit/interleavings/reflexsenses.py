@@ -159,7 +159,7 @@ class ReflexMonitor(Monitor):
 
     def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
         graph: Any = SimpleNamespace(subscribers=lambda topic: ())  # the robot is known by its address
-        permits = Permits(parts.cluster, parts.sidecars, graph, self.current, self.wakeups, parts.reporter)
+        permits = Permits(parts.cluster, parts.sidecars, graph, self.current, self.wakeups, parts.notices)
 
         def believed(uid: str) -> bool:
             state, recovering = parts.cluster.gate.state, self.current.progress
@@ -172,5 +172,5 @@ class ReflexMonitor(Monitor):
 
     def says(self, condition: str) -> str:
         """Why it says that a condition is as it is."""
-        said = self.reporter._body()["status"]["conditions"] if self.reporter is not None else []
+        said = self.notices.status.to_wire()["conditions"] if self.notices is not None else []
         return next((f"{c['reason']}: {c['message']}" for c in said if c["type"] == condition), "")

@@ -28,7 +28,7 @@ from understudy.kube.gates.network_policy import GATE
 from understudy.kube.leader_election import Lease
 from understudy.monitor.act.abandonment import GivingUp
 from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.report.status_writer import StatusWriter
 
 REPOSITORY = Path(__file__).parents[3]
 RUNS, CHUNK = 250, 25
@@ -164,7 +164,7 @@ def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
 
 
 def test_a_status_that_a_dead_monitor_overwrites_for_good_is_found() -> None:
-    with mock.patch.object(Reporter, "look"):
+    with mock.patch.object(StatusWriter, "check"):
         assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0, within=300)
 
 

@@ -76,7 +76,7 @@ class Asked(Simulation):
             asked = (item["metadata"].get("annotations") or {}).get(names.SWITCHOVER)
             # As its monitor has it: what a dead one has written may come late, over what its successor says.
             monitors = [m for m in self.monitors if m.workload == name]
-            said = [monitor.reporter.switchover for monitor in monitors if monitor.reporter is not None]
+            said = [monitor.notices.status.switchover for monitor in monitors if monitor.notices is not None]
             if asked and not any(one is not None and one.handled == asked for one in said):
                 yield f"{name} was never told what became of {asked!r}"
 

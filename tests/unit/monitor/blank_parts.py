@@ -8,6 +8,7 @@ from typing import Any
 from understudy.failover.interfaces import GateState
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.loop import Parts
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.wakeups import Wakeups
@@ -33,7 +34,7 @@ def blank_parts(*, view: Any, pods: Any = None, gate: Any = None, **replaced: An
             graph=None, coming=None, drain=nothing, follow=nothing, last_from=nothing, last_well=nothing
         ),
         "probes": SimpleNamespace(),
-        "reporter": SimpleNamespace(),
+        "notices": Notices(),
         "journal": SimpleNamespace(save=nothing, clear=nothing, given_up=list, give_up=nothing),
         "crash_points": SimpleNamespace(step=nothing),
         "keeping": SimpleNamespace(judge=nothing, follow=nothing),

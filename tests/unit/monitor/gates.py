@@ -14,6 +14,7 @@ from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates.base import Proof
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 
 
@@ -43,4 +44,4 @@ async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instan
 
     fleet: Any = SimpleNamespace(label=label)
     nobody: Any = None
-    return GateControl(client, found, fleet, nobody, CrashPoints(tmp_path))
+    return GateControl(client, found, fleet, nobody, CrashPoints(tmp_path), Notices())

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.unit.monitor.test_trying_again import Told, policy, took_over
-from understudy.api.kinds.robot_workload import Recovery
+from tests.support.notices import RecordedNotices
+from tests.unit.monitor.test_trying_again import policy, took_over
 from understudy.failover.interfaces import GateState, Superseded
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
 from understudy.failover.progress import Progress
@@ -25,22 +25,6 @@ NOW = 1_000_000.0
 COMMITTED = NOW - 0.3
 
 
-class Reporter(Told):
-    """Has the record and the fields of the status too."""
-
-    spent: tuple[float, ...] = ()
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.fields: dict[str, Any] = {}
-
-    def set(self, **fields: Any) -> None:
-        self.fields |= fields
-
-    def record(self, progress: Progress) -> Recovery:
-        return Recovery(id=progress.id, reason=progress.reason, result=progress.result)
-
-
 class World:
     """The end of a recovery by which w-1 has come to drive."""
 
@@ -51,7 +35,7 @@ class World:
         gate: Any = SimpleNamespace(state=GateState(epoch=4, active="w-1", active_uid="uid-1"))
         self.ended: list[str] = []
         switching: Any = SimpleNamespace(done=lambda progress, text: self.ended.append(text))
-        self.told: Any = Reporter()
+        self.told = RecordedNotices()
         self.detector = Detector(nothing, gate, nothing, nothing)
         self.limits = Limits(view, self.told)
         self.unattended = Unattended()
@@ -97,7 +81,7 @@ def test_an_instance_that_took_over_is_watched_from_the_commit_and_the_cooldown_
     assert (world.detector.since, world.waits(), world.unattended.since) == (COMMITTED, wait, None)
     assert world.detector.counts_from(NOW, world.policy.monitoring) >= NOW, "what failed before was another instance"
     assert world.told.conditions["Recovering"][:2] == ("False", "Recovered")
-    assert (world.told.fields["health"], world.told.fields["active"]) == ("Healthy", "w-1")
+    assert (world.told.status.health, world.told.status.active) == ("Healthy", "w-1")
 
 
 def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later() -> None:
@@ -107,7 +91,7 @@ def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later() 
         world.aftermath.recovered(over("Failed"), world.policy)
         assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, wait, NOW)
     assert world.told.conditions["Recovering"][:2] == ("False", "NothingVerified")
-    assert world.told.fields["health"] == "Failed"
+    assert world.told.status.health == "Failed"
 
 
 def test_whoever_acts_at_a_newer_epoch_drives_and_is_watched_at_once() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.procedure_spec import Check, Procedure
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
@@ -174,21 +175,6 @@ class Sidecars:
         return RestoreReport()
 
 
-class Reporter:
-    def __init__(self) -> None:
-        self.health = "Healthy"
-        self.events: list[tuple[str, str]] = []
-        self.conditions: dict[str, tuple[str, ...]] = {}
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        self.events.append((reason, message))
-
-    def condition(self, type_: str, *said: str) -> bool:
-        changed = self.conditions.get(type_) != said
-        self.conditions[type_] = said
-        return changed
-
-
 class Fleet:
     def __init__(self) -> None:
         self.retired: list[str] = []
@@ -199,9 +185,10 @@ class Fleet:
 
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    found = SimpleNamespace(fleet=Fleet(), sidecars=Sidecars(), reporter=Reporter(), clock=1000.0)
+    found = SimpleNamespace(fleet=Fleet(), sidecars=Sidecars(), notices=RecordedNotices(), clock=1000.0)
+    found.notices.set(health="Healthy")
     found.roles = InstanceRoles(None, None, CurrentRecovery())  # type: ignore[arg-type]
-    found.bringing = Bringing(found.fleet, found.sidecars, found.roles, found.reporter)  # type: ignore[arg-type]
+    found.bringing = Bringing(found.fleet, found.sidecars, found.roles, found.notices)  # type: ignore[arg-type]
     monkeypatch.setattr(standby_lifecycle, "time", SimpleNamespace(monotonic=lambda: found.clock))
     found.sidecars.brought["uid-1"] = "up:x:0"
 
@@ -223,17 +210,17 @@ def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 async def test_each_instance_is_brought_there_once(world: SimpleNamespace) -> None:
     await world.look()
-    assert world.reporter.conditions["BroughtUp"][:2] == ("Unknown", "UnderWay")
+    assert world.notices.conditions["BroughtUp"][:2] == ("Unknown", "UnderWay")
     await world.look()
     assert world.sidecars.ran == [("w-3", "initialization")]
-    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
+    assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
 async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespace) -> None:
     world.sidecars.fails = "initialization.set_lifecycle: node /nav did not configure"
     await world.look()
     await world.look()
-    assert world.reporter.conditions["BroughtUp"] == (
+    assert world.notices.conditions["BroughtUp"] == (
         "False",
         "ProcedureFailed",
         "w-3: initialization.set_lifecycle: node /nav did not configure. Correct spec.initialization of FallbackPool warm, "
@@ -243,7 +230,7 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
     world.clock += standby_lifecycle.RETRY_FIRST
     await world.look()
     assert len(world.sidecars.ran) == 2
-    assert [reason for reason, _ in world.reporter.events] == ["NotBroughtUp"]
+    assert world.notices.reasons == ["NotBroughtUp"]
 
 
 OTHER = Procedure(yaml={"wait_for": {"node": "/nav"}}, within="7s")
@@ -257,9 +244,9 @@ async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corr
         world.clock += standby_lifecycle.RETRY_MOST
     world.sidecars.fails = ""
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
-    assert "did not configure" not in world.reporter.conditions["BroughtUp"][2]
+    assert "did not configure" not in world.notices.conditions["BroughtUp"][2]
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
-    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
+    assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
 async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corrected(world: SimpleNamespace) -> None:
@@ -271,7 +258,7 @@ async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corre
     await world.look()
     await world.look()
     assert len(world.sidecars.ran) == 2
-    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
+    assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
 async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_procedure(world: SimpleNamespace) -> None:
@@ -303,7 +290,7 @@ async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(wor
     world.sidecars.brought["uid-3"] = "init:other:0"
     await world.look()
     assert world.sidecars.ran == []
-    status, _, message = world.reporter.conditions["BroughtUp"]
+    status, _, message = world.notices.conditions["BroughtUp"]
     assert status == "True"
     assert "w-3 as an earlier procedure left it: delete the pod" in message
 
@@ -320,8 +307,8 @@ async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_report
     await world.look()
     await world.look()
     assert world.fleet.retired == ["w-3"]
-    assert world.reporter.events[-1][0] == "StandbyReplaced"
-    assert "node /nav is gone" in world.reporter.events[-1][1]
+    assert world.notices.events[-1][1] == "StandbyReplaced"
+    assert "node /nav is gone" in world.notices.events[-1][2]
 
 
 async def test_a_standby_that_comes_back_stays(world: SimpleNamespace) -> None:
@@ -340,7 +327,7 @@ async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(worl
     """The reason may be the robot, whose sensors are silent for all of them."""
     await world.look()
     world.sidecars.ready["uid-3"] = False
-    world.reporter.health = "Failed"
+    world.notices.set(health="Failed")
     for _ in range(3):
         await world.look()
         world.clock += standby_lifecycle.LOST_FOR
@@ -357,20 +344,20 @@ async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: Si
 
 async def test_pods_without_an_agent_are_named(world: SimpleNamespace) -> None:
     await world.look(replace(ACTIVE, has_agent=False))
-    status, reason, message = world.reporter.conditions["BroughtUp"]
+    status, reason, message = world.notices.conditions["BroughtUp"]
     assert (status, reason) == ("False", "NoAgent")
     assert message.startswith("w-1 has no agent")
 
 
 async def test_nothing_is_said_where_nothing_is_to_be_done(world: SimpleNamespace) -> None:
     world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
-    assert world.reporter.conditions == {}
+    assert world.notices.conditions == {}
 
 
 async def test_what_was_told_is_taken_back_when_the_procedures_are_gone(world: SimpleNamespace) -> None:
     await world.look()
     world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
-    assert world.reporter.conditions["BroughtUp"][:2] == ("True", "NothingToDo")
+    assert world.notices.conditions["BroughtUp"][:2] == ("True", "NothingToDo")
 
 
 XML_CHECK = """<root BTCPP_format="4">

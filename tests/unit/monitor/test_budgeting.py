@@ -7,13 +7,14 @@ from typing import Any, Literal, cast
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor.decide.budget_spending import Spending
+from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report.reporter import Reporter
 
 BUDGET = {"recoveries": 2, "within": "10m"}
 
@@ -24,16 +25,13 @@ def policy(**limits: Any) -> FailurePolicySpec:
 
 
 class World:
-    """A monitor's reporter and view, without a cluster."""
+    """A monitor's notices and view, without a cluster."""
 
-    def __init__(self) -> None:
-        nobody: Any = None
+    def __init__(self, status: dict[str, Any] | None = None) -> None:
         self.item: dict[str, Any] = {"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}}
         self.view = SimpleNamespace(policy=policy(budget=BUDGET), object=self.item, namespace="fleet", workload="w")
-        self.events: list[tuple[str, str]] = []
-        self.reporter = Reporter(nobody, "fleet", "w", nobody)
-        self.reporter.event = lambda kind, reason, message: self.events.append((kind, reason))  # type: ignore[method-assign]
-        self.spending = Spending(cast(View, self.view), self.reporter)
+        self.notices = RecordedNotices(PublishedStatus.adopt({"status": status or {}}))
+        self.spending = Spending(cast(View, self.view), self.notices)
 
     def recover(
         self, at: float, result: Literal["Verified", "NotVerified", "NotAvailable"] = "Verified", **more: Any
@@ -46,8 +44,12 @@ class World:
         self.item["metadata"]["annotations"] = {names.RESUMED: rfc3339(at)}
 
     @property
+    def events(self) -> list[tuple[str, str]]:
+        return [(kind, reason) for kind, reason, message in self.notices.events]
+
+    @property
     def said(self) -> tuple[str, str]:
-        found = self.reporter.find("WithinBudget")
+        found = self.notices.status.find("WithinBudget")
         assert found is not None
         return found.status, found.reason
 
@@ -60,9 +62,9 @@ def world() -> World:
 def test_a_healthy_workload_is_told_once_that_there_is_budget(world: World) -> None:
     world.spending.say(1000.0)
     assert world.said == ("True", "Left")
-    world.reporter._changed.clear()
+    before = world.notices.changes
     world.spending.say(1001.0)
-    assert not world.reporter._changed.is_set(), "no writes"
+    assert world.notices.changes == before, "no writes"
     assert world.events == []
 
 
@@ -72,7 +74,7 @@ def test_once_it_is_spent_that_is_told_with_until_when_and_the_way_out(world: Wo
     world.recover(1060.0)
     assert world.spending.spent_until(1061.0) == 1600.0
     assert world.said == ("False", "Spent")
-    found = world.reporter.find("WithinBudget")
+    found = world.notices.status.find("WithinBudget")
     assert found is not None
     assert "2 recoveries within 10m" in found.message
     assert "1970-01-01 00:26:40 UTC" in found.message
@@ -111,8 +113,7 @@ def test_a_word_that_is_no_moment_is_none(world: World, said: str) -> None:
 def test_the_next_monitor_knows_what_was_spent(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
-    later = World()
-    later.reporter.adopt({**world.item, "status": world.reporter._body()["status"]})
+    later = World(world.notices.status.to_wire())
     assert later.spending.spent_until(1061.0) == 1600.0
     later.spending.say(1061.0)
     assert later.events == [], "it was told already"
@@ -121,20 +122,20 @@ def test_the_next_monitor_knows_what_was_spent(world: World) -> None:
 def test_a_planned_hand_over_spends_nothing(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at, planned=True)
-    assert world.reporter.spent == []
+    assert world.notices.status.spent == []
 
 
 def test_one_in_which_nothing_could_be_tried_spends_nothing_and_one_in_vain_does(world: World) -> None:
     world.recover(1000.0, "NotAvailable")
-    assert world.reporter.spent == []
+    assert world.notices.status.spent == []
     world.recover(1060.0, "NotVerified")
-    assert world.reporter.spent == [1060.0]
+    assert world.notices.status.spent == [1060.0]
 
 
 def test_only_as_many_as_the_budget_has_are_kept(world: World) -> None:
     for at in (1000.0, 2000.0, 3000.0):
         world.recover(at)
-    assert world.reporter.spent == [2000.0, 3000.0]
+    assert world.notices.status.spent == [2000.0, 3000.0]
 
 
 def test_without_a_budget_nothing_is_kept_nor_said(world: World) -> None:
@@ -143,8 +144,8 @@ def test_without_a_budget_nothing_is_kept_nor_said(world: World) -> None:
     world.view.policy = policy()
     world.spending.say(1061.0)
     assert world.spending.spent_until(1061.0) is None
-    assert world.reporter.find("WithinBudget") is None
-    assert "spent" not in world.reporter._body()["status"]
+    assert world.notices.status.find("WithinBudget") is None
+    assert "spent" not in world.notices.status.to_wire()
 
 
 def test_what_is_held_is_told_in_recovering(world: World) -> None:
@@ -152,7 +153,7 @@ def test_what_is_held_is_told_in_recovering(world: World) -> None:
         world.recover(at)
     failed = [PodIdentity(name="w-1", uid="uid-1")]
     world.spending.tell_held(Progress.begin("no /cmd_vel", last_healthy=1099.5, detected=1100.0, failed=failed))
-    found = world.reporter.find("Recovering")
+    found = world.notices.status.find("Recovering")
     assert found is not None
     assert (found.status, found.reason) == ("False", "BudgetSpent")
     assert found.message.startswith("no /cmd_vel; w-1 is fenced, and nothing else is done. The 2 recoveries within 10m")

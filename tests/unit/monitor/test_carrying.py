@@ -217,4 +217,4 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     monitor.keeping.tell(recovery.model_copy(update={"state": [missing]}))
     text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: it can't be carried by /odom."
     assert monitor.told.conditions["StateRestored"] == ("False", "NotCarried", text)
-    assert monitor.told.events == [("StateNotCarried", text)]
+    assert monitor.told.events == [("Warning", "StateNotCarried", text)]

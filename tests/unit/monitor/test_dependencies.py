@@ -11,10 +11,11 @@ from typing import Any, cast
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.blank_parts import blank_parts
 from tests.unit.monitor.gates import gate
-from tests.unit.monitor.test_waiting import Said, view
+from tests.unit.monitor.test_waiting import view
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
@@ -24,10 +25,12 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, Object
+from understudy.monitor.act.recovery_messages import describe
 from understudy.monitor.loop import Supervisor
+from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.dependencies import Dependencies, following
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.monitor.report.reporter import QUIET, Reporter, describe
+from understudy.monitor.report.status_writer import QUIET, StatusWriter
 from understudy.trees.core.health_tree import Verdict
 
 NOW = datetime(2026, 11, 22, 14, 2, 11, tzinfo=UTC).timestamp()
@@ -85,12 +88,12 @@ class Watching:
     """A monitor's view of localization."""
 
     def __init__(self, *depends_on: Object, adopted: str | None = None) -> None:
-        self.reporter, self.wakeups, self._version = Said(), Wakeups(), 0
-        if adopted is not None:
-            self.reporter.followed = [DependencyRecovery(name="localization", recovery=adopted)]
+        before = DependencyRecovery(name="localization", recovery=adopted or "")
+        status = PublishedStatus(followed=(before,) if adopted is not None else ())
+        self.notices, self.wakeups, self._version = RecordedNotices(status), Wakeups(), 0
         self.spec = spec(*(depends_on or ({"name": "localization", "onRecovery": "Reinitialize"},)))
         view: Any = SimpleNamespace(client=Silent(), namespace="fleet", spec=self.spec)
-        self.dependencies = Dependencies(view, self.reporter, self.wakeups)
+        self.dependencies = Dependencies(view, self.notices, self.wakeups)
         self.given = settings("localization")
         self.dependencies.follow(self.given)
 
@@ -108,10 +111,10 @@ class Watching:
         self._put(self.dependencies._watched["localization"].statuses, "localization", {"status": found.to_wire()})
         self.dependencies.look(now)
 
-    def told(self, reporter: Reporter, now: float = NOW) -> None:
+    def told(self, notices: Notices, now: float = NOW) -> None:
         """Localization's monitor writes its status."""
         reflector = self.dependencies._watched["localization"].statuses
-        self._put(reflector, "localization", {"status": reporter._body()["status"]})
+        self._put(reflector, "localization", {"status": notices.status.to_wire()})
         self.dependencies.look(now)
 
     def committed(self, progress: Progress, now: float = NOW) -> None:
@@ -122,7 +125,7 @@ class Watching:
         self.dependencies.look(now)
 
     def condition(self) -> tuple[str, str, str]:
-        found = self.reporter.find("DependencyFailed")
+        found = self.notices.status.find("DependencyFailed")
         assert found is not None
         return found.status, found.reason, found.message
 
@@ -133,7 +136,7 @@ async def test_a_failure_is_put_off_for_a_moment_and_acted_on_where_nobody_else_
     world.dependencies.notice(NOW - 0.5, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW) == pytest.approx(NOW + 0.3)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.31) is None
-    assert world.reporter.find("DependencyFailed") is None, "nothing is said of a look"
+    assert world.notices.status.find("DependencyFailed") is None, "nothing is said of a look"
 
 
 async def test_a_failure_that_is_noticed_before_the_one_it_follows_from_is_held_as_soon_as_that_one_s_gate_tells() -> (
@@ -153,7 +156,7 @@ async def test_a_failure_that_is_noticed_before_the_one_it_follows_from_is_held_
         "no /plan for 500 ms; localization, on which it depends, is Recovering; that one comes first, and this is acted on at "
         "14:04:11 UTC at the latest."
     )
-    assert [event[1] for event in world.reporter.events] == ["DependencyFailed"]
+    assert [event[1] for event in world.notices.events] == ["DependencyFailed"]
 
 
 async def test_it_settles_and_is_then_a_failure_of_its_own() -> None:
@@ -167,7 +170,7 @@ async def test_it_settles_and_is_then_a_failure_of_its_own() -> None:
     assert world.condition()[:2] == ("True", "Settling")
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 14.1) is None
     assert world.condition()[:2] == ("False", "OwnFailure")
-    assert len(world.reporter.events) == 1, "it is told once"
+    assert len(world.notices.events) == 1, "it is told once"
 
 
 async def test_what_is_said_of_it_does_not_change_with_its_figures() -> None:
@@ -197,16 +200,18 @@ async def test_a_failure_before_that_of_the_other_is_acted_on_as_ever() -> None:
 
 async def test_those_that_depend_on_this_one_in_turn_are_told_at_once_that_it_fails() -> None:
     world = Watching()
+    flushed, nobody = asyncio.Event(), cast(Any, None)
+
+    class Writer(StatusWriter):
+        async def flush(self) -> None:
+            flushed.set()
+
+    view: Any = SimpleNamespace(object=None)
+    writer = Writer(nobody, view, nobody, world.notices)
     world.dependencies.notice(NOW - 0.5, NOW)
-    world.reporter.set(health="Failed")
-    assert world.reporter.failing_since == NOW - 0.5
-    flushed = asyncio.Event()
-
-    async def flush() -> None:
-        flushed.set()
-
-    world.reporter.flush = flush  # type: ignore[method-assign]
-    writing = asyncio.create_task(world.reporter.run())
+    world.notices.set(health="Failed")
+    assert world.notices.status.failing_since == NOW - 0.5
+    writing = asyncio.create_task(writer.run())
     async with asyncio.timeout(QUIET / 2):
         await flushed.wait()
     writing.cancel()
@@ -220,8 +225,8 @@ async def test_without_dependencies_nothing_is_watched_said_or_put_off() -> None
     world.dependencies.notice(NOW, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW, NOW) is None
     assert world.dependencies.due(active(), NOW) is None
-    assert world.reporter.followed == []
-    assert world.reporter.failing_since is None
+    assert world.notices.status.followed == ()
+    assert world.notices.status.failing_since is None
 
 
 class TestAfterARecovery:
@@ -229,7 +234,7 @@ class TestAfterARecovery:
         world = Watching()
         world.said("Healthy", recovery("r1", onset=NOW - 60, verified=NOW - 50))
         assert world.dependencies.due(active(), NOW) is None
-        assert world.reporter.followed == [DependencyRecovery(name="localization", recovery="r1")]
+        assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
 
     async def test_a_new_recovery_does_and_once(self) -> None:
         world = Watching()
@@ -239,7 +244,7 @@ class TestAfterARecovery:
         assert found is not None
         world.dependencies.note(found.follows)
         assert world.dependencies.due(active(), NOW) is None
-        assert world.reporter.followed == [DependencyRecovery(name="localization", recovery="r1")]
+        assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
 
     async def test_a_new_monitor_goes_by_what_the_one_before_it_has_said(self) -> None:
         done, left = Watching(adopted="r1"), Watching(adopted="r0")
@@ -250,27 +255,27 @@ class TestAfterARecovery:
 
     async def test_a_recovery_that_a_new_monitor_finishes_first_is_not_done_again(self) -> None:
         world = Watching(adopted="r0")
-        fresh = Dependencies(cast(Any, world.dependencies._view), world.reporter, world.wakeups)
+        fresh = Dependencies(cast(Any, world.dependencies._view), world.notices, world.wakeups)
         fresh.note([DependencyRecovery(name="localization", recovery="r1")])
-        assert world.reporter.followed == [DependencyRecovery(name="localization", recovery="r1")]
+        assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
 
     async def test_an_instance_that_began_after_it_needs_nothing(self) -> None:
         world = Watching(adopted="r0")
         world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(created=NOW - 1), NOW) is None
-        assert world.reporter.followed[0].recovery == "r1"
+        assert world.notices.status.followed[0].recovery == "r1"
 
     async def test_where_nothing_is_to_be_done_that_is_done_at_once(self) -> None:
         world = Watching({"name": "localization"}, adopted="r0")
         world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(), NOW) is None
-        assert world.reporter.followed[0].recovery == "r1"
+        assert world.notices.status.followed[0].recovery == "r1"
 
     async def test_what_can_not_be_done_without_an_agent_is_told(self) -> None:
         world = Watching(adopted="r0")
         world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(agent=False), NOW) is None
-        (event,) = world.reporter.events
+        (event,) = world.notices.events
         assert event[1] == "NoAgent"
 
     async def test_a_pod_without_an_agent_is_restarted_all_the_same(self) -> None:
@@ -332,17 +337,16 @@ def test_it_is_told_what_was_done() -> None:
 
 
 def test_the_beginning_of_a_failure_is_said_until_it_is_over_also_by_the_next_monitor() -> None:
-    reporter = Said()
-    reporter.set(health="Failed", failing_since=NOW)
-    reporter.set(health="Recovering", failing_since=NOW + 5)
-    status = reporter._body()["status"]
+    notices = RecordedNotices()
+    notices.set(health="Failed", failing_since=NOW)
+    notices.set(health="Recovering", failing_since=NOW + 5)
+    status = notices.status.to_wire()
     assert status["failingSince"] == rfc3339(NOW)
-    following_it = Said()
-    following_it.adopt({"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}, "status": status})
-    assert following_it.failing_since == NOW
-    for each in (reporter, following_it):
+    following_it = Notices(PublishedStatus.adopt({"status": status}))
+    assert following_it.status.failing_since == NOW
+    for each in (notices, following_it):
         each.set(health="Healthy")
-        assert "failingSince" not in each._body()["status"]
+        assert "failingSince" not in each.status.to_wire()
 
 
 class Held:
@@ -381,7 +385,7 @@ def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None 
         pods=SimpleNamespace(find=lambda uid: pod),
         gate=SimpleNamespace(state=GateState(epoch=3, active="planning-1", active_uid="uid-1"), exists=True),
         sight=sight,
-        reporter=Said(),
+        notices=RecordedNotices(),
     )
     watching = Supervisor(parts)
     watching._reflexes = cast(Any, SimpleNamespace(taken_over=lambda now: None))
@@ -447,7 +451,7 @@ class TestBetweenMonitors:
         assert world.condition()[:2] == ("True", "Held")
 
     async def test_its_record_tells_that_it_is_over_and_that_something_is_to_be_done(self) -> None:
-        first, world = Said(), Watching(adopted="")
+        first, world = RecordedNotices(), Watching(adopted="")
         first.set(health="Recovering", failing_since=NOW - 5)
         world.told(first)
         assert world.dependencies._watched["localization"].seen.failing
@@ -463,9 +467,9 @@ class TestBetweenMonitors:
         """Of a chain the middle one commits nothing: its status has to tell."""
         middle, last = Watching(), Watching()
         middle.said("Failed", failing_since=rfc3339(NOW - 1))
-        middle.reporter.set(health="Failed")
+        middle.notices.set(health="Failed")
         middle.dependencies.notice(NOW - 0.7, NOW)
-        last.told(middle.reporter)
+        last.told(middle.notices)
         last.dependencies.notice(NOW - 0.4, NOW + 0.1)
         last.dependencies.hold("no /cmd_vel for 500 ms", NOW - 0.4, NOW + 0.1)
         assert last.condition()[:2] == ("True", "Held")

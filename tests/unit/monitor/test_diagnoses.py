@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from understudy.api.kinds.robot_workload import GateStatus, Health, Moments, Parts, Recovery
+from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, More, said, status
-from understudy.monitor.report.reporter import Reporter
 from understudy.ros.actions.diagnostics_topic import Status
 
 NONE: Any = None
@@ -25,22 +25,22 @@ MORE = More("navigation", "Executing (1/1)", {"/amcl_pose": 98.5}, TREE)
 
 
 @pytest.fixture
-def reporter() -> Reporter:
-    made = Reporter(NONE, "fleet", "robot-1-drive", NONE)
+def notices() -> Notices:
+    made = Notices()
     made.set(active="w-1", health="Healthy", strategy="Executing", gate=GateStatus(epoch=3, active="w-1"))
     return made
 
 
-def told(reporter: Reporter, more: More = MORE) -> Status:
-    return status("fleet", "robot-1-drive", said(reporter, 100.0), reporter, more)
+def told(notices: Notices, more: More = MORE) -> Status:
+    return status("fleet", "robot-1-drive", said(notices.status, 100.0), notices.status, more)
 
 
 def test_every_health_has_a_level() -> None:
     assert set(get_args(Health)) <= LEVELS.keys()
 
 
-def test_a_healthy_workload_says_who_is_in_control_and_what_stands_by(reporter: Reporter) -> None:
-    found = told(reporter)
+def test_a_healthy_workload_says_who_is_in_control_and_what_stands_by(notices: Notices) -> None:
+    found = told(notices)
     assert (found.level, found.name, found.hardware) == (0, "understudy: robot-1-drive", "fleet/robot-1-drive")
     assert found.message == "w-1 is in control"
     assert dict(found.values) == {
@@ -74,30 +74,30 @@ def test_a_healthy_workload_says_who_is_in_control_and_what_stands_by(reporter: 
     ],
 )  # fmt: skip
 def test_the_message_is_the_reason(
-    reporter: Reporter, health: Any, level: int, condition: tuple[str, str, str, str] | None, message: str
+    notices: Notices, health: Any, level: int, condition: tuple[str, str, str, str] | None, message: str
 ) -> None:
     if condition is not None:
-        reporter.condition(*condition)
-    reporter.set(health=health)
-    found = told(reporter)
+        notices.condition(*condition)
+    notices.set(health=health)
+    found = told(notices)
     assert (found.level, found.message) == (level, message)
 
 
-def test_what_was_said_of_an_instance_that_is_gone_is_not_repeated(reporter: Reporter) -> None:
-    reporter.condition("Healthy", "False", "Failed", "no /scan for 1 s")
-    reporter.set(active="", health="Starting")
-    assert told(reporter).message == "no instance has been healthy yet"
+def test_what_was_said_of_an_instance_that_is_gone_is_not_repeated(notices: Notices) -> None:
+    notices.condition("Healthy", "False", "Failed", "no /scan for 1 s")
+    notices.set(active="", health="Starting")
+    assert told(notices).message == "no instance has been healthy yet"
 
 
-def test_the_last_recovery_is_told_with_its_times(reporter: Reporter) -> None:
-    reporter._recoveries = [
-        Recovery(
+def test_the_last_recovery_is_told_with_its_times() -> None:
+    last = Recovery(
             id="r", number=3, reason="no /cmd_vel for 500 ms", result="Recovered", strategy="Fallback/Executing",
             recovery_seconds=0.5814, parts=Parts(detection=0.5, cluster=0.006, startup=0, reinitialization=0.0754),
             moments=Moments(detected="2026-01-02T14:02:11.000000Z"),
-        )
-    ]  # fmt: skip
-    values = dict(told(reporter).values)
+        )  # fmt: skip
+    notices = Notices(PublishedStatus(recoveries=(last,), count=3))
+    notices.set(active="w-1", health="Healthy")
+    values = dict(told(notices).values)
     assert {key: value for key, value in values.items() if key.startswith("last recovery")} == {
         "last recovery": "Recovered by Fallback/Executing",
         "last recovery: reason": "no /cmd_vel for 500 ms",
@@ -110,10 +110,10 @@ def test_the_last_recovery_is_told_with_its_times(reporter: Reporter) -> None:
     }
 
 
-def test_long_texts_fit_into_a_table(reporter: Reporter) -> None:
-    reporter.condition("Recovering", "False", "NothingVerified", "tried\nin vain " * 200)
-    reporter.set(health="Failed")
-    found = told(reporter)
+def test_long_texts_fit_into_a_table(notices: Notices) -> None:
+    notices.condition("Recovering", "False", "NothingVerified", "tried\nin vain " * 200)
+    notices.set(health="Failed")
+    found = told(notices)
     assert len(found.message) == LONGEST
     assert "\n" not in found.message
     assert found.message.endswith("...")

@@ -8,8 +8,8 @@ from typing import Any, cast
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from tests.unit.monitor.gates import Packets
-from tests.unit.monitor.test_trying_again import Told
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge import gate_enforcement
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT, Enforcement, judge
@@ -84,7 +84,7 @@ def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once
     gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
     last = {"uid-w-1": NOW, "uid-w-2": NOW}
     probes = Packets(last)
-    told: Any = Told()
+    told = RecordedNotices()
     clock = [NOW]
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
     enforced = Enforcement(gate, probes, told)
@@ -111,7 +111,7 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
     probes = Packets(last)
     clock = [NOW]
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
-    told: Any = Told()
+    told = RecordedNotices()
     ungated = [""]
     enforced = Enforcement(gate, probes, told, lambda: ungated[0])
     enforced.look(NOW)

@@ -14,6 +14,7 @@ from understudy.failover.interfaces import Instance
 from understudy.kube.client import ApiError
 from understudy.monitor.act.pod_control import Fleet, instance_of
 from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import Notices
 
 EVICTION = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
 DELETED = {"deletionTimestamp": "2026-01-01T00:00:30Z"}
@@ -98,7 +99,7 @@ class Controller(MemoryClient):
 def fleet(client: Controller, steps: Path) -> Fleet:
     settings = SimpleNamespace(source_kind="ReplicaSet", source_name="w", pools=())
     view: Any = SimpleNamespace(settings=settings, namespace="fleet", pods_revision=(0, 0), all_pods=lambda: [])
-    return Fleet(client, view, CrashPoints(steps))
+    return Fleet(client, view, CrashPoints(steps), Notices())
 
 
 @pytest.mark.parametrize(

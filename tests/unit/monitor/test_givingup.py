@@ -23,7 +23,7 @@ from understudy.failover.dependency import Seen
 from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.journal import Journal
 from understudy.failover.pool_queue import Waiter
-from understudy.failover.progress import LASTS, PodIdentity, Progress, beside, told_in
+from understudy.failover.progress import LASTS, PodIdentity, Progress, beside
 from understudy.failover.protocol import Choice
 from understudy.failover.strategies.base import Means, Strategy
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
@@ -33,6 +33,7 @@ from understudy.monitor.act import abandonment
 from understudy.monitor.act.abandonment import GivingUp
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.recovery_runner import Recoveries
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe import interrupted_recovery
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
@@ -72,16 +73,8 @@ class Monitor:
         self.client, self.view, self.gate = client, view, gate
         self.journal = Journal(folder / "recovery.json")
         self.recoveries: list[Recovery] = []
-        self.reporter: Any = SimpleNamespace(
-            health="Starting",
-            recorded=set(),
-            told=[],
-            recovering=contextlib.nullcontext,
-            condition=lambda *_: True,
-            event=lambda *_: None,
-            set=lambda **_: None,
-        )
-        self.giving_up = GivingUp(gate, self.journal, self.reporter)
+        self.notices = Notices()
+        self.giving_up = GivingUp(gate, self.journal, self.notices)
         self.ended: list[str] = []
 
     async def recover(self, *steps: Instance | Exception | None, progress: Progress | None = None) -> Progress:
@@ -100,7 +93,7 @@ class Monitor:
         black_box: Any = BlackBox()
         await Recoveries(
             view,
-            self.reporter,
+            self.notices,
             keeping,
             black_box,
             nothing,
@@ -140,7 +133,7 @@ class Monitor:
 
     def interrupted(self) -> Progress | None:
         """What a monitor that starts now would go on with."""
-        return interrupted_recovery.interrupted(self.journal, self.gate, self.reporter, self.giving_up.ids)
+        return interrupted_recovery.interrupted(self.journal, self.gate, self.notices.status, self.giving_up.ids)
 
     def seen(self) -> Seen:
         """What those that depend on it make of its gate and of its status, once that says that it is well."""
@@ -453,7 +446,7 @@ class TestWhatAnotherMonitorHasLeft:
     async def later(self, monitor: Monitor, tmp_path: Path) -> Monitor:
         await monitor.gate.commit(STANDBY, begun())
         found = await successor(monitor, tmp_path / "elsewhere")
-        found.reporter.health = "Healthy"
+        found.notices.set(health="Healthy")
         return found
 
     async def test_it_ends_once_the_robot_is_driven_for_so_long_that_it_would_be_recorded(
@@ -473,9 +466,9 @@ class TestWhatAnotherMonitorHasLeft:
         self, later: Monitor, clock: SimpleNamespace, health: str
     ) -> None:
         for clock.now in (100.0, 200.0, 300.0):
-            later.reporter.health = "Healthy" if clock.now == 100.0 else health
+            later.notices.set(health="Healthy" if clock.now == 100.0 else health)
             await later.look()
-        later.reporter.health = "Healthy"
+        later.notices.set(health="Healthy")
         await later.look()
         assert later.seen().failing, "it counts from when it is healthy again"
 
@@ -494,7 +487,7 @@ class TestWhatAnotherMonitorHasLeft:
     async def test_what_the_status_tells_of_is_left_as_it_is(self, later: Monitor, clock: SimpleNamespace) -> None:
         found = beside(GateRecord.of(later.policy).recovery)
         assert found is not None
-        later.reporter.told = told_in([found.model_copy(update={"result": "Recovered"}).to_recovery(1)])
+        later.notices.record(found.model_copy(update={"result": "Recovered"}))
         before = written(later.client)
         for clock.now in (100.0, 200.0, 300.0):
             await later.look()

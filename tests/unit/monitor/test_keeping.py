@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -18,11 +17,12 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
+from tests.support.notices import RecordedNotices
 from tests.unit.dds import keep_to_itself
 from tests.unit.monitor.blank_parts import blank_parts
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Recovery
-from understudy.api.kinds.state_spec import KeptStatus, RestoredState, State
+from understudy.api.kinds.state_spec import RestoredState, State
 from understudy.api.protocol.kept_state import KeptState, NotRestored, Restored, RestoreReport
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.interfaces import Instance, Superseded
@@ -83,36 +83,11 @@ class Agents:
         return self.answer
 
 
-class Told:
-    """What is said."""
-
-    def __init__(self) -> None:
-        self.conditions: dict[str, tuple[str, str, str]] = {}
-        self.events: list[tuple[str, str]] = []
-        self.kept: list[list[KeptStatus]] = []
-
-    def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
-        before, self.conditions[type_] = self.conditions.get(type_), (status, reason, message)
-        return before is None or before[:2] != (status, reason)
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        self.events.append((reason, message))
-
-    def recovering(self) -> contextlib.AbstractContextManager[None]:
-        return contextlib.nullcontext()
-
-    def withdraw(self, type_: str) -> None:
-        self.conditions.pop(type_, None)
-
-    def keep(self, kept: list[KeptStatus]) -> None:
-        self.kept.append(kept)
-
-
 class Monitor:
     """The loop of a monitor, as far as it is about state."""
 
     def __init__(self, graph: Graph, folder: Path) -> None:
-        self.agents, self.told = Agents(), Told()
+        self.agents, self.told = Agents(), RecordedNotices()
         self.keeping = StateKeeping(graph, Shelf(folder), self.agents, self.told)  # type: ignore[arg-type]
         self.state, self.health, self.active = STATE, "Healthy", ACTIVE
         self.waiting: list[tuple[Instance, float]] = []
@@ -164,7 +139,7 @@ async def test_the_last_healthy_pose_is_kept_and_told(monitor: Monitor, say: Cal
     say(1.0)
     await monitor.until(lambda: monitor.x() == 1.0 and monitor.told.conditions.get("StateKept"))
     await monitor.until(lambda: monitor.told.conditions["StateKept"] == ("True", "Kept", "Keeping /amcl_pose."))
-    (status,) = monitor.told.kept[-1]
+    (status,) = monitor.told.status.kept
     assert (status.name, status.kind, status.message) == ("/amcl_pose", "Topic", "")
     assert status.bytes > 300
     assert status.taken_at
@@ -217,8 +192,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     onset = time.time()
     later = Monitor(graph, tmp_path)
     view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, retired=False)
-    later.told.set = lambda **_: None  # type: ignore[attr-defined]
-    supervisor = Supervisor(blank_parts(view=view, reporter=later.told, keeping=later.keeping))
+    supervisor = Supervisor(blank_parts(view=view, notices=later.told, keeping=later.keeping))
     found: list[KeptState] = []
 
     async def recovered(self: Recoveries, *_: object) -> None:
@@ -241,7 +215,7 @@ async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkey
         "over: correct it there, or have it published."
     )
     assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", told)
-    assert monitor.told.events == [("StateNeverCame", told)]
+    assert monitor.told.events == [("Warning", "StateNeverCame", told)]
     assert monitor.keeping.select(time.time()).left_out == (
         NotRestored("/amcl_pose", "nobody publishes it", failed=False),
     )
@@ -274,7 +248,7 @@ async def test_ages_alone_are_seldom_written(monitor: Monitor, say: Callable[[fl
     await monitor.until(lambda: monitor.x() is not None, each=move)
     end = time.monotonic() + 1.5
     await monitor.until(lambda: time.monotonic() > end, each=move)
-    assert len(monitor.told.kept) <= 4
+    assert monitor.told.changes <= 6
     assert count[0] > 10
 
 
@@ -330,7 +304,9 @@ async def test_a_standby_that_can_not_be_kept_up_is_told_once(monitor: Monitor, 
     monitor.agents.refusal = "nobody subscribes to /initialpose"
     say(1.0)
     await monitor.until(lambda: len(monitor.agents.given) > 3)
-    assert monitor.told.events == [("StandbyNotKeptUp", "w-2: /amcl_pose: nobody subscribes to /initialpose")]
+    assert monitor.told.events == [
+        ("Warning", "StandbyNotKeptUp", "w-2: /amcl_pose: nobody subscribes to /initialpose")
+    ]
 
 
 async def test_nothing_is_given_to_standbys_while_the_workload_is_not_healthy(
@@ -360,7 +336,7 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     assert not monitor.told.events
     monitor.keeping.tell(recovery.model_copy(update={"state": [given, missing]}))
     assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
-    ((reason, message),) = monitor.told.events
+    ((_, reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
     assert message == (
         "w-2 was not given all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m) (state.keep[1] of "
@@ -370,7 +346,7 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
 
 
 async def test_a_recovery_in_which_nothing_is_given_takes_back_what_is_said_of_the_last(monitor: Monitor) -> None:
-    monitor.told.conditions["StateRestored"] = ("False", "NotRestored", "w-2 was not given ...")
+    monitor.told.condition("StateRestored", "False", "NotRestored", "w-2 was not given ...")
     monitor.keeping.tell(Recovery(id="2", reason="x", result="Failed"))
     assert "StateRestored" in monitor.told.conditions
     monitor.keeping.tell(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))

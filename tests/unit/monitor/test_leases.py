@@ -184,9 +184,9 @@ def monitored(agents: Agents, cluster: Cluster, events: list[str], *, reflex: bo
         gate=SimpleNamespace(state=BEFORE, exists=True),
     )
     graph: Any = SimpleNamespace(subscribers=lambda topic: [robot])
-    reporter: Any = SimpleNamespace(event=lambda kind, reason, text: events.append(f"{reason}: {text}"))
+    notices: Any = SimpleNamespace(event=lambda kind, reason, text: events.append(f"{reason}: {text}"))
     current, wakeups, sidecars = CurrentRecovery(), Wakeups(), cast(Any, agents)
-    return World(objects, current, wakeups, Permits(objects, sidecars, graph, current, wakeups, reporter))
+    return World(objects, current, wakeups, Permits(objects, sidecars, graph, current, wakeups, notices))
 
 
 async def eventually(check: Callable[[], object]) -> None:

@@ -9,21 +9,24 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from prometheus_client import REGISTRY
 
+from tests.support.notices import RecordedNotices
 from tests.unit.monitor.blank_parts import blank_parts
-from understudy.api.conditions import Condition, condition
+from understudy.api.conditions import condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
+from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.limits import pause
 from understudy.failover.limits.state import InForce, LimitsInForce
+from understudy.failover.progress import Progress
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.decide.planned_triggers import Occasions
 from understudy.monitor.judge import degradation_level
 from understudy.monitor.judge.degradation_level import AGAIN, LOOK, Levels
 from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.loop import Supervisor
+from understudy.monitor.notices import BecameDegraded, PublishedStatus
 from understudy.trees.core.health_tree import Verdict
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -48,50 +51,11 @@ WELL = {"yaml": {"topic": {"name": "/scan", "rate": "> 9 Hz"}}, "debounce": "2s"
 TIGHT = policy(monitoring=WELL, clearAfter="5s")
 
 
-class Reporter:
-    """What is said."""
-
-    switchover = None
-
-    def __init__(self, *said: Condition, adopted: str = "") -> None:
-        self.adopted, self.switchover = adopted, None
-        self.said = {one.type: one for one in said}
-        self.events: list[tuple[str, str, str]] = []
-        self.writes = 0
-        self.fields: dict[str, Any] = {}
-
-    def find(self, type_: str) -> Condition | None:
-        return self.said.get(type_)
-
-    def reason(self, type_: str) -> str:
-        return self.said[type_].reason if type_ in self.said else ""
-
-    goals: tuple[str, ...] = ()
-    planned: float | None = None
-    situation = None
-
-    def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
-        old = self.said.get(type_)
-        self.said[type_] = condition(type_, status, reason, message)  # type: ignore[arg-type]
-        if old is None or (old.status, old.reason, old.message) != (status, reason, message):
-            self.writes += 1
-        return old is None or (old.status, old.reason) != (status, reason)
-
-    def withdraw(self, type_: str) -> None:
-        self.said.pop(type_, None)
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        self.events.append((kind, reason, message))
-
-    def set(self, **fields: Any) -> None:
-        self.fields |= fields
-
-
 @dataclass
 class World:
     """A clock that the test moves, and what the tree of spec.degraded says."""
 
-    reporter: Reporter = field(default_factory=Reporter)
+    notices: RecordedNotices = field(default_factory=RecordedNotices)
     now: float = 1000.0
     found: Verdict = HEALTHY
     asked: int = 0
@@ -99,7 +63,13 @@ class World:
 
     def __post_init__(self) -> None:
         sight: Any = SimpleNamespace(wellness=self._wellness, busy=lambda now, since: self.busy)
-        self.levels = Levels(sight, self.reporter)  # type: ignore[arg-type]
+        self.levels = Levels(sight, self.notices)
+
+    def adopt(self, active: str) -> None:
+        """Begin as a monitor whose predecessor reported this instance as active and degraded."""
+        said = condition("Degraded", True, "NotWell", "/scan at 8.6 Hz.")
+        self.notices = RecordedNotices(PublishedStatus(by_type={"Degraded": said}, adopted=active))
+        self.__post_init__()
 
     def _wellness(self, *, now: float, since: float) -> Verdict:
         self.asked += 1
@@ -122,8 +92,7 @@ class World:
 
     @property
     def said(self) -> tuple[str, str]:
-        found = self.reporter.said["Degraded"]
-        return found.status, found.reason
+        return self.notices.conditions["Degraded"][:2]
 
 
 @pytest.fixture
@@ -136,19 +105,18 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
 def test_it_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: World) -> None:
     assert not world.look(1)
     assert world.said == ("False", "Well")
-    before = REGISTRY.get_sample_value("understudy_degradations_total") or 0.0
     world.found = SLOW
     assert not world.look(1.5)
     assert world.look(1)
     assert world.said == ("True", "NotWell")
-    assert REGISTRY.get_sample_value("understudy_degradations_total") == before + 1
-    said = world.reporter.said["Degraded"].message
+    assert sum(isinstance(notice, BecameDegraded) for notice in world.notices.log) == 1
+    said = world.notices.conditions["Degraded"][2]
     assert said == "/scan at 8.6 Hz, below 9 Hz over 2 s, by the leaf sensors/scan of spec.degraded."
     world.found = HEALTHY
     assert world.look(4.5)
     assert not world.look(1)
     assert world.said == ("False", "Well")
-    assert [(kind, reason) for kind, reason, _ in world.reporter.events] == [
+    assert [(kind, reason) for kind, reason, _ in world.notices.events] == [
         ("Warning", "Degraded"),
         ("Normal", "WellAgain"),
     ]
@@ -158,7 +126,7 @@ def test_nothing_is_asked_of_a_policy_that_does_not_say_what_well_means(world: W
     world.found = SLOW
     assert not world.look(10, given=policy())
     assert world.asked == 0
-    assert world.reporter.said == {}
+    assert world.notices.conditions == {}
 
 
 def test_it_is_asked_less_often_than_health_is_looked_at(world: World) -> None:
@@ -170,8 +138,8 @@ def test_figures_that_change_all_the_time_are_written_seldom(world: World) -> No
     for hundredth in range(600):
         world.found = Verdict("Failed", f"/scan at 8.{hundredth} Hz", "sensors/scan", None)
         world.look(0.1)
-    assert world.reporter.writes <= 2 + 60 / AGAIN
-    assert len(world.reporter.events) == 1
+    assert world.notices.changes <= 2 + 60 / AGAIN
+    assert len(world.notices.events) == 1
 
 
 def test_another_leaf_is_told_at_once(world: World) -> None:
@@ -179,7 +147,7 @@ def test_another_leaf_is_told_at_once(world: World) -> None:
     world.look(3)
     world.found = Verdict("Failed", "/cmd_vel at 15 Hz", "commands", None)
     world.look(0.3)
-    assert "by the leaf commands" in world.reporter.said["Degraded"].message
+    assert "by the leaf commands" in world.notices.conditions["Degraded"][2]
 
 
 def test_an_instance_whose_health_fails_is_not_asked_and_is_not_well_by_that(world: World) -> None:
@@ -206,19 +174,17 @@ def test_another_instance_is_judged_anew(world: World) -> None:
 
 
 def test_a_new_monitor_goes_on_where_the_last_one_was(world: World) -> None:
-    world.reporter.said["Degraded"] = condition("Degraded", True, "NotWell", "/scan at 8.6 Hz.")
-    world.reporter.adopted = "w-1"
+    world.adopt("w-1")
     world.found = UNKNOWN
     assert world.look(1)
     world.found = HEALTHY
     assert world.look(4)
     assert not world.look(2)
-    assert [reason for _, reason, _ in world.reporter.events] == ["WellAgain"], "it is told once that it was degraded"
+    assert [reason for _, reason, _ in world.notices.events] == ["WellAgain"], "it is told once that it was degraded"
 
 
 def test_what_was_said_of_another_instance_by_the_last_monitor_is_not_so_of_this_one(world: World) -> None:
-    world.reporter.said["Degraded"] = condition("Degraded", True, "NotWell", "/scan at 8.6 Hz.")
-    world.reporter.adopted = "w-0"
+    world.adopt("w-0")
     world.found = UNKNOWN
     assert not world.look(1)
     assert world.said == ("Unknown", "Starting")
@@ -228,7 +194,7 @@ def test_with_the_policy_s_word_goes_what_was_said(world: World) -> None:
     world.found = SLOW
     world.look(3)
     assert not world.look(1, given=policy())
-    assert "Degraded" not in world.reporter.said
+    assert "Degraded" not in world.notices.conditions
 
 
 @pytest.mark.parametrize(
@@ -238,7 +204,7 @@ def test_with_the_policy_s_word_goes_what_was_said(world: World) -> None:
 async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_failover(
     health: Verdict, well: Verdict, level: str
 ) -> None:
-    reporter, kept = Reporter(), []
+    notices, kept = RecordedNotices(), []
     sight = SimpleNamespace(
         graph=None,
         coming=None,
@@ -254,15 +220,21 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
         pods=SimpleNamespace(find=lambda uid: ACTIVE),
         gate=SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True),
         sight=sight,
-        reporter=reporter,
+        notices=notices,
         keeping=SimpleNamespace(judge=lambda state, now: kept.append(state)),
     )
     watching = Supervisor(parts)
     watching._reflexes = SimpleNamespace(taken_over=lambda now: None)  # type: ignore[assignment]
     failure, _ = await watching._look(at_once, time.time())
     assert (failure is not None) == (health is FAILED)
-    assert reporter.fields["health"] == level
+    assert notices.status.health == level
     assert kept[0] == health.state, "state is kept of what is healthy, well or not"
+
+
+def handed_over(at: float) -> Progress:
+    done = Progress.begin("slow", last_healthy=at, detected=at, planned=True)
+    done.result = "Recovered"
+    return done
 
 
 RESCHEDULE = {"after": "5s", "idleFor": "3s", "pause": "1m"}
@@ -275,7 +247,7 @@ class TestHandingOver:
         world.found, world.busy = SLOW, GOAL
         world.look(10, given=HANDED)
         assert world.levels.due is None
-        assert world.reporter.said["Degraded"].message.endswith("It isn't handed over yet: a goal of /go is active.")
+        assert world.notices.conditions["Degraded"][2].endswith("It isn't handed over yet: a goal of /go is active.")
         world.busy = None
         world.look(2.5, given=HANDED)
         assert world.levels.due is None
@@ -321,15 +293,15 @@ class TestHandingOver:
 
     def test_goals_that_only_the_proxy_knows_of_and_a_proxy_that_is_away_are_work(self, world: World) -> None:
         world.found = SLOW
-        world.reporter.goals = ("/go",)
+        world.notices.tasks([TaskStatus(action="/go", active=1)])
         world.look(10, given=HANDED)
         assert world.levels.due is None
-        world.reporter.goals = ()
-        world.reporter.condition("TasksProxied", "False", "ProxyNotReady", "It can't be reached")
+        world.notices.tasks([])
+        world.notices.condition("TasksProxied", "False", "ProxyNotReady", "It can't be reached")
         world.look(10, given=HANDED)
         assert world.levels.due is None
-        assert "ProxyNotReady" in world.reporter.said["Degraded"].message
-        world.reporter.condition("TasksProxied", "True", "Serving", "")
+        assert "ProxyNotReady" in world.notices.conditions["Degraded"][2]
+        world.notices.condition("TasksProxied", "True", "Serving", "")
         world.look(4, given=HANDED)
         assert world.levels.due is not None
 
@@ -342,16 +314,16 @@ class TestHandingOver:
         world.levels.handed_over()
         world.look(40, given=HANDED, active=OTHER)
         assert world.levels.due is None
-        assert "less than 1m ago" in world.reporter.said["Degraded"].message
+        assert "less than 1m ago" in world.notices.conditions["Degraded"][2]
         world.look(30, given=HANDED, active=OTHER)
         assert world.levels.due is not None
 
     def test_a_new_monitor_keeps_the_pause_too(self, world: World) -> None:
         world.found = SLOW
-        world.reporter.planned = time.time() - 10
+        world.notices.record(handed_over(time.time() - 10))
         world.look(20, given=HANDED)
         assert world.levels.due is None
-        world.reporter.planned = time.time() - 100
+        world.notices.record(handed_over(time.time() - 100))
         world.look(1, given=HANDED)
         assert world.levels.due is not None
 
@@ -364,7 +336,7 @@ class TestHandingOver:
         assert world.levels.due is None
         world.look(0.3, given=HANDED)
         assert world.levels.due is not None, "it's tried again"
-        assert "pool hot has no standby" in world.reporter.said["Degraded"].message
+        assert "pool hot has no standby" in world.notices.conditions["Degraded"][2]
 
     def test_one_that_is_not_asked_for_is_never_due(self, world: World) -> None:
         world.found = SLOW

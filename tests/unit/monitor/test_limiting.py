@@ -12,8 +12,8 @@ from typing import Any, cast
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from tests.unit.monitor.blank_parts import blank_parts
-from tests.unit.monitor.test_trying_again import Told
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
@@ -28,30 +28,6 @@ from understudy.monitor.loop import Supervisor
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 PAUSE = Pause(reason="a new gripper", owner="ann")
-
-
-class Saying(Told):
-    """What a supervisor says, and what it knows of what was spent."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.fields: dict[str, Any] = {}
-        self.spent: list[float] = []
-
-    def set(self, **fields: Any) -> None:
-        self.fields |= fields
-
-    def spend(self, moments: list[float]) -> None:
-        self.spent = list(moments)
-
-    def find(self, type_: str) -> Any:
-        if type_ not in self.conditions:
-            return None
-        status, reason, message = self.conditions[type_]
-        return SimpleNamespace(status=status, reason=reason, message=message)
-
-    def withdraw(self, type_: str) -> None:
-        self.conditions.pop(type_, None)
 
 
 class Gate:
@@ -85,7 +61,7 @@ class World:
             "strategies": [{"type": "Restart"}, {"type": "Restart"}],
             "limits": {"budget": {"recoveries": 1, "within": "10m"}} | limits,
         }
-        self.told, self.gate, self.kept = Saying(), Gate(), cast("list[Progress]", [])
+        self.told, self.gate, self.kept = RecordedNotices(), Gate(), cast("list[Progress]", [])
         self.item: dict[str, Any] = {"metadata": {"name": "w"}}
         self.spec = SimpleNamespace(pause=None)
         self.view = SimpleNamespace(
@@ -101,7 +77,7 @@ class World:
             save=lambda progress: self.kept.append(progress.model_copy(deep=True)), clear=lambda: None
         )
         pods = SimpleNamespace(of_workload=lambda: [ACTIVE])
-        self.parts = blank_parts(view=self.view, pods=pods, gate=self.gate, reporter=self.told, journal=journal)
+        self.parts = blank_parts(view=self.view, pods=pods, gate=self.gate, notices=self.told, journal=journal)
         self.watching = Supervisor(self.parts)
         self.watching._housekeeping = lambda: None  # type: ignore[method-assign]
         self.watching._follow_safety = lambda policy: None  # type: ignore[method-assign]
@@ -117,7 +93,7 @@ class World:
         return progress in self.carried_out
 
     def spend(self) -> None:
-        self.told.spent = [time.time() - 60]
+        self.told.spend([time.time() - 60])
 
     def resume(self) -> None:
         self.item["metadata"]["annotations"] = {names.RESUMED: rfc3339(time.time())}
@@ -156,7 +132,7 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
     assert "held" in committed.moments, "the next monitor goes on holding it"
     assert "held" in world.kept[0].moments
     assert world.told.conditions["Recovering"][:2] == ("False", "BudgetSpent")
-    assert world.told.fields["health"] == "Failed"
+    assert world.told.status.health == "Failed"
     assert world.watching._waited_since() == progress.moments["fenced"]
     await asyncio.sleep(0.05)
     assert not holding.done()
@@ -183,7 +159,7 @@ async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left
 
 
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
-    world.told.spent = [time.time() - 599.9]
+    world.told.spend([time.time() - 599.9])
     async with asyncio.timeout(5):
         assert await world.allowed(failure())
     assert len(world.gate.committed) == 1

@@ -14,6 +14,7 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
 from understudy.monitor.decide.initial_activation import ASK_AGAIN, Opening
+from understudy.monitor.notices import Notices
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 POLICY = FailurePolicySpec.model_validate(
@@ -51,9 +52,8 @@ class ClosedGate:
 
 
 def opening(fleet: Asked, gate: ClosedGate, paused: Pause | None = None) -> Opening:
-    reporter = SimpleNamespace(set=lambda **_: None, event=lambda *_: None)
     sidecars = SimpleNamespace(is_ready=lambda _: (True, ""))
-    parts: list[Any] = [fleet, gate, sidecars, reporter, SimpleNamespace(on=paused)]
+    parts: list[Any] = [fleet, gate, sidecars, Notices(), SimpleNamespace(on=paused)]
     return Opening(*parts)
 
 

@@ -7,11 +7,12 @@ from typing import Any, cast
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.monitor.decide.pause_state import Pauses
+from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report.reporter import Reporter
 
 UNTIL = "1970-01-01T00:20:00Z"
 END = 1200.0
@@ -19,19 +20,20 @@ GIVEN = Pause(reason="a new gripper", owner="ann", until=UNTIL)
 
 
 class World:
-    """A monitor's reporter and view, without a cluster."""
+    """A monitor's notices and view, without a cluster."""
 
-    def __init__(self, pause: Pause | None = None) -> None:
-        nobody: Any = None
+    def __init__(self, pause: Pause | None = None, status: dict[str, Any] | None = None) -> None:
         self.view = SimpleNamespace(spec=SimpleNamespace(pause=pause), namespace="fleet", workload="w", object={})
-        self.events: list[tuple[str, str]] = []
-        self.reporter = Reporter(nobody, "fleet", "w", nobody)
-        self.reporter.event = lambda kind, reason, message: self.events.append((reason, message))  # type: ignore[method-assign]
-        self.pauses = Pauses(cast(View, self.view), self.reporter)
+        self.notices = RecordedNotices(PublishedStatus.adopt({"status": status or {}}))
+        self.pauses = Pauses(cast(View, self.view), self.notices)
+
+    @property
+    def events(self) -> list[tuple[str, str]]:
+        return [(reason, message) for kind, reason, message in self.notices.events]
 
     @property
     def said(self) -> tuple[str, str, str] | None:
-        found = self.reporter.find("Paused")
+        found = self.notices.status.find("Paused")
         return (found.status, found.reason, found.message) if found is not None else None
 
 
@@ -111,10 +113,9 @@ def test_another_pause_is_told_too() -> None:
 
 @pytest.mark.parametrize(("pause", "reasons"), [(GIVEN, []), (None, [])])
 def test_a_new_monitor_tells_nobody_again(pause: Pause | None, reasons: list[str]) -> None:
-    world, later = World(GIVEN), World(pause)
+    world = World(GIVEN)
     world.pauses.look(1000.0)
-    metadata = {"name": "w", "namespace": "fleet", "uid": "u"}
-    later.reporter.adopt({"metadata": metadata, "status": world.reporter._body()["status"]})
+    later = World(pause, world.notices.status.to_wire())
     later.pauses.look(1001.0)
     assert later.said == (world.said if pause is not None else None)
     assert [reason for reason, _ in later.events] == reasons
@@ -130,4 +131,4 @@ def test_nothing_is_said_of_a_workload_without_one() -> None:
     world = World()
     world.pauses.look(1000.0)
     assert world.said is None
-    assert not world.reporter._changed.is_set()
+    assert world.notices.changes == 0

@@ -13,29 +13,16 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from tests.unit.monitor.test_trying_again import Told as Said
-from understudy.api.conditions import Condition, condition
+from tests.support.notices import RecordedNotices
+from understudy.api.conditions import condition
 from understudy.api.kinds.robot_workload import Output
+from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe import robot_readers
 from understudy.monitor.observe.robot_readers import Readership
 from understudy.ros.runtime.graph_node import Endpoint
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
 READER = Endpoint("geometry_msgs/msg/Twist", bytes(15) + b"\x04", "/base")
-
-
-class Told(Said):
-    """What is said, and was by an earlier monitor."""
-
-    def __init__(self, *before: Condition) -> None:
-        super().__init__()
-        self._before = {one.type: one for one in before}
-
-    def find(self, type_: str) -> Condition | None:
-        return self._before.get(type_)
-
-    def withdraw(self, type_: str) -> None:
-        self.conditions.pop(type_, None)
 
 
 class Server:
@@ -73,12 +60,11 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     made.close()
 
 
-def looking(server: Any, told: Told, outputs: list[Output]) -> Readership:
+def looking(server: Any, told: RecordedNotices, outputs: list[Output]) -> Readership:
     spec = SimpleNamespace(outputs=outputs, gate=SimpleNamespace(robots=[]))
     view: Any = SimpleNamespace(spec=spec, retired=False, workload="robot-17")
     sight: Any = SimpleNamespace(graph=server, addresses={})
-    reporter: Any = told
-    return Readership(view, sight, reporter, "127.0.0.1")
+    return Readership(view, sight, told, "127.0.0.1")
 
 
 def looks(one: Readership, times: int) -> None:
@@ -90,7 +76,7 @@ def looks(one: Readership, times: int) -> None:
 
 
 def test_dds_is_asked_once_for_a_reader_and_what_it_does_not_tell_is_said(server: Server) -> None:
-    told = Told()
+    told = RecordedNotices()
     one = looking(server, told, [CMD_VEL])
     looks(one, 2)
     assert not server.asked(), "where nobody reads there is nothing to ask"
@@ -108,13 +94,14 @@ def test_dds_is_asked_once_for_a_reader_and_what_it_does_not_tell_is_said(server
 
 def test_it_is_said_once_it_has_stood_for_a_while(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_readers, "SETTLE", 60.0)
-    told = Told()
+    told = RecordedNotices()
     looks(looking(server, told, [CMD_VEL]), 3)
     assert told.conditions == {}
 
 
 def test_what_an_earlier_monitor_found_stands_until_it_is_known_anew(server: Server) -> None:
-    told = Told(condition("OutputsRead", False, "ReaderWithoutProfile", "The gate doesn't reach it."))
+    said = condition("OutputsRead", False, "ReaderWithoutProfile", "The gate doesn't reach it.")
+    told = RecordedNotices(PublishedStatus(by_type={said.type: said}))
     one = looking(server, told, [CMD_VEL])
     assert one.ungated == "The gate doesn't reach it."
     looks(one, 2)
@@ -122,15 +109,15 @@ def test_what_an_earlier_monitor_found_stands_until_it_is_known_anew(server: Ser
 
 
 def test_a_workload_without_topics_says_nothing_of_them(server: Server) -> None:
-    told = Told()
-    told.conditions["OutputsRead"] = ("Unknown", "NobodyReads", "")
+    told = RecordedNotices()
+    told.condition("OutputsRead", "Unknown", "NobodyReads")
     looks(looking(server, told, [Output(service="/snap", type="std_srvs/srv/Trigger")]), 2)
     assert told.conditions == {}
 
 
 def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DISCOVERY_SERVER", "not a port:eleven")
-    told = Told()
+    told = RecordedNotices()
     server.readers = [READER]
     looks(looking(server, told, [CMD_VEL]), 2)
     assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
@@ -146,7 +133,7 @@ def test_an_error_does_not_end_it(server: Server, monkeypatch: pytest.MonkeyPatc
         looked += 1
         raise RuntimeError("the graph is being closed")
 
-    told = Told()
+    told = RecordedNotices()
     one = looking(SimpleNamespace(subscribers=broken), told, [CMD_VEL])
 
     async def run() -> None:

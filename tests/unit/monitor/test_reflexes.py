@@ -61,7 +61,7 @@ class World:
                 arrivals=lambda topic, pod: self.arrivals.get(pod, []), ambiguous=lambda pod: pod in self.twins
             ),
             "probes": Packets(self.probes),
-            "reporter": SimpleNamespace(condition=self._condition, event=lambda *_: None),
+            "notices": SimpleNamespace(condition=self._condition, event=lambda *_: None),
         }
         self.reflexes = Reflexes(**parts)
 

@@ -5,24 +5,23 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Iterator
+from types import SimpleNamespace
 from typing import Any, Literal
 
 import pytest
 from prometheus_client import REGISTRY
 
+from tests.support.notices import RecordedNotices
 from tests.unit.interleavings.apiserver import ApiServer
 from understudy.api.kinds.robot_workload import MonitorStatus
 from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError, Client, Object
-from understudy.monitor.report import reporter as reporting
-from understudy.monitor.report.reporter import Reporter, switched
-
-
-def reporter() -> Reporter:
-    nobody: Any = None
-    return Reporter(nobody, "fleet", "w", nobody)
+from understudy.monitor.act.recovery_messages import describe_switchover
+from understudy.monitor.notices import Notices, PublishedStatus
+from understudy.monitor.report import monitor_metrics, status_writer
+from understudy.monitor.report.status_writer import StatusWriter
 
 
 def done(at: float, *, planned: bool) -> Progress:
@@ -32,13 +31,13 @@ def done(at: float, *, planned: bool) -> Progress:
 
 
 async def test_the_last_planned_hand_over_is_known_by_the_record() -> None:
-    found = reporter()
-    assert found.planned is None
+    found = Notices()
+    assert found.status.planned is None
     found.record(done(1000.0, planned=False))
-    assert found.planned is None
+    assert found.status.planned is None
     for at, planned in ((2000.5, True), (3000.0, False)):
         found.record(done(at, planned=planned))
-    assert found.planned == 2000.5
+    assert found.status.planned == 2000.5
 
 
 def switchover(at: float, result: Literal["Recovered", "Failed"] = "Recovered") -> Progress:
@@ -56,46 +55,46 @@ def counted(kind: str, result: str) -> float:
 
 
 async def test_a_switchover_is_no_recovery_of_the_metrics_and_no_hand_over_of_a_degraded_instance() -> None:
-    found, before = reporter(), counted("Drain", "Recovered")
+    found, before = RecordedNotices(), counted("Drain", "Recovered")
     recoveries = {"strategy": "Fallback/Executing", "result": "Recovered"}
     failures = REGISTRY.get_sample_value("understudy_recoveries_total", recoveries)
     recovery = found.record(switchover(2000.0))
-    assert found.planned is None
+    for notice in found.log:
+        monitor_metrics.count(notice)
+    assert found.status.planned is None
     assert counted("Drain", "Recovered") == before + 1
     assert REGISTRY.get_sample_value("understudy_recoveries_total", recoveries) == failures
-    assert switched(recovery) == (
+    assert describe_switchover(recovery) == (
         "slow. w-2 took over from w-1 by Fallback/Executing, epoch 0. The robot got no command for 0.052 s"
     )
 
 
 async def test_one_that_is_given_back_again_and_again_is_one_record_and_no_failure_s() -> None:
-    found = reporter()
+    found = Notices()
     failure = done(1000.0, planned=False)
     failure.result, failure.failed = "Failed", [PodIdentity(name="w-1", uid="uid-1")]
     found.record(failure)
     for at in (2000.0, 3000.0):
         found.record(switchover(at, "Failed"))
-    assert found.count == 2
-    assert found.last is not None
-    assert switched(found.last).startswith("slow. w-1 was let through again: ")
+    assert found.status.count == 2
+    assert found.status.last is not None
+    assert describe_switchover(found.status.last).startswith("slow. w-1 was let through again: ")
 
 
 async def test_what_was_handled_is_known_to_the_next_monitor() -> None:
-    before, after = reporter(), reporter()
+    before = Notices()
     said = SwitchoverStatus(kind="Failover", request="r", handled="r", phase="Done", since="2026-11-22T14:02:11Z")
     before.say_switchover(said)
-    after.adopt({"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}, "status": before._body()["status"]})
+    after = PublishedStatus.adopt({"status": before.status.to_wire()})
     assert after.switchover == said
 
 
 async def test_a_new_monitor_knows_it_and_what_was_said_of_whom() -> None:
-    before = reporter()
+    before = Notices()
     before.record(done(2000.5, planned=True))
     before.set(active="w-1")
     before.condition("Degraded", "True", "NotWell", "/scan at 8.6 Hz.")
-    item: Object = {"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}, "status": before._body()["status"]}
-    after = reporter()
-    after.adopt(item)
+    after = PublishedStatus.adopt({"status": before.status.to_wire()})
     assert after.planned == 2000.5
     assert after.adopted == "w-1"
     said = after.find("Degraded")
@@ -105,9 +104,9 @@ async def test_a_new_monitor_knows_it_and_what_was_said_of_whom() -> None:
 
 
 async def test_goals_are_those_that_the_proxy_has_worked_on_or_not() -> None:
-    found = reporter()
+    found = Notices()
     found.tasks([TaskStatus(action="/go", active=0), TaskStatus(action="/dock", active=2)])
-    assert found.goals == ["/dock"]
+    assert found.status.goals == ["/dock"]
 
 
 # -- what the object says ---------------------------------------------------------------------------------------------
@@ -144,48 +143,57 @@ class Applied(Client):
         self.server.request("PATCH", path, {"fieldManager": manager}, body, "application/apply-patch+yaml", manager)
 
 
-def monitor_of(api: Applied) -> Reporter:
-    nobody: Any = None
-    found = Reporter(api, "fleet", "w", nobody)
+class Monitor(Notices):
+    """A monitor's notices, and what writes them."""
+
+    def __init__(self, api: Applied) -> None:
+        super().__init__()
+        view: Any = SimpleNamespace(namespace="fleet", workload="w", object=None)
+        nobody: Any = None
+        self.writer = StatusWriter(api, view, nobody, self)
+
+
+def monitor_of(api: Applied) -> Monitor:
+    found = Monitor(api)
     found.set(active="w-1", health="Recovering")
     found.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
     return found
 
 
-def say_recovered(found: Reporter) -> None:
+def say_recovered(found: Monitor) -> None:
     found.set(active="w-2", health="Healthy")
     found.condition("Recovering", "False", "Recovered", "w-2 took over")
 
 
-async def recovered(found: Reporter) -> None:
+async def recovered(found: Monitor) -> None:
     say_recovered(found)
-    await found.flush()
+    await found.writer.flush()
 
 
-async def looked(found: Reporter, item: Object) -> None:
-    """What housekeeping and the reporter's own loop do."""
-    found.look(item)
-    await found.flush()
+async def looked(found: Monitor, item: Object) -> None:
+    """What housekeeping and the writer do."""
+    found.writer.check(item)
+    await found.writer.flush()
 
 
 async def test_what_is_still_so_is_said_of_the_present_spec_and_since_when_stays() -> None:
     """kubectl wait takes no condition whose observedGeneration is below the object's: after a pause it would wait for ever."""
     api = Applied()
     found = monitor_of(api)
-    found.generation = 1
+    found.observe(1)
     found.condition("Healthy", "True", "Healthy", "all is well")
     found.condition("StateRestored", "True", "Restored", "what it knew")
-    await found.flush()
+    await found.writer.flush()
     before = {c["type"]: c for c in api.item["status"]["conditions"]}
-    found.generation = 2
+    found.observe(2)
     assert not found.condition("Healthy", "True", "Healthy", "all is well"), "nothing that an Event would be worth"
-    await found.flush()
+    await found.writer.flush()
     after = {c["type"]: c for c in api.item["status"]["conditions"]}
     assert after["Healthy"] == before["Healthy"] | {"observedGeneration": 2}
     assert after["StateRestored"] == before["StateRestored"], "what nobody has said again is about what was"
     writes = api.writes
     found.condition("Healthy", "True", "Healthy", "all is well")
-    await found.flush()
+    await found.writer.flush()
     assert api.writes == writes
 
 
@@ -194,7 +202,7 @@ async def test_what_a_dead_monitor_wrote_late_is_written_over() -> None:
     dead, living = monitor_of(api), monitor_of(api)
     await recovered(living)
     before = api.item
-    await dead.flush()  # it was sent before that one died
+    await dead.writer.flush()  # it was sent before that one died
     await looked(living, before)
     assert api.item["status"]["health"] == "Recovering", "that the watch tells nothing yet is no reason to write"
     await looked(living, api.item)
@@ -261,7 +269,7 @@ async def test_a_definition_that_is_older_than_the_monitor_takes_what_it_knows_a
     api.server.request = strict  # type: ignore[method-assign]
     for active in ("w-2", "w-3"):
         living.set(active=active)
-        await living.flush()
+        await living.writer.flush()
         assert api.item["status"]["active"] == active
         await looked(living, api.item)
     assert api.writes == 4
@@ -280,49 +288,49 @@ async def test_a_status_that_is_refused_for_another_reason_is_an_error() -> None
 
     api.server.request = refusing  # type: ignore[method-assign]
     with pytest.raises(ApiError, match="duplicate entries"):
-        await living.flush()
+        await living.writer.flush()
     assert api.writes == 1
 
 
 async def test_two_monitors_do_not_keep_each_other_writing(monkeypatch: pytest.MonkeyPatch) -> None:
     api, now = Applied(), [1000.0]
-    monkeypatch.setattr(reporting.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(status_writer.time, "monotonic", lambda: now[0])
     one, other = monitor_of(api), monitor_of(api)
     await recovered(one)
-    await other.flush()
+    await other.writer.flush()
     writes = api.writes
     for _ in range(60):
         now[0] += 1.0
         await looked(one, api.item)
         await looked(other, api.item)
-    assert api.writes - writes == 2 * 60 / reporting.AGAIN
+    assert api.writes - writes == 2 * 60 / status_writer.AGAIN
 
 
 async def test_what_was_said_before_a_write_without_an_answer_is_said_again() -> None:
     api = Applied()
     living = monitor_of(api)
-    await living.flush()
+    await living.writer.flush()
     living.set(health="Healthy")
     api.unanswered = True
     with pytest.raises(TimeoutError):
-        await living.flush()
+        await living.writer.flush()
     assert api.item["status"]["health"] == "Healthy", "it was carried out"
     api.unanswered = False
     living.set(health="Recovering")
-    await living.flush()
+    await living.writer.flush()
     assert api.item["status"]["health"] == "Recovering"
 
 
 @contextlib.asynccontextmanager
 async def running(
     monkeypatch: pytest.MonkeyPatch, *, quiet: float = 0.0025, under_way: float = 0.3
-) -> AsyncIterator[tuple[Applied, Reporter]]:
-    """A reporter with its loop, which waits for a hundredth of what it does in a cluster, and a tenth for a recovery."""
-    monkeypatch.setattr(reporting, "QUIET", quiet)
-    monkeypatch.setattr(reporting, "UNDER_WAY", under_way)
+) -> AsyncIterator[tuple[Applied, Monitor]]:
+    """A writer with its loop, which waits for a hundredth of what it does in a cluster, and a tenth for a recovery."""
+    monkeypatch.setattr(status_writer, "QUIET", quiet)
+    monkeypatch.setattr(status_writer, "UNDER_WAY", under_way)
     api = Applied()
     found = monitor_of(api)
-    task = asyncio.create_task(found.run())
+    task = asyncio.create_task(found.writer.run())
     try:
         yield api, found
     finally:
@@ -330,7 +338,7 @@ async def running(
 
 
 @contextlib.contextmanager
-def recovering(found: Reporter) -> Iterator[None]:
+def recovering(found: Monitor) -> Iterator[None]:
     """A recovery, of which everything is said in the order in which monitors do."""
     with found.recovering():
         found.set(health="Recovering", failing_since=999.9)

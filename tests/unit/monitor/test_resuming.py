@@ -80,8 +80,8 @@ def test_a_new_monitor_knows_which_instance_took_over_last(id_: str, result: str
     left.moments.pop("verified")
     gate: Any = SimpleNamespace(state=GateState(epoch=4, active="w-1", active_uid="uid-1", recovery=left))
     moments = SimpleNamespace(verified=rfc3339(123.0))
-    reporter: Any = SimpleNamespace(last=SimpleNamespace(id=id_ or left.id, result=result, moments=moments))
-    done = concluded(gate, reporter)
+    published: Any = SimpleNamespace(last=SimpleNamespace(id=id_ or left.id, result=result, moments=moments))
+    done = concluded(gate, published)
     assert (done is not None) == known
     if done is not None:
         assert (done.result, done.index, done.moments["verified"]) == ("Recovered", 1, 123.0)

@@ -7,29 +7,14 @@ from typing import Any
 
 import pytest
 
-from tests.unit.monitor.test_trying_again import Told
+from tests.support.notices import RecordedNotices
 from understudy.failover.interfaces import GateState
 from understudy.monitor.report.status_conditions import Saying
 from understudy.trees.core.health_tree import Verdict
 
 
-class Reporter(Told):
-    """Has the fields of the status too."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.fields: dict[str, Any] = {}
-        self.generation: int | None = None
-
-    def set(self, **fields: Any) -> None:
-        self.fields |= fields
-
-    def look(self, item: object) -> None:
-        return
-
-
 def said(
-    reporter: Reporter, *, problems: tuple[str, ...] = (), unsafe: tuple[str, ...] = (), waiting: str = ""
+    notices: RecordedNotices, *, problems: tuple[str, ...] = (), unsafe: tuple[str, ...] = (), waiting: str = ""
 ) -> Saying:
     parts: list[Any] = [
         SimpleNamespace(object={"metadata": {"generation": 7}}),
@@ -37,7 +22,7 @@ def said(
         SimpleNamespace(problems=problems, waiting=[waiting] if waiting else [], summary="Watching /scan."),
         SimpleNamespace(problems=unsafe),
         SimpleNamespace(usable=lambda: "Executing"),
-        reporter,
+        notices,
     ]
     return Saying(*parts)
 
@@ -56,11 +41,11 @@ def said(
     ],
 )
 def test_whether_all_of_it_is_seen(seen: dict[str, Any], condition: tuple[str, str, str], events: list[str]) -> None:
-    reporter = Reporter()
-    said(reporter, **seen).housekeeping()
-    assert reporter.conditions["Monitored"] == condition
-    assert [reason for _, reason, _ in reporter.events] == events
-    assert (reporter.generation, reporter.fields["strategy"]) == (7, "Executing")
+    notices = RecordedNotices()
+    said(notices, **seen).housekeeping()
+    assert notices.conditions["Monitored"] == condition
+    assert [reason for _, reason, _ in notices.events] == events
+    assert (notices.status.find("Monitored").observed_generation, notices.status.strategy) == (7, "Executing")
 
 
 @pytest.mark.parametrize(
@@ -73,7 +58,7 @@ def test_whether_all_of_it_is_seen(seen: dict[str, Any], condition: tuple[str, s
     ],
 )
 def test_an_instance_that_is_degraded_is_healthy_still(state: Any, degraded: bool, health: str, status: str) -> None:
-    reporter = Reporter()
-    said(reporter).health(Verdict(state, "why", "leaf", None), degraded=degraded)
-    assert (reporter.fields["health"], reporter.fields["active"]) == (health, "w-1")
-    assert reporter.conditions["Healthy"] == (status, state, "why")
+    notices = RecordedNotices()
+    said(notices).health(Verdict(state, "why", "leaf", None), degraded=degraded)
+    assert (notices.status.health, notices.status.active) == (health, "w-1")
+    assert notices.conditions["Healthy"] == (status, state, "why")

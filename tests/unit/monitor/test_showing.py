@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -16,6 +17,8 @@ import pytest
 
 from tests.unit.trees.world import START, World
 from understudy.api.conditions import condition
+from understudy.api.kinds.robot_workload import GateStatus
+from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.report.live_tree_pages import Showing
 from understudy.process.http_pages import Answer, serve
 from understudy.trees.core.snapshots import snapshot
@@ -40,12 +43,15 @@ def showing(now: float, **more: Any) -> Showing:
     taken = snapshot(world.tree, world.observed(), START + now)
     sight: Any = SimpleNamespace(snapshot=lambda: taken, problems=[EVIL], waiting=[])
     said = condition("GateEnforced", True, "Enforced", "Two probes of it were seen.")
-    reporter: Any = SimpleNamespace(
-        health="Failed", active="robot-1-drive-abc", gate=SimpleNamespace(epoch=3), strategy="Executing", count=2, conditions=[said],
-    )  # fmt: skip
-    for name, value in more.items():
-        setattr(reporter, name, value)
-    return Showing(view, sight, reporter)
+    published = PublishedStatus(
+        health="Failed",
+        active="robot-1-drive-abc",
+        gate=GateStatus(epoch=3),
+        strategy="Executing",
+        count=2,
+        by_type={said.type: said},
+    )
+    return Showing(view, sight, Notices(replace(published, **more)))
 
 
 def test_a_tool_is_told_all_of_it() -> None:

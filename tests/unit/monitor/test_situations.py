@@ -11,11 +11,14 @@ from prometheus_client import REGISTRY
 
 pytest.importorskip("rclpy")
 
+from tests.support.notices import RecordedNotices
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.monitor.judge import situation_tracking as situations
 from understudy.monitor.judge.situation_tracking import HEARING, LOOK, Situations
+from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.context_detection import Seen, Situating
+from understudy.monitor.report import monitor_metrics
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
 
@@ -94,27 +97,11 @@ class TestWhatIsSeen:
         assert found.problems[0].startswith("The tree of the situation loaded doesn't load")
 
 
-class Reporter:
-    """What is said."""
-
-    def __init__(self, situation: SituationStatus | None = None) -> None:
-        self.situation = situation
-        self.goals: list[str] = []
-        self.writes = 0
-        self.events: list[str] = []
-
-    def situate(self, status: SituationStatus | None) -> None:
-        self.situation, self.writes = status, self.writes + 1
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        self.events.append(f"{kind} {reason}: {message}")
-
-
 @dataclass
 class World:
     """A clock that the test moves, and what is seen."""
 
-    reporter: Reporter = field(default_factory=Reporter)
+    notices: RecordedNotices = field(default_factory=RecordedNotices)
     now: float = 1000.0
     so: dict[str, bool | None] = field(default_factory=dict)
     asked: int = 0
@@ -127,7 +114,7 @@ class World:
         while self.now < end:
             self.now += LOOK / 2
             self.situations.look(asked, verdict, now=self.now + 1e9, since=1e9)
-        return self.reporter.situation.name if self.reporter.situation is not None else ""
+        return self.notices.status.situation.name if self.notices.status.situation is not None else ""
 
 
 @pytest.fixture
@@ -135,48 +122,48 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     return made(monkeypatch)
 
 
-def made(monkeypatch: pytest.MonkeyPatch, reporter: Reporter | None = None) -> World:
-    found = World(reporter or Reporter())
+def made(monkeypatch: pytest.MonkeyPatch, status: PublishedStatus | None = None) -> World:
+    found = World(RecordedNotices(status))
 
     class Sight:
         def situations(self, goals: Any, *, now: float, since: float) -> dict[str, Seen]:
             found.asked += 1
             return found.situations_of()
 
-    found.situations = Situations(Sight(), found.reporter)  # type: ignore[arg-type]
+    found.situations = Situations(Sight(), found.notices)  # type: ignore[arg-type]
     monkeypatch.setattr(situations.time, "monotonic", lambda: found.now)
     return found
 
 
-def metric(name: str) -> float | None:
+def metric(world: World, name: str) -> float | None:
+    for notice in world.notices.log:
+        monitor_metrics.count(notice)
     return REGISTRY.get_sample_value("understudy_situation", {"situation": name})
 
 
 def test_it_is_said_when_it_begins_and_when_it_is_over_and_not_in_between(world: World) -> None:
     world.so = {"carrying": False}
     assert world.pass_(HEARING + 1) == ""
-    assert world.reporter.writes == 0
+    assert world.notices.changes == 0
     world.so = {"carrying": True}
     assert world.pass_(60) == "carrying"
-    assert world.reporter.situation is not None
-    assert world.reporter.situation.reason == "carrying it is"
-    assert world.reporter.writes == 1
-    assert metric("carrying") == 1.0
+    assert world.notices.status.situation is not None
+    assert world.notices.status.situation.reason == "carrying it is"
+    assert world.notices.changes == 1
+    assert metric(world, "carrying") == 1.0
     world.so = {"carrying": False}
     assert world.pass_(4) == "carrying"
     assert world.pass_(2) == ""
     assert world.pass_(60) == ""
-    assert world.reporter.writes == 2
-    assert metric("carrying") is None
-    assert world.reporter.events == [
-        "Normal SituationChanged: The robot is in the situation carrying: carrying it is",
-        "Normal SituationChanged: The situation carrying is over",
-    ]
+    assert world.notices.changes == 2
+    assert metric(world, "carrying") is None
+    assert [(kind, reason) for kind, reason, _ in world.notices.events] == [("Normal", "SituationChanged")] * 2
+    assert ["carrying" in message for _, _, message in world.notices.events] == [True, True]
 
 
 def test_without_situations_nothing_is_looked_at(world: World) -> None:
     assert world.pass_(10, NONE) == ""
-    assert (world.asked, world.reporter.writes) == (0, 0)
+    assert (world.asked, world.notices.changes) == (0, 0)
 
 
 def test_a_policy_that_has_none_any_more_ends_it_at_once(world: World) -> None:
@@ -196,12 +183,12 @@ def test_while_the_instance_fails_it_stays_however_long_that_takes(world: World)
 
 def test_a_new_monitor_goes_on_with_it_and_hears_first_of_the_goals(monkeypatch: pytest.MonkeyPatch) -> None:
     said = SituationStatus(name="carrying", since="2026-01-01T00:00:00Z", reason="it was")
-    world = made(monkeypatch, Reporter(said))
+    world = made(monkeypatch, PublishedStatus(situation=said))
     world.so = {"carrying": False}
     assert world.pass_(HEARING - 1) == "carrying"
     world.so = {"carrying": True}
     assert world.pass_(30) == "carrying"
-    assert world.reporter.writes == 0, "it is the same one still"
+    assert world.notices.changes == 0, "it is the same one still"
     world.so = {"carrying": False}
     assert world.pass_(6) == ""
 
@@ -212,4 +199,4 @@ def test_the_next_one_is_in_force_when_the_first_is_over(world: World) -> None:
     assert world.pass_(HEARING + 1, both) == "carrying"
     world.so = {"carrying": False, "loaded": True}
     assert world.pass_(6, both) == "loaded"
-    assert world.reporter.writes == 2
+    assert world.notices.changes == 2

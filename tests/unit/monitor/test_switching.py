@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from tests.unit.failover.world import Store, World
 from understudy.api import names
-from understudy.api.kinds.switchover_spec import Drain, SwitchoverStatus, request
+from understudy.api.kinds.switchover_spec import Drain, request
 from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance
@@ -28,27 +28,16 @@ from understudy.monitor.act.planned_switchover import Switching
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
 
 
-@dataclass
-class Told:
-    """What a monitor says; it outlives that monitor, as the status does."""
-
-    switchover: SwitchoverStatus | None = None
-    events: list[tuple[str, str]] = field(default_factory=list)
-    recorded: set[str] = field(default_factory=set)
-
-    def say_switchover(self, status: SwitchoverStatus) -> None:
-        self.switchover = status
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        self.events.append((reason, message))
+class Told(RecordedNotices):
+    """What a monitor reports; it outlives that monitor, as the status does."""
 
     @property
     def phase(self) -> str:
-        return self.switchover.phase if self.switchover is not None else ""
+        return self.status.switchover.phase if self.status.switchover is not None else ""
 
     @property
     def message(self) -> str:
-        return self.switchover.message if self.switchover is not None else ""
+        return self.status.switchover.message if self.status.switchover is not None else ""
 
 
 class Scene:
@@ -68,7 +57,7 @@ class Scene:
             cast(Any, self.view),
             cast(Any, SimpleNamespace(find=self._find)),
             cast(Any, self),
-            cast(Any, self.told),
+            self.told,
             cast(Any, SimpleNamespace(add=lambda pod: self.left.append(pod.name))),
         )
 
@@ -114,7 +103,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 async def test_nothing_is_done_where_nobody_asks() -> None:
     scene = Scene()
     assert await scene.looked(0.05) is None
-    assert (scene.told.switchover, scene.told.events) == (None, [])
+    assert (scene.told.status.switchover, scene.told.events) == (None, [])
 
 
 async def test_a_request_is_carried_out_once() -> None:
@@ -126,9 +115,9 @@ async def test_a_request_is_carried_out_once() -> None:
     assert (found.target.name, found.progress.request, found.progress.switchover) == ("w-2", asked, "Failover")
     assert scene.told.phase == "Preparing"
     done = await scene.switch(found)
-    assert scene.told.switchover is not None
-    assert (scene.told.phase, scene.told.switchover.handled) == ("Done", asked)
-    assert (scene.told.switchover.recovery, scene.told.switchover.target) == (done.id, "w-2")
+    assert scene.told.status.switchover is not None
+    assert (scene.told.phase, scene.told.status.switchover.handled) == ("Done", asked)
+    assert (scene.told.status.switchover.recovery, scene.told.status.switchover.target) == (done.id, "w-2")
     scene.store.add("w-3", pool="hot")
     assert await scene.looked(0.1) is None, "it was carried out"
     scene.ask(request("failover", time.time()))
@@ -161,7 +150,7 @@ async def test_a_new_monitor_begins_anew_with_one_that_was_being_prepared() -> N
     again = Scene(told=scene.told)
     again.ask(asked)
     assert await again.looked() is not None
-    assert [reason for reason, _ in scene.told.events] == ["SwitchoverBegun"], "which isn't told twice"
+    assert scene.told.reasons == ["SwitchoverBegun"], "which isn't told twice"
 
 
 async def test_it_waits_for_an_understudy_and_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -176,7 +165,7 @@ async def test_it_waits_for_an_understudy_and_ends_with_the_reason(monkeypatch: 
     assert await scene.looked(0.2) is None
     assert scene.told.phase == "NotDone"
     assert "nothing was changed: Fallback/Executing: w-2: no /cmd_vel" in scene.told.message
-    assert scene.told.events[-1][0] == "SwitchoverNotDone"
+    assert scene.told.reasons[-1] == "SwitchoverNotDone"
     assert (scene.state.active, scene.store.commits) == ("w-1", [])
 
 
@@ -198,7 +187,7 @@ async def test_what_was_asked_for_long_ago_or_makes_no_sense_is_told_and_not_don
     assert "'failover now' asks for nothing that is known: write failover or failback and the present time" in (
         scene.told.message
     )
-    assert [reason for reason, _ in scene.told.events] == ["SwitchoverNotDone"] * 2, "each is told once"
+    assert scene.told.reasons == ["SwitchoverNotDone"] * 2, "each is told once"
 
 
 async def test_a_failure_comes_first_and_ends_the_request() -> None:
@@ -231,11 +220,11 @@ async def test_a_status_that_an_earlier_monitor_wrote_and_that_comes_late_has_no
     done.moments["detected"] = time.time()  # the world's clock isn't that of who asks
     scene.store.gate = GateState(epoch=2, active="w-2", active_uid="uid-w-2", recovery=done)
     scene.store.add("w-3", pool="hot")
-    scene.told.switchover = None
+    scene.told.say_switchover(cast(Any, None))
     assert await scene.looked(0.1) is None
     assert "Control was handed over since it was asked for" in scene.told.message
-    assert scene.told.switchover is not None
-    assert scene.told.switchover.handled == asked
+    assert scene.told.status.switchover is not None
+    assert scene.told.status.switchover.handled == asked
 
 
 async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:
@@ -279,7 +268,7 @@ async def test_a_drain_is_for_the_instance_that_it_names() -> None:
     scene = Scene()
     scene.drain(uid="uid-of-one-before")
     assert await scene.looked(0.05) is None
-    assert scene.told.switchover is None
+    assert scene.told.status.switchover is None
 
 
 async def test_home_is_where_the_robot_is_driven_from_already() -> None:
@@ -331,5 +320,5 @@ async def test_a_commit_that_was_carried_out_late_is_settled() -> None:
     progress = found.progress.model_copy(update={"target": PodIdentity(name="w-2", uid="uid-w-2")})
     scene.store.gate = GateState(epoch=2, active="w-2", active_uid="uid-w-2", recovery=progress)
     assert scene.switching.unsettled() == progress
-    scene.told.recorded.add(progress.id)
+    scene.told.record(progress)
     assert scene.switching.unsettled() is None

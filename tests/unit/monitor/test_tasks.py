@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from understudy.action_proxy.control_state import ControlState
 from understudy.action_proxy.monitor_socket import MonitorSocket
-from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.api.kinds.task_spec import TaskStatus
+from understudy.api.kinds.robot_workload import Health, RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.act.action_proxy_link import CONDITION, TaskLink, executing, judged, reachable, settled
@@ -44,14 +44,15 @@ class View:
 
 @dataclass
 class World:
-    """Stands for fleet, gate, agents and reporter."""
+    """Stands for fleet, gate, agents and notices."""
 
     instances: list[Instance]
     state: GateState = GATE
-    health: str = "Healthy"
-    conditions: dict[str, tuple[str, str, str]] = field(default_factory=dict)
-    events: list[tuple[str, str, str]] = field(default_factory=list)
-    told: list[TaskStatus] = field(default_factory=list)
+    health: Health = "Healthy"
+    notices: RecordedNotices = field(default_factory=RecordedNotices)
+
+    def __post_init__(self) -> None:
+        self.notices.set(health=self.health)
 
     def of_workload(self) -> list[Instance]:
         return self.instances
@@ -61,20 +62,6 @@ class World:
 
     async def token(self, instance: Instance) -> bytes:
         return f"token of {instance.name}".encode()
-
-    def tasks(self, tasks: list[TaskStatus]) -> None:
-        self.told = tasks
-
-    def condition(self, type_: str, *words: str) -> bool:
-        changed = self.conditions.get(type_, ("", ""))[:2] != words[:2]
-        self.conditions[type_] = words  # type: ignore[assignment]
-        return changed
-
-    def withdraw(self, type_: str) -> None:
-        self.conditions.pop(type_, None)
-
-    def event(self, *words: str) -> None:
-        self.events.append(words)  # type: ignore[arg-type]
 
 
 def view(*tasks: dict[str, Any], problem: str = "", **more: Any) -> View:
@@ -110,7 +97,7 @@ def socket(tmp_path: Path) -> Path:
 
 
 def link(socket: Path, seen: View, world: World) -> asyncio.Task[None]:
-    return asyncio.create_task(TaskLink(socket, seen, world, world, world, world).run())  # type: ignore[arg-type]
+    return asyncio.create_task(TaskLink(socket, seen, world, world, world, world.notices).run())  # type: ignore[arg-type]
 
 
 async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_late(socket: Path) -> None:
@@ -128,26 +115,26 @@ async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_l
         ("w-1", "10.0.0.1", "token of w-1", False),
         ("w-2", "10.0.0.2", "token of w-2", True),
     ]
-    await eventually(lambda: world.told and world.conditions)
-    assert (world.told[0].active, world.told[0].resent) == (2, 1)
-    assert world.conditions[CONDITION][:2] == ("True", "Serving")
+    await eventually(lambda: world.notices.status.task_statuses and world.notices.conditions)
+    assert (world.notices.status.task_statuses[0].active, world.notices.status.task_statuses[0].resent) == (2, 1)
+    assert world.notices.conditions[CONDITION][:2] == ("True", "Serving")
     world.health = "Recovering"
     await eventually(lambda: not heard[-1].settled)
     world.state = GateState(epoch=4, active="w-2", active_uid="2")
     await eventually(lambda: heard[-1].active == "2" and heard[-1].epoch == 4)
     tasks[0]["message"] = "robots_msgs/action/Dock is not installed"
     talk.tell()
-    await eventually(lambda: world.conditions[CONDITION][:2] == ("False", "TypeNotInstalled"))
-    assert [event[1] for event in world.events] == ["TypeNotInstalled"]
+    await eventually(lambda: world.notices.conditions[CONDITION][:2] == ("False", "TypeNotInstalled"))
+    assert [event[1] for event in world.notices.events] == ["TypeNotInstalled"]
     server.close()
     running.cancel()
 
 
 async def test_a_workload_without_tasks_says_nothing_of_them(socket: Path) -> None:
     world = World([ACTIVE])
-    world.conditions[CONDITION] = ("True", "Serving", "")
+    world.notices.condition(CONDITION, "True", "Serving", "")
     running = link(socket, view(), world)
-    await eventually(lambda: CONDITION not in world.conditions)
+    await eventually(lambda: CONDITION not in world.notices.conditions)
     running.cancel()
 
 
@@ -155,7 +142,7 @@ async def test_a_reference_with_tasks_says_that_there_is_no_proxy(socket: Path) 
     world = World([ACTIVE])
     seen = view(TASK, problem="no agent there", template=None, workloadRef={"kind": "Deployment", "name": "arm"})
     running = link(socket, seen, world)
-    await eventually(lambda: world.conditions.get(CONDITION) == ("False", "NoAgent", "no agent there"))
+    await eventually(lambda: world.notices.conditions.get(CONDITION) == ("False", "NoAgent", "no agent there"))
     running.cancel()
 
 

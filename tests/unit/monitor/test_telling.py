@@ -17,13 +17,11 @@ from tests.unit.dds import keep_to_itself
 from tests.unit.monitor.test_diagnoses import TREE
 from tests.unit.ros.processes import Processes
 from understudy.api.kinds.robot_workload import GateStatus, MonitorSettings
+from understudy.monitor.notices import Notices
 from understudy.monitor.report.diagnostics_publisher import Telling, namespace_of
-from understudy.monitor.report.reporter import Reporter
 from understudy.ros.actions import snapshot_streams
 
 pytestmark = pytest.mark.ros
-
-NONE: Any = None
 
 
 @pytest.fixture
@@ -51,8 +49,8 @@ class Monitor:
         item = {"status": {"standby": "Executing (1/1)"}}
         view: Any = SimpleNamespace(spec=self.spec, object=item, namespace="fleet", workload="robot-1-drive")
         sight: Any = SimpleNamespace(graph=graph, snapshot=lambda: TREE)
-        self.reporter = Reporter(NONE, "fleet", "robot-1-drive", NONE)
-        self.telling = Telling(view, sight, self.reporter)
+        self.notices = Notices()
+        self.telling = Telling(view, sight, self.notices)
 
     def ask(self, **settings: bool) -> None:
         """Change the workload's spec, as a user does."""
@@ -82,7 +80,7 @@ async def line(processes: Processes, node: Any) -> Any:
 async def test_a_failover_is_read_from_ok_over_error_with_its_reason_to_ok(graph: Any, processes: Processes) -> None:
     monitor, reader = Monitor(graph), processes.node("diagnoses", script="viewing.py")
     monitor.ask(diagnostics=True)
-    say = monitor.reporter
+    say = monitor.notices
     say.set(active="w-1", health="Healthy", strategy="Executing", gate=GateStatus(epoch=3, active="w-1"))
     async with monitor.running():
         first = await line(processes, reader)
@@ -116,10 +114,10 @@ async def test_a_failover_is_read_from_ok_over_error_with_its_reason_to_ok(graph
 
 async def test_it_is_told_only_where_it_is_asked_for(graph: Any) -> None:
     monitor = Monitor(graph)
-    monitor.reporter.set(active="w-1", health="Healthy")
+    monitor.notices.set(active="w-1", health="Healthy")
     async with monitor.running():
         await asyncio.sleep(0.1)
-        monitor.reporter.set(health="Failed")
+        monitor.notices.set(health="Failed")
         assert not monitor.telling._pending
         assert not graph.publishers("/diagnostics")
         assert not [name for name, _ in graph.node.get_topic_names_and_types() if name.startswith("/understudy")]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from prometheus_client import CollectorRegistry
 
-from understudy.monitor.report.topic_metrics import TopicMetrics
+from understudy.monitor.report.monitor_metrics import ObservationMetrics
 from understudy.trees.core.observations import TopicRecord
 
 
@@ -13,7 +13,7 @@ def test_messages_and_the_last_one_are_told_by_topic() -> None:
     for received in (10.0, 10.1, 10.2):
         heard.add(received)
     registry = CollectorRegistry()
-    registry.register(TopicMetrics(lambda: {"/cmd_vel": heard, "/odom": silent}))
+    registry.register(ObservationMetrics(lambda: {"/cmd_vel": heard, "/odom": silent}, lambda: (5, 1)))
     value = registry.get_sample_value
     assert value("understudy_topic_messages_total", {"topic": "/cmd_vel"}) == 3
     assert value("understudy_topic_last_message_timestamp_seconds", {"topic": "/cmd_vel"}) == 10.2
@@ -23,5 +23,6 @@ def test_messages_and_the_last_one_are_told_by_topic() -> None:
     assert gap is not None
     assert gap > 1e9, "it has been silent since 1970"
     assert value("understudy_topic_longest_gap_seconds", {"topic": "/odom"}) is None
+    assert (value("understudy_tree_evaluations_total"), value("understudy_tree_overruns_total")) == (5, 1)
     heard.add(10.3)
     assert value("understudy_topic_messages_total", {"topic": "/cmd_vel"}) == 4

@@ -7,14 +7,15 @@ from typing import Any
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Attempt, Recovery
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
 from understudy.failover.limits.backoff import MOST as BACKOFF_MOST
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor.act.recovery_messages import describe, unverified
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.decide.retry_backoff import Retries
-from understudy.monitor.report.reporter import describe, in_vain
 
 FAILURE = "no /cmd_vel for 500 ms"
 NOW = 1_000_000.0
@@ -23,21 +24,6 @@ NOW = 1_000_000.0
 @pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(retry_backoff, "time", SimpleNamespace(time=lambda: NOW))
-
-
-class Told:
-    """What is said."""
-
-    def __init__(self) -> None:
-        self.conditions: dict[str, tuple[str, str, str]] = {}
-        self.events: list[tuple[str, str, str]] = []
-
-    def condition(self, type_: str, status: str, reason: str, message: str = "") -> bool:
-        self.conditions[type_] = (status, reason, message)
-        return True
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        self.events.append((kind, reason, message))
 
 
 def policy(**more: Any) -> FailurePolicySpec:
@@ -55,7 +41,7 @@ class World:
 
     def __init__(self, **more: Any) -> None:
         self.view: Any = SimpleNamespace(policy=policy(**more), settings={"pools": 1}, spec={"bringUp": 1})
-        self.told: Any = Told()
+        self.told = RecordedNotices()
         self.retries = Retries(self.view, self.told)
         self.retries.look(None, NOW)
 
@@ -186,5 +172,5 @@ def test_a_recovery_tells_what_was_tried_in_vain_before() -> None:
         ],
     )
     told = f"Fallback/Initialized with w-2 was tried in vain: {hung}"
-    assert in_vain(recovery) == [told]
+    assert unverified(recovery) == [told]
     assert describe(recovery).endswith(f"by Restart in 16.000 s, epoch 0. Before that: {told}")

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.notices import RecordedNotices
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.gates import gate
 from understudy.api import names
@@ -21,9 +22,9 @@ from understudy.failover.progress import Progress
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.monitor.act.pool_waiting import Line
+from understudy.monitor.act.recovery_messages import describe
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.monitor.report.reporter import Reporter, describe
 
 NOW = time.time()
 
@@ -40,18 +41,6 @@ def waits(me: Waiter) -> Progress:
 
 def view(client: MemoryClient, workload: str) -> View:
     return View(client, "fleet", workload, Wakeups())
-
-
-class Said(Reporter):
-    """A reporter whose Events are kept, and go nowhere else."""
-
-    def __init__(self) -> None:
-        nobody: Any = None
-        super().__init__(nobody, "fleet", "w", nobody)
-        self.events: list[tuple[str, str, str]] = []
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        self.events.append((kind, reason, message))
 
 
 async def test_a_gate_says_for_which_pool_its_workload_waits_until_it_waits_no_longer(tmp_path: Path) -> None:
@@ -122,33 +111,35 @@ async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate
         noted("d-gate", place("d"), **{names.RECOVERY: "{"}),
     ):
         found.waiting_gates[0].put(item)
-    line = Line(found, Said())
+    line = Line(found, RecordedNotices())
     assert [(w.workload, w.priority) for w in line.others("spare")] == [("a", 7)]
 
 
 async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
-    reporter, me = Said(), place("w", priority=5)
-    line = Line(view(MemoryClient(), "w"), reporter)
-    reporter.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
+    notices, me = RecordedNotices(), place("w", priority=5)
+    line = Line(view(MemoryClient(), "w"), notices)
+    notices.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
     line.waits(me, 1, 3)
-    said = reporter.find("Recovering")
+    said = notices.status.find("Recovering")
     assert said is not None
     assert (said.status, said.reason) == ("True", "WaitingForPod")
     assert said.message.startswith("no /cmd_vel for 500 ms; since ")
     assert "it waits for a pod of FallbackPool spare, number 2 of 3 that wait (poolPriority 5), until " in said.message
     line.waits(me, 0, 2)
-    assert "number 1 of 2" in reporter.conditions[0].message
-    assert [(kind, reason) for kind, reason, _ in reporter.events] == [("Warning", "WaitingForPod")]
+    assert "number 1 of 2" in notices.status.conditions["Recovering"][2]
+    assert [(kind, reason) for kind, reason, _ in notices.events] == [("Warning", "WaitingForPod")]
     line.served(me, "spare-x")
-    said = reporter.find("Recovering")
+    said = notices.status.find("Recovering")
     assert said is not None
     assert (said.status, said.reason) == ("True", "FailureDetected")
     assert said.message.startswith("no /cmd_vel for 500 ms; claimed spare-x after ")
     line.waits(me, 0, 1)
-    assert "; claimed" in reporter.conditions[0].message, "a second wait of the same recovery goes on from there"
+    assert "; claimed" in notices.status.conditions["Recovering"][2], (
+        "a second wait of the same recovery goes on from there"
+    )
     line.gave_up(me)
-    assert "got no pod of FallbackPool spare in " in reporter.conditions[0].message
-    assert len(reporter.events) == 2
+    assert "got no pod of FallbackPool spare in " in notices.status.conditions["Recovering"][2]
+    assert len(notices.events) == 2
 
 
 def test_a_recovery_tells_how_long_it_waited() -> None:
@@ -183,6 +174,6 @@ def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_it
     spec = RobotWorkloadSpec.model_validate(
         {"template": {}, "outputs": [{"topic": "/cmd_vel", "type": "a/msg/B"}], "failurePolicyRef": {"name": "p"}}
     )
-    assert Line(SimpleNamespace(workload="w", spec=spec), Said()).priority == 0  # type: ignore[arg-type]
+    assert Line(SimpleNamespace(workload="w", spec=spec), RecordedNotices()).priority == 0  # type: ignore[arg-type]
     given = spec.model_copy(update={"pool_priority": 100})
-    assert Line(SimpleNamespace(workload="w", spec=given), Said()).priority == 100  # type: ignore[arg-type]
+    assert Line(SimpleNamespace(workload="w", spec=given), RecordedNotices()).priority == 100  # type: ignore[arg-type]

@@ -31,9 +31,9 @@ from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.pool_waiting import REASON, Line
 from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.monitor.report.reporter import Reporter
 
 POOL = "spare"
 LAG = 0.03
@@ -148,13 +148,6 @@ class Cluster(MemoryClient):
         return sum(method == "PATCH" and name.endswith(ending) for method, name, _ in self.requests)
 
 
-class Told(Reporter):
-    """A reporter that keeps its Events to itself."""
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        return
-
-
 class Monitor:
     """What of a monitor has to do with pods, gates and others; its instances start at once and drive as soon as they may."""
 
@@ -181,11 +174,10 @@ class Monitor:
             "poolPriority": priority,
         }
         self.view.workloads.put({"metadata": {"name": workload, "resourceVersion": "1"}, "spec": spec})
-        nobody: Any = None
-        self.reporter = Told(nobody, "fleet", workload, nobody)
+        self.notices = Notices()
         steps = CrashPoints(state)
-        self.fleet = Fleet(cluster, self.view, steps)
-        self.gate = GateControl(cluster, self.view, self.fleet, self, steps)  # type: ignore[arg-type]
+        self.fleet = Fleet(cluster, self.view, steps, self.notices)
+        self.gate = GateControl(cluster, self.view, self.fleet, self, steps, self.notices)  # type: ignore[arg-type]
         cluster.monitors.append(self)
 
     def hear(self, resource: Resource, item: Object) -> None:
@@ -210,7 +202,7 @@ class Monitor:
         now = time.time()
         failed = [PodIdentity(name=f"{self.workload}-1", uid=f"uid-{self.workload}-1")]
         progress = Progress.begin("it ended", last_healthy=now, detected=now, failed=failed)
-        self.reporter.condition("Recovering", "True", "FailureDetected", progress.reason)
+        self.notices.condition("Recovering", "True", "FailureDetected", progress.reason)
         ladder = [Choice(UninitializedFallback(POOL, wait_for=wait_for), 2.0)]
         return await recover(progress, ladder, self.means())
 
@@ -220,7 +212,7 @@ class Monitor:
             instances=self.fleet,
             agents=self,  # type: ignore[arg-type]
             outputs=self,  # type: ignore[arg-type]
-            queue=Line(self.view, self.reporter),
+            queue=Line(self.view, self.notices),
             clock=time.time,
             save=lambda progress: None,
             workload_uid=self.settings.uid,
@@ -228,7 +220,7 @@ class Monitor:
 
     @property
     def waits(self) -> bool:
-        return self.reporter.reason("Recovering") == REASON
+        return self.notices.status.reason("Recovering") == REASON
 
     # What is beyond pods and policies: agents, packets and outputs, all of them as quick as can be.
 

@@ -19,7 +19,7 @@ from understudy.failover.abandoned import GivenUp
 from understudy.failover.journal import Journal
 from understudy.failover.progress import LASTS, Committed, Progress, beside, under_way
 from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)
 
@@ -27,8 +27,8 @@ _logger = logging.getLogger(__name__)
 class GivingUp:
     """The recoveries of one workload that were given up, for as long as its gate may tell of them."""
 
-    def __init__(self, gate: GateControl, journal: Journal, reporter: Reporter) -> None:
-        self._gate, self._journal, self._reporter = gate, journal, reporter
+    def __init__(self, gate: GateControl, journal: Journal, notices: Notices) -> None:
+        self._gate, self._journal, self._notices = gate, journal, notices
         self._kept: list[GivenUp] | None = None
         """None until what an earlier monitor had given up was taken over."""
         self._left: tuple[str, float] = ("", 0.0)
@@ -63,9 +63,13 @@ class GivingUp:
 
     def _is_left(self, text: str) -> bool:
         """Whether another monitor would have recorded it by now: the robot has been driven for so long by an instance that is healthy."""
-        found, driven = self._gate.state.recovery, self._reporter.health in ("Healthy", "Degraded")
+        found, driven = self._gate.state.recovery, self._notices.status.health in ("Healthy", "Degraded")
         # Of a switchover it is seen what came of it (understudy.monitor.act.planned_switchover).
-        if found is None or found.switchover is not None or not under_way(Committed.of(found), self._reporter.told):
+        if (
+            found is None
+            or found.switchover is not None
+            or not under_way(Committed.of(found), self._notices.status.told)
+        ):
             text = ""
         now = time.monotonic()
         if not driven or not text or self._left[0] != text:

@@ -21,9 +21,9 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.interfaces import Gate, GateState, Instance
 from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -46,12 +46,12 @@ class TaskLink:
     """Keeps the proxy informed until cancelled."""
 
     def __init__(
-        self, socket: Path, view: View, fleet: Fleet, gate: Gate, sidecars: Sidecars, reporter: Reporter
+        self, socket: Path, view: View, fleet: Fleet, gate: Gate, sidecars: Sidecars, notices: Notices
     ) -> None:
         """``socket`` is the proxy's."""
         self._socket = socket
         self._view, self._fleet, self._gate = view, fleet, gate
-        self._sidecars, self._reporter = sidecars, reporter
+        self._sidecars, self._notices = sidecars, notices
 
     async def run(self) -> None:
         """Connect, tell, listen; again and again."""
@@ -133,7 +133,7 @@ class TaskLink:
             "workload": self._view.workload,
             "epoch": state.epoch,
             "active": state.active_uid,
-            "settled": settled(self._reporter.health, self._fleet.find(state.active_uid)),
+            "settled": settled(self._notices.status.health, self._fleet.find(state.active_uid)),
             "rules": [
                 {
                     "action": task.action,
@@ -149,7 +149,7 @@ class TaskLink:
     def _report(self, report: Mapping[str, Any]) -> None:
         tasks = report["tasks"]
         try:
-            self._reporter.tasks(
+            self._notices.tasks(
                 [
                     TaskStatus(
                         action=task["action"], active=task["active"], resent=task["resent"], message=task["message"]
@@ -167,15 +167,15 @@ class TaskLink:
         return self._view.settings.tasks_problem if self._view.settings else ""
 
     def _say_without(self, spec: RobotWorkloadSpec | None) -> None:
-        self._reporter.tasks([])
+        self._notices.tasks([])
         if spec is not None and spec.tasks and self._problem:
             self._say("False", "NoAgent", self._problem)
         else:
-            self._reporter.withdraw(CONDITION)
+            self._notices.withdraw(CONDITION)
 
     def _say(self, status: str, reason: str, message: str) -> None:
-        if self._reporter.condition(CONDITION, status, reason, message) and status == "False":
-            self._reporter.event("Warning", reason, message)
+        if self._notices.condition(CONDITION, status, reason, message) and status == "False":
+            self._notices.event("Warning", reason, message)
 
 
 def reachable(instance: Instance, state: GateState) -> bool:

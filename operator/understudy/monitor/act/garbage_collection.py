@@ -19,7 +19,7 @@ from understudy.failover.progress import PodIdentity
 from understudy.kube.client import ApiError
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)
 
@@ -36,8 +36,8 @@ FAILED_FOR = 2.0
 class Leftovers:
     """Pods of one workload that aren't in control, and of no use."""
 
-    def __init__(self, fleet: Fleet, gate: GateControl, reporter: Reporter) -> None:
-        self._fleet, self._gate, self._reporter = fleet, gate, reporter
+    def __init__(self, fleet: Fleet, gate: GateControl, notices: Notices) -> None:
+        self._fleet, self._gate, self._notices = fleet, gate, notices
         self._since: dict[str, float] = {}
         self._failed: dict[str, PodIdentity] = {}
         """Pods that failed in the last recovery, or in one before, by UID."""
@@ -89,4 +89,4 @@ class Leftovers:
                 await self._fleet.retire(instance)
                 _logger.warning("%s was left behind by a recovery: deleted", instance.name)
                 why = "has failed" if instance.uid in self._failed else "was claimed by a recovery that came to nothing"
-                self._reporter.event("Normal", "LeftoverDeleted", f"{instance.name} {why}: it is deleted")
+                self._notices.event("Normal", "LeftoverDeleted", f"{instance.name} {why}: it is deleted")

@@ -19,8 +19,8 @@ from understudy.kube.client import ApiError, Client
 from understudy.kube.gates.base import GateRecord, Proof
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import GateCommitted, Notices
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report import monitor_metrics
 
 _logger = logging.getLogger(__name__)
 
@@ -33,9 +33,11 @@ WAKING = 15.0
 class GateControl:
     """Implements :class:`understudy.failover.interfaces.Gate` for one workload, over its kind of gate."""
 
-    def __init__(self, client: Client, view: View, fleet: Fleet, probes: Proof, crash_points: CrashPoints) -> None:
+    def __init__(
+        self, client: Client, view: View, fleet: Fleet, probes: Proof, crash_points: CrashPoints, notices: Notices
+    ) -> None:
         self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
-        self._crash_points, self._kind = crash_points, view.gate_kind
+        self._crash_points, self._kind, self._notices = crash_points, view.gate_kind, notices
         self._cached: tuple[int, GateState] = (-1, GateState())
         self._own: tuple[str, int, str] = ("", 0, "")
         """The recovery that committed last from here: its id, the epoch of that, and the text that was sent along."""
@@ -124,7 +126,7 @@ class GateControl:
             if record.epoch > begun.epoch:
                 self._own = (self._own[0], record.epoch, recovery)
                 return self.state
-        monitor_metrics.committed(time.monotonic() - asked)
+        self._notices.add(GateCommitted(time.monotonic() - asked))
         self._view.gates.put(policy)
         self._own = (self._own[0], begun.epoch + 1, recovery)
         self._crash_points.step("after commit")

@@ -13,10 +13,10 @@ from understudy.api.kinds.robot_workload import GateStatus
 from understudy.failover.interfaces import Gate, Superseded
 from understudy.failover.progress import Progress
 from understudy.monitor.decide.limits import Limits
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.report.black_box import BlackBox
-from understudy.monitor.report.reporter import Reporter
 
 LOOK = 1.0
 """Seconds between two looks whether it may go on."""
@@ -29,7 +29,7 @@ class Holding:
         self,
         view: View,
         gate: Gate,
-        reporter: Reporter,
+        notices: Notices,
         black_box: BlackBox,
         limits: Limits,
         current: CurrentRecovery,
@@ -37,7 +37,7 @@ class Holding:
         meanwhile: Callable[[], None],
     ) -> None:
         """``save`` writes a recovery down; ``meanwhile`` does with each look what isn't to stand still."""
-        self._view, self._gate, self._reporter, self._black_box = view, gate, reporter, black_box
+        self._view, self._gate, self._notices, self._black_box = view, gate, notices, black_box
         self._limits, self._current = limits, current
         self._save, self._meanwhile = save, meanwhile
 
@@ -59,7 +59,7 @@ class Holding:
                 raise
         if progress.held:
             progress.release(time.time())
-            self._reporter.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
+            self._notices.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
 
     async def _hold(self, progress: Progress) -> None:
         """Fence what failed, and do no more: the robot is told the safe commands meanwhile."""
@@ -71,8 +71,8 @@ class Holding:
                 await self._gate.commit(None, progress)
             progress.moments.setdefault("fenced", time.time())
             epoch = self._gate.state.epoch
-            self._reporter.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
-            self._reporter.condition("Healthy", "False", "Failed", progress.reason)
+            self._notices.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
+            self._notices.condition("Healthy", "False", "Failed", progress.reason)
             self._limits.spending.say(time.time())
             self._limits.spending.tell_held(progress)
             while self._must_wait(time.time()):

@@ -25,10 +25,10 @@ from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.kube.client import PODS, ApiError, Object
 from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.monitor.report.reporter import Reporter
 from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
 from understudy.ros.runtime.graph_node import Graph
 
@@ -125,11 +125,11 @@ class Permits:
         graph: Graph,
         current: CurrentRecovery,
         wakeups: Wakeups,
-        reporter: Reporter,
+        notices: Notices,
     ) -> None:
         """``graph`` is the robot's: whoever reads the outputs there may answer an instance."""
         self._cluster, self._sidecars, self._graph = cluster, sidecars, graph
-        self._current, self._wake, self._reporter = current, wakeups.permits, reporter
+        self._current, self._wake, self._notices = current, wakeups.permits, notices
         self._pods: list[Object] = []
         self._readers: frozenset[bytes] = frozenset()
         self._witnesses: dict[str, list[str]] = {}
@@ -247,7 +247,7 @@ class Permits:
         self._told.add((instance.uid, since, word))
         when = datetime.fromtimestamp(since, UTC).strftime("%H:%M:%S UTC")
         then = "it goes on" if word == "Go" else "it stays held, since it was replaced"
-        self._reporter.event(
+        self._notices.event(
             "Normal" if word == "Go" else "Warning",
             "InstanceCutOff",
             f"{instance.name} was cut off at {when} and held by its agent; {then}",

@@ -26,8 +26,8 @@ from understudy.failover.strategies.restart import Restart
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act.garbage_collection import Leftovers
 from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -73,9 +73,9 @@ class Wanted:
 class Switching:
     """The planned switchovers of one workload."""
 
-    def __init__(self, view: View, fleet: Fleet, gate: Gate, reporter: Reporter, leftovers: Leftovers) -> None:
+    def __init__(self, view: View, fleet: Fleet, gate: Gate, notices: Notices, leftovers: Leftovers) -> None:
         self._view, self._fleet, self._gate = view, fleet, gate
-        self._reporter, self._leftovers = reporter, leftovers
+        self._notices, self._leftovers = notices, leftovers
         self._task: asyncio.Task[Prepared] | None = None
         self._wanted: Wanted | None = None
         self._progress: Progress | None = None
@@ -146,7 +146,7 @@ class Switching:
         self._stop()
         self._rest(progress.switchover)
         text = f"The gate wasn't switched: {reason}."
-        self._reporter.event("Warning", "SwitchoverNotDone", text)
+        self._notices.event("Warning", "SwitchoverNotDone", text)
         self._say(progress, "NotDone", text)
 
     def done(self, progress: Progress, text: str) -> None:
@@ -161,7 +161,7 @@ class Switching:
         found = self._gate.state.recovery
         if found is None or found.switchover is None or found.result != "Running":
             return None
-        if found.id in self._reporter.recorded or found.target is None:
+        if found.id in self._notices.status.recorded or found.target is None:
             return None
         return found.model_copy(deep=True) if found.target.uid == self._gate.state.active_uid else None
 
@@ -177,7 +177,7 @@ class Switching:
         return Wanted("Drain", f"node {drain.node} is to be emptied (it is cordoned)", drain=drain)
 
     def _was_handled(self, text: str) -> bool:
-        said = self._reporter.switchover
+        said = self._notices.status.switchover
         return said is not None and said.handled == text
 
     def _requested(self, text: str, now: float) -> Wanted | None:
@@ -218,7 +218,7 @@ class Switching:
             choices = [*choices, self._home(choices)]
         self._wanted, self._progress = wanted, progress
         if self._is_new(wanted):
-            self._reporter.event("Normal", "SwitchoverBegun", f"A switchover is being prepared: {wanted.reason}")
+            self._notices.event("Normal", "SwitchoverBegun", f"A switchover is being prepared: {wanted.reason}")
             self._say(progress, "Preparing", "An understudy is being brought to where it can drive.")
         self._task = asyncio.create_task(switchover.prepare(progress, choices, means, wanted.unfit))
 
@@ -261,8 +261,8 @@ class Switching:
         new = self._is_new(wanted)
         if new:
             kind = "Warning" if wanted.drain is not None else "Normal"
-            self._reporter.event(kind, "SwitchoverWaits", f"{wanted.reason}: {reason}")
-        said = self._reporter.switchover
+            self._notices.event(kind, "SwitchoverWaits", f"{wanted.reason}: {reason}")
+        said = self._notices.status.switchover
         if new or (said is not None and said.phase != "Waiting") or now - self._told_at >= TELL:
             self._told_at = now
             self._tell(
@@ -281,7 +281,7 @@ class Switching:
 
     def _over_and_done(self) -> None:
         """Nobody asks for one. What waited, or was being prepared by an earlier monitor, comes to its end with that."""
-        said = self._reporter.switchover
+        said = self._notices.status.switchover
         if said is not None and said.phase not in ENDED:
             message = "Nothing was changed: it isn't asked for any more."
             self._tell(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
@@ -304,7 +304,7 @@ class Switching:
 
     def _is_new(self, wanted: Wanted) -> bool:
         """Whether what was said last is of another one."""
-        said = self._reporter.switchover
+        said = self._notices.status.switchover
         return said is None or said.phase in ENDED or (said.kind, said.request) != (wanted.kind, wanted.request)
 
     def _say(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
@@ -326,17 +326,17 @@ class Switching:
     def _end(self, phase: Phase, message: str, wanted: Wanted) -> None:
         """It comes to its end without the gate."""
         _logger.info("switchover (%s): %s", wanted.kind, message)
-        known = self._reporter.switchover
+        known = self._notices.status.switchover
         self._tell(
             SwitchoverStatus(kind=wanted.kind, request=wanted.request, phase=phase, message=message, since=moment())
         )
         if known is None or known.message != message:
             kind, reason = ("Normal", "SwitchoverDone") if phase == "Done" else ("Warning", "SwitchoverNotDone")
-            self._reporter.event(kind, reason, message)
+            self._notices.event(kind, reason, message)
 
     def _tell(self, status: SwitchoverStatus) -> None:
-        before = self._reporter.switchover
+        before = self._notices.status.switchover
         handled = status.request if status.request and status.phase in ENDED else before.handled if before else ""
         if before is not None and before.phase == status.phase:
             status = status.model_copy(update={"since": before.since})
-        self._reporter.say_switchover(status.model_copy(update={"handled": handled}))
+        self._notices.say_switchover(status.model_copy(update={"handled": handled}))

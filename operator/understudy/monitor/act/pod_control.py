@@ -15,8 +15,8 @@ from understudy.kube import claims
 from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Client, Object
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import Notices, PodClaimed
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report import monitor_metrics
 from understudy.trees.core.observations import PodCondition
 
 _logger = logging.getLogger(__name__)
@@ -65,8 +65,8 @@ def instance_of(pod: Object) -> Instance:
 class Fleet:
     """Implements :class:`understudy.failover.interfaces.Instances` over the watched pods."""
 
-    def __init__(self, client: Client, view: View, crash_points: CrashPoints) -> None:
-        self._client, self._view, self._crash_points = client, view, crash_points
+    def __init__(self, client: Client, view: View, crash_points: CrashPoints, notices: Notices) -> None:
+        self._client, self._view, self._crash_points, self._notices = client, view, crash_points, notices
         self._instances: list[Instance] = []
         self._revision: tuple[int, int] | None = None
 
@@ -138,10 +138,10 @@ class Fleet:
         except ApiError as error:
             if error.status in (403, 404, 409, 422):
                 _logger.info("claim of %s lost: %s", instance.name, error.message)
-                monitor_metrics.claimed("Lost", time.monotonic() - begun)
+                self._notices.add(PodClaimed("Lost", time.monotonic() - begun))
                 raise ClaimLost(instance.name) from error
             raise
-        monitor_metrics.claimed("Won", time.monotonic() - begun)
+        self._notices.add(PodClaimed("Won", time.monotonic() - begun))
         self._view.pods.put(claimed)
         self._crash_points.step("after claim")
         return instance_of(claimed)

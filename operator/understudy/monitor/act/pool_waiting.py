@@ -12,9 +12,8 @@ from understudy.api import names
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import waiter
 from understudy.kube.watched_collection import any_changed
+from understudy.monitor.notices import Notices, PodAwaited
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report import monitor_metrics
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -25,8 +24,8 @@ REASON = "WaitingForPod"
 class Line:
     """Implements :class:`understudy.failover.pool_queue.Queue` over the gates of the namespace."""
 
-    def __init__(self, view: View, reporter: Reporter) -> None:
-        self._view, self._reporter = view, reporter
+    def __init__(self, view: View, notices: Notices) -> None:
+        self._view, self._notices = view, notices
         self._before = ("", "")
         """Reason and message of the condition Recovering when the wait began."""
 
@@ -56,17 +55,17 @@ class Line:
 
     def waits(self, me: Waiter, ahead: int, of: int) -> None:
         """Say in the condition Recovering that it waits, and the first time by an Event."""
-        found = self._reporter.find("Recovering")
+        found = self._notices.status.find("Recovering")
         began = found is None or found.reason != REASON
         if began:
             self._before = (found.reason, found.message) if found is not None else ("FailureDetected", "")
         place = f"number {ahead + 1} of {of} that wait (poolPriority {me.priority})"
         text = f"{self._before[1]}; since {_clock(me.since)} it waits for a pod of FallbackPool {me.pool}"
         text = f"{text}, {place}, until {_clock(me.until)} at most"
-        self._reporter.condition("Recovering", "True", REASON, text)
+        self._notices.condition("Recovering", "True", REASON, text)
         if began:
             _logger.warning("%s", text)
-            self._reporter.event("Warning", REASON, text)
+            self._notices.event("Warning", REASON, text)
 
     def served(self, me: Waiter, pod: str) -> None:
         """Say that it goes on, with a pod."""
@@ -78,10 +77,10 @@ class Line:
 
     def _end(self, me: Waiter, result: str, words: str) -> None:
         waited = time.time() - me.since
-        monitor_metrics.waited(me.pool, result, waited)
-        if self._reporter.reason("Recovering") == REASON:
+        self._notices.add(PodAwaited(me.pool, result, waited))
+        if self._notices.status.reason("Recovering") == REASON:
             reason, message = self._before
-            self._reporter.condition("Recovering", "True", reason, f"{message}; {words % waited}")
+            self._notices.condition("Recovering", "True", reason, f"{message}; {words % waited}")
 
     async def changed(self, pool: str) -> None:
         """Return when unclaimed pods, or who waits, may be others than before."""

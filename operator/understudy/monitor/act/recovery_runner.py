@@ -20,11 +20,11 @@ from understudy.monitor.act.recovery_outcome import Aftermath
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.dependencies import following
 from understudy.monitor.report.black_box import BlackBox
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -38,7 +38,7 @@ class Recoveries:
     def __init__(
         self,
         view: View,
-        reporter: Reporter,
+        notices: Notices,
         keeping: StateKeeping,
         black_box: BlackBox,
         crash_points: CrashPoints,
@@ -53,7 +53,7 @@ class Recoveries:
         """``get_ready`` has by this policy what sees and is asked during a recovery: it may come before the first look.
         ``give_up`` has nobody go on with one, or take it to be under way.
         """
-        self._view, self._reporter, self._keeping = view, reporter, keeping
+        self._view, self._notices, self._keeping = view, notices, keeping
         self._black_box, self._crash_points = black_box, crash_points
         self._repertoire, self._switching = repertoire, switching
         self._current, self._holding, self._aftermath = current, holding, aftermath
@@ -75,14 +75,14 @@ class Recoveries:
         policy = self._view.policy
         if policy is None or self._view.settings is None or self._view.retired:
             return
-        with self._reporter.recovering():
+        with self._notices.recovering():
             await self._carry_out(progress, policy)
 
     async def _carry_out(self, progress: Progress, policy: FailurePolicySpec) -> None:
         self._get_ready(policy)
-        self._reporter.condition("Recovering", "True", progress.occasion, progress.reason)
+        self._notices.condition("Recovering", "True", progress.occasion, progress.reason)
         # Why, first: that it is so is told at once.
-        self._reporter.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
+        self._notices.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
         try:
             async with self._keeping.recovering():
                 done = await self._recovered(progress, self._repertoire.choices())

@@ -26,10 +26,10 @@ from understudy.kube.gates.base import Proof
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
-from understudy.monitor.report.reporter import Reporter
 
 LOOK = 0.005
 """Seconds between looks while the pod in control is silent."""
@@ -62,10 +62,10 @@ class Reflexes:
         sidecars: Sidecars,
         sight: Sight,
         probes: Proof,
-        reporter: Reporter,
+        notices: Notices,
     ) -> None:
         self._view, self._fleet, self._gate = view, fleet, gate
-        self._sidecars, self._sight, self._probes, self._reporter = sidecars, sight, probes, reporter
+        self._sidecars, self._sight, self._probes, self._notices = sidecars, sight, probes, notices
         self._writing: asyncio.Task[None] | None = None
         self._write_after = 0.0
         self._admitted: tuple[str, float] = ("", 0.0)
@@ -145,10 +145,10 @@ class Reflexes:
             self._write(chosen)
             if chosen is not None:
                 said = ("Unknown", "Arming", f"{chosen.name} is about to be let through the gate.")
-        if self._reporter.condition("Reflex", *said):
+        if self._notices.condition("Reflex", *said):
             kind = "Warning" if said[0] == "False" and said[1] != "NoStandby" else "Normal"
             if said[1] in ("Armed", "DeadlineTooShort", "StandbyTooStrong", "Blocked", "Ambiguous"):
-                self._reporter.event(kind, f"Reflex{said[1]}", said[2])
+                self._notices.event(kind, f"Reflex{said[1]}", said[2])
 
     def _choose(self, now: float, enforced: bool) -> tuple[Instance | None, Said]:
         state = self._gate.state
@@ -228,7 +228,7 @@ class Reflexes:
         known = [i for i in ready if self._strength(i) is not None]
         if known and now - self._too_strong_since > TOO_STRONG_FOR and now > self._replace_after:
             self._replace_after = now + REPLACE_AGAIN
-            self._reporter.event(
+            self._notices.event(
                 "Normal",
                 "StandbyReplaced",
                 f"{known[0].name} is as strong as {active.name} and couldn't give way to it",

@@ -24,9 +24,9 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.client import ApiError
 from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.instance_roles import InstanceRoles, Role, managed, pool_of, role_of
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ class Bringing:
     fleet: Fleet
     sidecars: Sidecars
     roles: InstanceRoles
-    reporter: Reporter
+    notices: Notices
     _cared: dict[str, _Care] = field(default_factory=dict)
     _told: bool = False
     _replacing: set[asyncio.Task[None]] = field(default_factory=set)
@@ -132,7 +132,7 @@ class Bringing:
             problem = f"{error}. Correct {found.origin}, or what it waits for there; it is tried again"
             if GAVE_WAY not in str(error) and problem != care.problem:
                 care.problem = problem
-                self.reporter.event("Warning", "NotBroughtUp", f"{instance.name}: {problem}.")
+                self.notices.event("Warning", "NotBroughtUp", f"{instance.name}: {problem}.")
         else:
             care.problem = ""
             _logger.info("%s: %s done", instance.name, procedure.name)
@@ -148,7 +148,12 @@ class Bringing:
             return
         # A standby that can't be reached from here alone may be as it should be: the API server then decides.
         unreachable = self.sidecars.status(instance) is None and instance.ready
-        if not self.roles.was_ready(instance) or care.replaced or unreachable or self.reporter.health != "Healthy":
+        if (
+            not self.roles.was_ready(instance)
+            or care.replaced
+            or unreachable
+            or self.notices.status.health != "Healthy"
+        ):
             care.lost_at = None
             return
         if care.lost_at is None:
@@ -157,7 +162,7 @@ class Bringing:
             care.replaced = True
             self._stop(care)
             _logger.warning("standby %s is replaced: %s", instance.name, reason)
-            self.reporter.event(
+            self.notices.event(
                 "Warning",
                 "StandbyReplaced",
                 f"{instance.name} was ready and hasn't been for {LOST_FOR:g} s ({reason}): it is deleted, and another one is made",
@@ -185,7 +190,7 @@ class Bringing:
         if not managed(spec, settings, policy):
             if self._told:
                 self._told = False
-                self.reporter.condition("BroughtUp", "True", "NothingToDo", "Nothing is done to instances (any more).")
+                self.notices.condition("BroughtUp", "True", "NothingToDo", "Nothing is done to instances (any more).")
             return
         self._told = True
         without = [i.name for i in instances if i.usable and not i.held and not i.has_agent]
@@ -195,17 +200,17 @@ class Bringing:
                 f"{', '.join(without)} has no agent, since a referred controller made it: bringUp and recovery can't be run "
                 "on it. Use a template, or have the application bring itself up."
             )
-            if self.reporter.condition("BroughtUp", "False", "NoAgent", text):
-                self.reporter.event("Warning", "NoAgent", text)
+            if self.notices.condition("BroughtUp", "False", "NoAgent", text):
+                self.notices.event("Warning", "NoAgent", text)
         elif problems:
-            self.reporter.condition("BroughtUp", "False", "ProcedureFailed", f"{'. '.join(waiting or problems)}.")
+            self.notices.condition("BroughtUp", "False", "ProcedureFailed", f"{'. '.join(waiting or problems)}.")
         elif waiting:
-            self.reporter.condition("BroughtUp", "Unknown", "UnderWay", "; ".join(waiting))
+            self.notices.condition("BroughtUp", "Unknown", "UnderWay", "; ".join(waiting))
         else:
             text = "Every instance was brought to where it belongs."
             if outdated:
                 text += f" {', '.join(outdated)} as an earlier procedure left it: delete the pod to have the present one run."
-            self.reporter.condition("BroughtUp", "True", "BroughtUp", text)
+            self.notices.condition("BroughtUp", "True", "BroughtUp", text)
 
     @staticmethod
     def _stop(care: _Care) -> None:

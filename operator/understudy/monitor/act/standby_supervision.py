@@ -12,10 +12,10 @@ from understudy.failover.interfaces import Agents, Instance
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.standby_lifecycle import Bringing
 from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
-from understudy.monitor.report.reporter import Reporter
 
 
 class Standbys:
@@ -28,11 +28,11 @@ class Standbys:
         roles: InstanceRoles,
         current: CurrentRecovery,
         keeping: StateKeeping,
-        reporter: Reporter,
+        notices: Notices,
     ) -> None:
         self._cluster, self._sidecars, self._roles, self._current = cluster, sidecars, roles, current
         self._keeping = keeping
-        self._bringing = Bringing(cluster.pods, sidecars, roles, reporter)
+        self._bringing = Bringing(cluster.pods, sidecars, roles, notices)
 
     def housekeeping(
         self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool

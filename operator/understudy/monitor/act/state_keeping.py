@@ -22,9 +22,8 @@ from understudy.api.protocol.kept_state import KeptState
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import rfc3339
 from understudy.kube.agent_client import AgentGone, AgentRefused
+from understudy.monitor.notices import Notices, StateKept
 from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.report import monitor_metrics
-from understudy.monitor.report.reporter import Reporter
 from understudy.ros.observe.state_samples import Capturing
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.pose_propagation import Carrier
@@ -69,10 +68,10 @@ Health = Literal["Starting", "Healthy", "Failed"]
 class StateKeeping:
     """The kept state of one workload."""
 
-    def __init__(self, graph: Graph, shelf: Shelf, sidecars: Sidecars, reporter: Reporter) -> None:
+    def __init__(self, graph: Graph, shelf: Shelf, sidecars: Sidecars, notices: Notices) -> None:
         """Take up what an earlier monitor had kept."""
         self._capturing = Capturing(graph)
-        self._shelf, self._sidecars, self._reporter = shelf, sidecars, reporter
+        self._shelf, self._sidecars, self._notices = shelf, sidecars, notices
         self._keeper = Keeper()
         self._odometry, self._carrier = Capturing(graph), Carrier()
         self._next_odometry = 0.0
@@ -197,7 +196,7 @@ class StateKeeping:
         """Say what became of the state in a recovery."""
         if not recovery.state:
             if recovery.result == "Recovered":
-                self._reporter.withdraw("StateRestored")  # what is said of an earlier one isn't so of this one
+                self._notices.withdraw("StateRestored")  # what is said of an earlier one isn't so of this one
             return
         missing = [entry for entry in recovery.state if not entry.restored]
         given = ", ".join(f"{e.name} ({_given(e)})" for e in recovery.state if e.restored)
@@ -206,17 +205,17 @@ class StateKeeping:
         if not missing:
             text = f"{recovery.to_pod} was given {given}." + (f" {notes}." if notes else "")
             if not uncarried:
-                self._reporter.condition("StateRestored", "True", "Restored", text)
+                self._notices.condition("StateRestored", "True", "Restored", text)
                 return
-            self._reporter.condition("StateRestored", "False", "NotCarried", text)
-            self._reporter.event("Warning", "StateNotCarried", text)
+            self._notices.condition("StateRestored", "False", "NotCarried", text)
+            self._notices.event("Warning", "StateNotCarried", text)
             return
         reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
         text = f"{recovery.to_pod or 'No pod'} was not given all of the kept state: {reasons}."
         told = text + (f" It was given {given}." if given else "") + (f" {notes}." if notes else "")
         way_out = " It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
-        self._reporter.condition("StateRestored", "False", "NotRestored", told + way_out)
-        self._reporter.event("Warning", "StateNotRestored", text + way_out)
+        self._notices.condition("StateRestored", "False", "NotRestored", told + way_out)
+        self._notices.event("Warning", "StateNotRestored", text + way_out)
 
     def _place(self, label: str) -> str:
         """Where in the policy something that is kept is written, for messages; nothing where it isn't there any more."""
@@ -332,15 +331,15 @@ class StateKeeping:
     def _say(self, now: float) -> None:
         """Update status, condition and metrics: at once where something is wrong or right again, else seldom."""
         entries = self._troubles()
-        monitor_metrics.kept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries})
+        self._notices.add(StateKept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries}))
         self.taken = {entry.key.label: entry.taken_at for entry in entries if entry.taken_at is not None}
         shape = tuple((entry.key, entry.trouble, entry.taken_at is None) for entry in entries)
         if shape == self._told and now < self._next_told:
             return
         self._told, self._next_told = shape, now + TELL
-        self._reporter.keep([_status(entry) for entry in entries])
+        self._notices.keep([_status(entry) for entry in entries])
         if not entries:
-            self._reporter.condition("StateKept", "True", "NothingToKeep", "The policy keeps no state (any more).")
+            self._notices.condition("StateKept", "True", "NothingToKeep", "The policy keeps no state (any more).")
             return
         troubled = sorted((e for e in entries if e.trouble), key=lambda e: REASONS.index(e.trouble))
         if troubled:
@@ -350,14 +349,14 @@ class StateKeeping:
                     " What never came is not given to the one that takes over: correct it there, or have it published."
                 )
             reason = "TypeNotInstalled" if "not installed" in text else str(troubled[0].trouble)
-            if self._reporter.condition("StateKept", "False", reason, text):
-                self._reporter.event("Warning", f"State{reason}", text)
+            if self._notices.condition("StateKept", "False", reason, text):
+                self._notices.event("Warning", f"State{reason}", text)
         elif missing := [entry.key.label for entry in entries if entry.taken_at is None]:
             text = f"Waiting for {', '.join(missing)} of a healthy instance."
-            self._reporter.condition("StateKept", "Unknown", "Waiting", text)
+            self._notices.condition("StateKept", "Unknown", "Waiting", text)
         else:
             names = ", ".join(entry.key.label for entry in entries)
-            self._reporter.condition("StateKept", "True", "Kept", f"Keeping {names}.")
+            self._notices.condition("StateKept", "True", "Kept", f"Keeping {names}.")
 
     def _keep_up(self, waiting: Sequence[tuple[Instance, float]], now: float) -> None:
         """Give standbys that wait what is newer than what they were given last."""
@@ -382,7 +381,7 @@ class StateKeeping:
         if report.problem != upkeep.problem:
             upkeep.problem = report.problem
             if report.problem:
-                self._reporter.event("Warning", "StandbyNotKeptUp", f"{instance.name}: {report.problem}")
+                self._notices.event("Warning", "StandbyNotKeptUp", f"{instance.name}: {report.problem}")
 
 
 def _given(entry: RestoredState) -> str:

@@ -13,9 +13,8 @@ from understudy.api.kinds.pause_spec import in_words, unix
 from understudy.failover.limits import budget as budgets
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
+from understudy.monitor.notices import BudgetCounted, Notices, RecoveryDeferred
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report import monitor_metrics
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -25,8 +24,8 @@ CONDITION = "WithinBudget"
 class Spending:
     """What one workload has spent. Times are unix seconds."""
 
-    def __init__(self, view: View, reporter: Reporter) -> None:
-        self._view, self._reporter = view, reporter
+    def __init__(self, view: View, notices: Notices) -> None:
+        self._view, self._notices = view, notices
 
     @property
     def _budget(self) -> Budget | None:
@@ -46,14 +45,14 @@ class Spending:
         """
         budget, tried = self._budget, any(attempt.result != "NotAvailable" for attempt in done.attempts)
         if budget is not None and tried and not done.planned and not done.follows:
-            self._reporter.spend([*self._counted(now), done.began][-budget.recoveries :])
+            self._notices.spend([*self._counted(now), done.began][-budget.recoveries :])
             self.say(now)
 
     def in_force(self, now: float) -> InForce | None:
         """Return the budget if it is spent."""
         if (budget := self._budget) is None:
             return None
-        return budgets.in_force(budget, self._reporter.spent, self.resumed, now)
+        return budgets.in_force(budget, self._notices.status.spent, self.resumed, now)
 
     def spent_until(self, now: float) -> float | None:
         """Return until when no recovery may begin; None if one may."""
@@ -64,35 +63,35 @@ class Spending:
         """Say how it stands; nothing where the policy has no budget."""
         budget = self._budget
         if budget is None:
-            monitor_metrics.budget("", None)
-            self._reporter.spend([])
-            self._reporter.withdraw(CONDITION)
+            self._notices.add(BudgetCounted("", None))
+            self._notices.spend([])
+            self._notices.withdraw(CONDITION)
             return
         left = budgets.left(self._counted(now), now, recoveries=budget.recoveries, within=budget.length)
-        monitor_metrics.budget(budget.within, left)
+        self._notices.add(BudgetCounted(budget.within, left))
         if (until := self.spent_until(now)) is None:
-            before = self._reporter.find(CONDITION)
+            before = self._notices.status.find(CONDITION)
             text = f"Of the {budget.words} that limits.budget of its policy has, some are left."
-            if self._reporter.condition(CONDITION, "True", "Left", text) and before is not None:
-                self._reporter.event("Normal", "BudgetLeft", "Failures are recovered by themselves again")
+            if self._notices.condition(CONDITION, "True", "Left", text) and before is not None:
+                self._notices.event("Normal", "BudgetLeft", "Failures are recovered by themselves again")
             return
         text = self._spent(budget, until)
-        if self._reporter.condition(CONDITION, "False", "Spent", text):
+        if self._notices.condition(CONDITION, "False", "Spent", text):
             _logger.warning("%s", text)
-            self._reporter.event("Warning", "BudgetSpent", text)
+            self._notices.event("Warning", "BudgetSpent", text)
 
     def tell_held(self, progress: Progress) -> None:
         """Say that a failure isn't recovered, since nothing is left."""
-        found = self._reporter.find(CONDITION)
+        found = self._notices.status.find(CONDITION)
         pods = ", ".join(pod.name for pod in progress.failed[:1]) or "no pod"
         text = f"{progress.reason}; {pods} is fenced, and nothing else is done. {found.message if found is not None else ''}"
         _logger.warning("%s", text)
-        monitor_metrics.held("BudgetSpent")
-        self._reporter.condition("Recovering", "False", "BudgetSpent", text.strip())
-        self._reporter.event("Warning", "RecoveryHeld", text.strip())
+        self._notices.add(RecoveryDeferred("BudgetSpent"))
+        self._notices.condition("Recovering", "False", "BudgetSpent", text.strip())
+        self._notices.event("Warning", "RecoveryHeld", text.strip())
 
     def _counted(self, now: float) -> list[float]:
-        return budgets.counted(self._reporter.spent, self.resumed, now)
+        return budgets.counted(self._notices.status.spent, self.resumed, now)
 
     def _spent(self, budget: Budget, until: float) -> str:
         return (

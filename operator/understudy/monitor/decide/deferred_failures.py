@@ -8,15 +8,14 @@ from understudy.failover.decide import Defer, Facts, Occurrence, Trigger, decide
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.decide.strategy_options import Repertoire
 from understudy.monitor.judge.failure_detection import Failure
-from understudy.monitor.report import monitor_metrics
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.notices import Notices, RecoveryDeferred
 
 
 class Postponing:
     """The deferred failures of one workload. Times are unix seconds."""
 
-    def __init__(self, reporter: Reporter, limits: Limits, repertoire: Repertoire) -> None:
-        self._reporter, self._limits, self._repertoire = reporter, limits, repertoire
+    def __init__(self, notices: Notices, limits: Limits, repertoire: Repertoire) -> None:
+        self._notices, self._limits, self._repertoire = notices, limits, repertoire
         self._reported = ""
         """The reason that was reported for deferring the present failure."""
 
@@ -49,8 +48,8 @@ class Postponing:
         if self._reported != decision.reason:
             self._reported = decision.reason
             text = f"{failure.reason}; {decision.message}"
-            monitor_metrics.held(decision.reason)
+            self._notices.add(RecoveryDeferred(decision.reason))
             # If the pod is gone, the health tree does not report the failure.
-            self._reporter.condition("Healthy", "False", "Failed", failure.reason)
-            self._reporter.condition("Recovering", "False", decision.reason, f"{text.rstrip('.')}.")
-            self._reporter.event("Warning", "RecoveryPostponed", text)
+            self._notices.condition("Healthy", "False", "Failed", failure.reason)
+            self._notices.condition("Recovering", "False", decision.reason, f"{text.rstrip('.')}.")
+            self._notices.event("Warning", "RecoveryPostponed", text)

@@ -19,8 +19,8 @@ from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.kube.client import ApiError
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.decide.pause_state import Pauses
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -31,16 +31,16 @@ ASK_AGAIN = 2.0
 class Opening:
     """Opens the gate of one workload while it is closed. Times are unix seconds."""
 
-    def __init__(self, fleet: Fleet, gate: Gate, sidecars: Sidecars, reporter: Reporter, pauses: Pauses) -> None:
+    def __init__(self, fleet: Fleet, gate: Gate, sidecars: Sidecars, notices: Notices, pauses: Pauses) -> None:
         self._fleet, self._gate, self._sidecars = fleet, gate, sidecars
-        self._reporter, self._pauses = reporter, pauses
+        self._notices, self._pauses = notices, pauses
         self._started = time.time()
         self._next_asked = 0.0
 
     async def look(self, policy: FailurePolicySpec, now: float) -> bool:
         """Open the gate for a pod that runs, the workload's own pod first; return whether it was opened."""
         running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
-        self._reporter.set(
+        self._notices.set(
             active="", health="Starting" if running else "Unknown", gate=GateStatus(epoch=self._gate.state.epoch)
         )
         ready = self._ready(running, policy, now)
@@ -79,7 +79,7 @@ class Opening:
             await asyncio.sleep(1)
             return False
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
-        self._reporter.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
+        self._notices.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
         return True
 
     async def _ask_for_one(self, now: float) -> None:

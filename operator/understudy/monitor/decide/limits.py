@@ -6,19 +6,19 @@ from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.monitor.decide.budget_spending import Spending
 from understudy.monitor.decide.pause_state import Pauses
 from understudy.monitor.decide.retry_backoff import Retries
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.storm_condition import Storms
-from understudy.monitor.report.reporter import Reporter
 
 
 class Limits:
     """The limits of one workload. Their order of precedence is in ``failover/decide.py``."""
 
-    def __init__(self, view: View, reporter: Reporter) -> None:
-        self.pauses = Pauses(view, reporter)
-        self.spending = Spending(view, reporter)
+    def __init__(self, view: View, notices: Notices) -> None:
+        self.pauses = Pauses(view, notices)
+        self.spending = Spending(view, notices)
         self.storms = Storms(view)
-        self.retries = Retries(view, reporter)
+        self.retries = Retries(view, notices)
 
     def in_force(self, now: float) -> LimitsInForce:
         """Return the limits that are in force at a time (unix seconds). The pause is the one of the last look."""

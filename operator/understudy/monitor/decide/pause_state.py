@@ -6,9 +6,8 @@ import logging
 
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
+from understudy.monitor.notices import Notices, PauseChanged
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report import monitor_metrics
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -18,8 +17,8 @@ CONDITION = "Paused"
 class Pauses:
     """The pause of one workload. Times are unix seconds."""
 
-    def __init__(self, view: View, reporter: Reporter) -> None:
-        self._view, self._reporter = view, reporter
+    def __init__(self, view: View, notices: Notices) -> None:
+        self._view, self._notices = view, notices
         self._known: tuple[Pause | None, bool] = (None, False)
         self._resumed = ""
         """When somebody had said to go on, while the pause was in force: what they say of it later is of its end."""
@@ -48,18 +47,18 @@ class Pauses:
         if (given, in_force) == before and not self._adopted:
             return
         self._known, self._adopted = (given, in_force), False
-        monitor_metrics.paused(in_force)
+        self._notices.add(PauseChanged(in_force))
         if given is None:
-            self._reporter.withdraw(CONDITION)
+            self._notices.withdraw(CONDITION)
         elif in_force:
             self._begin(given, anew=before != (given, True))
         else:
             said = f"It was {given.words}. That is over, and spec.pause may be taken away."
-            self._reporter.condition(CONDITION, "False", "Over", said)
+            self._notices.condition(CONDITION, "False", "Over", said)
         if before[1] and not in_force and before[0] is not None:
             pause, why = before[0], f"it was taken away{self._words()}" if given is None else "its time is over"
             _logger.warning("no longer %s: %s", pause.words, why)
-            self._reporter.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
+            self._notices.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
 
     def _words(self) -> str:
         """Who has ended it and why, where they told it."""
@@ -74,9 +73,9 @@ class Pauses:
         way_out = f"understudy resume -n {self._view.namespace} {self._view.workload}"
         words = f"{pause.words[0].upper()}{pause.words[1:]}"
         text = f"{words}. It is watched, and nothing is done by itself; {way_out} ends that."
-        known = self._reporter.find(CONDITION)
+        known = self._notices.status.find(CONDITION)
         again = known is not None and (known.status, known.message) == ("True", text)
-        self._reporter.condition(CONDITION, "True", "Maintenance", text)
+        self._notices.condition(CONDITION, "True", "Maintenance", text)
         if anew and not again:
             _logger.warning("%s", pause.words)
-            self._reporter.event("Normal", "Paused", text)
+            self._notices.event("Normal", "Paused", text)

@@ -12,8 +12,8 @@ from understudy.failover.limits.backoff import FIRST, Backoff
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -21,8 +21,8 @@ _logger = logging.getLogger(__name__)
 class Retries:
     """The attempts of one workload. Times are unix seconds."""
 
-    def __init__(self, view: View, reporter: Reporter) -> None:
-        self._view, self._reporter = view, reporter
+    def __init__(self, view: View, notices: Notices) -> None:
+        self._view, self._notices = view, notices
         self._backoff = Backoff()
         self._latest: Takeover | None = None
         self._given: tuple[object, ...] = ()
@@ -96,7 +96,7 @@ class Retries:
                 "strategy is tried"
             )
             _logger.warning("%s", text)
-            self._reporter.event("Warning", "Relapsed", text)
+            self._notices.event("Warning", "Relapsed", text)
         if first is None:
             self._crash_looping(reason)
         return first
@@ -110,6 +110,6 @@ class Retries:
             f"first one is tried again in {self.retry_after:g} s"
         )
         _logger.warning("%s", text)
-        self._reporter.condition("Recovering", "False", "CrashLooping", f"{text}.")
-        self._reporter.event("Warning", "CrashLooping", text)
+        self._notices.condition("Recovering", "False", "CrashLooping", f"{text}.")
+        self._notices.event("Warning", "CrashLooping", text)
         self.after_nothing_verified(policy)

@@ -16,9 +16,8 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.degradation import Level
 from understudy.failover.interfaces import Instance
 from understudy.monitor.judge.degraded_tree import Busy
+from understudy.monitor.notices import BecameDegraded, Notices
 from understudy.monitor.observe.health_observer import Sight
-from understudy.monitor.report import monitor_metrics
-from understudy.monitor.report.reporter import Reporter
 from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)
@@ -37,8 +36,8 @@ _WAITS = " It isn't handed over yet: "
 class Levels:
     """The level of the instance in control, and when one that is degraded is due to be handed over."""
 
-    def __init__(self, sight: Sight, reporter: Reporter) -> None:
-        self._sight, self._reporter = sight, reporter
+    def __init__(self, sight: Sight, notices: Notices) -> None:
+        self._sight, self._notices = sight, notices
         self._level = Level()
         self._uid = ""
         self._next = 0.0
@@ -87,19 +86,19 @@ class Levels:
 
     def _end(self) -> None:
         self._in_force, self._uid, self._level = False, "", Level()
-        self._reporter.withdraw(CONDITION)
+        self._notices.withdraw(CONDITION)
 
     def _begin(self, active: Instance, clock: float) -> None:
         """Another instance is judged: what was said of the last one isn't so of this one, unless a new monitor just looks on."""
-        said = self._reporter.find(CONDITION)
+        said = self._notices.status.find(CONDITION)
         self._level, self._idle_since, self._due, self._lacking = Level(), None, False, None
         if said is not None and said.status == "True":
-            if not self._uid and self._reporter.adopted == active.name:
+            if not self._uid and self._notices.status.adopted == active.name:
                 length = time.time() - datetime.fromisoformat(said.last_transition_time).timestamp()
                 self._level, self._told = Level(clock - max(0.0, length)), clock
                 self._words = said.message.partition(_WAITS)[0].removesuffix(".")
             else:
-                self._reporter.condition(CONDITION, "Unknown", "Starting", f"{active.name} has just taken control.")
+                self._notices.condition(CONDITION, "Unknown", "Starting", f"{active.name} has just taken control.")
         self._uid, self._next = active.uid, clock
 
     def _judge(self, degraded: Degraded, verdict: Verdict, clock: float, *, now: float, since: float) -> None:
@@ -117,10 +116,10 @@ class Levels:
         self._idle_since, self._due = None, False
         if before is not None:
             self._say_well(clock - before)
-        elif found.state == "Healthy" and self._reporter.reason(CONDITION) != "Well":
-            self._reporter.condition(CONDITION, "False", "Well", "The tree of spec.degraded holds.")
-        elif found.state == "Starting" and healthy and self._reporter.find(CONDITION) is None:
-            self._reporter.condition(CONDITION, "Unknown", "Starting", f"It isn't known yet: {found.reason}.")
+        elif found.state == "Healthy" and self._notices.status.reason(CONDITION) != "Well":
+            self._notices.condition(CONDITION, "False", "Well", "The tree of spec.degraded holds.")
+        elif found.state == "Starting" and healthy and self._notices.status.find(CONDITION) is None:
+            self._notices.condition(CONDITION, "Unknown", "Starting", f"It isn't known yet: {found.reason}.")
 
     # -- handing over -----------------------------------------------------------------------------------------------
 
@@ -158,10 +157,10 @@ class Levels:
 
     def _busy(self, *, now: float, since: float) -> Busy | None:
         """Why the robot doesn't count as idle. What the task proxy has of goals counts too, and so does not hearing of it."""
-        proxied = self._reporter.find(TASKS)
+        proxied = self._notices.status.find(TASKS)
         if proxied is not None and proxied.status != "True":
             return Busy("tasks", f"how its tasks are can't be told ({TASKS} is {proxied.status}, {proxied.reason})")
-        if goals := self._reporter.goals:
+        if goals := self._notices.status.goals:
             return Busy("task", f"a goal of {goals[0]} is active")
         return self._sight.busy(now=now, since=since)
 
@@ -170,7 +169,7 @@ class Levels:
         waits = [0.0]
         if self._handed_over is not None:
             waits.append(self._handed_over + pause - clock)
-        if (recorded := self._reporter.planned) is not None:
+        if (recorded := self._notices.status.planned) is not None:
             waits.append(recorded + pause - time.time())
         return max(waits)
 
@@ -178,19 +177,19 @@ class Levels:
 
     def _say_degraded(self, leaf: str, clock: float, *, entered: bool) -> None:
         if entered:
-            monitor_metrics.degraded()
+            self._notices.add(BecameDegraded())
             _logger.warning("degraded: %s", self._words)
-            self._reporter.event("Warning", "Degraded", self._words)
+            self._notices.event("Warning", "Degraded", self._words)
         before = self._said[0]
         said = (leaf or before, self._waits.kind if self._waits is not None else "")
         if not self._words or (not entered and said == self._said and clock - self._told < AGAIN):
             return
         self._told, self._said = clock, said
         waits = f"{_WAITS}{self._waits.words}." if self._waits is not None else ""
-        self._reporter.condition(CONDITION, "True", "NotWell", f"{self._words}.{waits}")
+        self._notices.condition(CONDITION, "True", "NotWell", f"{self._words}.{waits}")
 
     def _say_well(self, length: float) -> None:
         text = f"The tree of spec.degraded holds again, {length:.0f} s after it began to fail"
         _logger.info("%s", text)
-        self._reporter.condition(CONDITION, "False", "Well", f"{text}.")
-        self._reporter.event("Normal", "WellAgain", text)
+        self._notices.condition(CONDITION, "False", "Well", f"{text}.")
+        self._notices.event("Normal", "WellAgain", text)

@@ -10,7 +10,7 @@ from typing import Literal
 
 from understudy.failover.interfaces import Gate, Instance
 from understudy.kube.gates.base import Proof
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.notices import Notices
 
 SETTLE = 3.0
 """Seconds after a commit (or the start of an instance) before probes are judged; agents probe once a second."""
@@ -82,9 +82,9 @@ def judge(
 class Enforcement:
     """Whether the gate of one workload is enforced. Times are unix seconds."""
 
-    def __init__(self, gate: Gate, probes: Proof, reporter: Reporter, ungated: Callable[[], str] = str) -> None:
+    def __init__(self, gate: Gate, probes: Proof, notices: Notices, ungated: Callable[[], str] = str) -> None:
         """``ungated`` tells of readers of the robot that the gate doesn't reach; empty for none."""
-        self._gate, self._probes, self._reporter, self._ungated = gate, probes, reporter, ungated
+        self._gate, self._probes, self._notices, self._ungated = gate, probes, notices, ungated
         self._changed = time.time()
         self._let_through = ("", "")
 
@@ -118,7 +118,7 @@ class Enforcement:
         """Say how it stands, unless that can't be told for the moment."""
         if (
             judged[1] not in ("Settling", "Admitted")
-            and self._reporter.condition(CONDITION, *judged)
+            and self._notices.condition(CONDITION, *judged)
             and judged[0] == "False"
         ):
-            self._reporter.event("Warning", f"Gate{judged[1]}", judged[2])
+            self._notices.event("Warning", f"Gate{judged[1]}", judged[2])

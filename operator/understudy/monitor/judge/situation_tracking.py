@@ -14,9 +14,8 @@ from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.failover import situation
 from understudy.failover.progress import rfc3339
 from understudy.failover.situation import Rule
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.health_observer import Sight
-from understudy.monitor.report import monitor_metrics
-from understudy.monitor.report.reporter import Reporter
 from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)
@@ -31,8 +30,8 @@ HEARING = 10.0
 class Situations:
     """The situation of one robot."""
 
-    def __init__(self, sight: Sight, reporter: Reporter) -> None:
-        self._sight, self._reporter = sight, reporter
+    def __init__(self, sight: Sight, notices: Notices) -> None:
+        self._sight, self._notices = sight, notices
         self._situations = situation.Situations()
         self._begun: float | None = None
         self._next = 0.0
@@ -42,7 +41,7 @@ class Situations:
 
         While the instance in control fails, or begins, its goals may be nobody's for a moment: the situation stays as it is.
         """
-        said = self._reporter.situation
+        said = self._notices.status.situation
         if not policy.situations:
             if said is not None:
                 self._say(None, "", now)
@@ -55,22 +54,24 @@ class Situations:
             self._begun = clock
             if said is not None:
                 self._situations.adopt(said.name, clock)
-                monitor_metrics.situation(said.name)
         rules = [Rule(one.name, seconds(one.after), seconds(one.clear_after)) for one in policy.situations]
-        seen = self._sight.situations(self._reporter.goals, now=now, since=since) if verdict.state == "Healthy" else {}
+        seen = (
+            self._sight.situations(self._notices.status.goals, now=now, since=since)
+            if verdict.state == "Healthy"
+            else {}
+        )
         heard = clock - self._begun >= HEARING
         found = self._situations.note(rules, {name: one.so for name, one in seen.items() if one.so or heard}, clock)
         if found != (said.name if said is not None else None):
             self._say(found, seen[found].reason if found is not None and found in seen else "", now)
 
     def _say(self, name: str | None, reason: str, now: float) -> None:
-        before = self._reporter.situation
-        monitor_metrics.situation(name)
+        before = self._notices.status.situation
         if name is not None:
-            self._reporter.situate(SituationStatus(name=name, since=rfc3339(now), reason=reason))
+            self._notices.situate(SituationStatus(name=name, since=rfc3339(now), reason=reason))
             text = f"The robot is in the situation {name}: {reason or 'another one is over'}"
         else:
-            self._reporter.situate(None)
+            self._notices.situate(None)
             text = f"The situation {before.name if before is not None else ''} is over"
         _logger.info("%s", text)
-        self._reporter.event("Normal", "SituationChanged", text)
+        self._notices.event("Normal", "SituationChanged", text)

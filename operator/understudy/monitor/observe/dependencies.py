@@ -27,9 +27,9 @@ from understudy.kube.client import WORKLOADS, Resource
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.watched_collection import Reflector
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.monitor.report.reporter import Reporter
 
 _logger = logging.getLogger(__name__)
 
@@ -98,8 +98,8 @@ class _Watched:
 class Dependencies:
     """The workloads that one workload depends on."""
 
-    def __init__(self, view: View, reporter: Reporter, wakeups: Wakeups) -> None:
-        self._view, self._reporter, self._wakeups = view, reporter, wakeups
+    def __init__(self, view: View, notices: Notices, wakeups: Wakeups) -> None:
+        self._view, self._notices, self._wakeups = view, notices, wakeups
         self._given: WorkloadSettings | None = None
         self._watched: dict[str, _Watched] = {}
         self._outages: dict[str, Outage] = {}
@@ -128,7 +128,7 @@ class Dependencies:
         if not wanted:
             followed.clear()
             self._tell()
-            self._reporter.withdraw(CONDITION)
+            self._notices.withdraw(CONDITION)
 
     def look(self, now: float) -> None:
         """Take in how they are."""
@@ -156,7 +156,7 @@ class Dependencies:
     def _known(self) -> dict[str, str]:
         """The recoveries after which was done what is done then, by name; first of all those of which an earlier monitor has said so."""
         if self._followed is None:
-            self._followed = {one.name: one.recovery for one in self._reporter.followed}
+            self._followed = {one.name: one.recovery for one in self._notices.status.followed}
         return self._followed
 
     @property
@@ -170,14 +170,14 @@ class Dependencies:
         """The health tree fails: those that depend on this one are told at once, since this one may be waiting for others."""
         if self._watched and self._noticed is None:
             self._noticed = detected
-            self._reporter.set(failing_since=onset)
-            self._reporter.hurry()
+            self._notices.set(failing_since=onset)
+            self._notices.hurry()
 
     def well(self, pod: str) -> None:
         """The health tree holds, or can't tell."""
         self._noticed, self._reason = None, ""
         if self._holds:
-            self._reporter.condition(CONDITION, "False", "HealthyAgain", f"{pod} doesn't fail any more.")
+            self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} doesn't fail any more.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
         """By when to look again at a failure that isn't acted on yet; None where it is to be acted on."""
@@ -189,7 +189,7 @@ class Dependencies:
         if found is None:
             if self._holds:
                 text = f"{reason}; it has lasted for {now - noticed:.1f} s, and is acted on as a failure of its own."
-                self._reporter.condition(CONDITION, "False", "OwnFailure", text)
+                self._notices.condition(CONDITION, "False", "OwnFailure", text)
             return None
         if found.name:
             self._say(found, reason)
@@ -198,7 +198,7 @@ class Dependencies:
     @property
     def _holds(self) -> bool:
         """Whether it is said that a failure is held."""
-        return bool(self._watched) and self._reporter.reason(CONDITION) in ("Held", "Settling")
+        return bool(self._watched) and self._notices.status.reason(CONDITION) in ("Held", "Settling")
 
     def _say(self, found: Held, reason: str) -> None:
         until = datetime.fromtimestamp(found.until, UTC).strftime("%H:%M:%S UTC")
@@ -209,10 +209,10 @@ class Dependencies:
             why, then = "Held", f"is {health}; that one comes first, and this is acted on at {until} at the latest"
         text = f"{found.name}, on which it depends, {then}"
         began = not self._holds
-        self._reporter.condition(CONDITION, "True", why, f"{reason}; {text}.")
+        self._notices.condition(CONDITION, "True", why, f"{reason}; {text}.")
         if began:
             _logger.warning("%s: %s", reason, text)
-            self._reporter.event("Warning", CONDITION, f"{reason}; {text}")
+            self._notices.event("Warning", CONDITION, f"{reason}; {text}")
 
     # -- after a recovery there -----------------------------------------------------------------------------------------
 
@@ -237,7 +237,7 @@ class Dependencies:
                 f"{told(found.follows)}: nothing can be run on {active.name}, which has no agent, since a referred controller made it. "
                 "Use onRecovery Restart, or a template"
             )
-            self._reporter.event("Warning", "NoAgent", text)
+            self._notices.event("Warning", "NoAgent", text)
             self.note(found.follows)
             return None
         return found
@@ -260,7 +260,7 @@ class Dependencies:
 
     def _tell(self) -> None:
         followed = self._known()
-        self._reporter.follow([DependencyRecovery(name=name, recovery=followed[name]) for name in sorted(followed)])
+        self._notices.follow([DependencyRecovery(name=name, recovery=followed[name]) for name in sorted(followed)])
 
 
 def told(found: Sequence[DependencyRecovery]) -> str:

@@ -11,17 +11,19 @@ from datetime import datetime
 from understudy.failover.interfaces import Gate
 from understudy.failover.journal import Journal
 from understudy.failover.progress import Progress
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.notices import PublishedStatus
 
 
-def interrupted(journal: Journal, gate: Gate, reporter: Reporter, given_up: Collection[str] = ()) -> Progress | None:
+def interrupted(
+    journal: Journal, gate: Gate, published: PublishedStatus, given_up: Collection[str] = ()
+) -> Progress | None:
     """The recovery that an earlier monitor had begun and not recorded, if there is one.
 
     ``given_up`` are the ids of those that it had given up: whoever failed may be well again since, or somebody else drive.
     """
     committed = gate.state.recovery
     kept = [p for p in (journal.load(), committed) if p is not None]
-    over = {*reporter.recorded, *given_up}
+    over = {*published.recorded, *given_up}
     open_ones = [p for p in kept if p.id not in over and p.result != "Failed"]
     if committed is not None and committed not in open_ones:
         # What came to its end by the gate had begun before what is still to be done: else another monitor has done it since.
@@ -34,9 +36,9 @@ def interrupted(journal: Journal, gate: Gate, reporter: Reporter, given_up: Coll
     return progress.model_copy(update={"resumed": True}, deep=True)
 
 
-def concluded(gate: Gate, reporter: Reporter) -> Progress | None:
+def concluded(gate: Gate, published: PublishedStatus) -> Progress | None:
     """The last recovery, of which the gate still tells and the status that it recovered: an earlier monitor's."""
-    left, last = gate.state.recovery, reporter.last
+    left, last = gate.state.recovery, published.last
     if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
         return None
     if left.switchover is not None:

@@ -12,10 +12,10 @@ import os
 import time
 
 from understudy.monitor.judge.gate_enforcement import UNGATED, Judgement
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
 from understudy.monitor.observe.reader_ports import Reading, judge
-from understudy.monitor.report.reporter import Reporter
 from understudy.ros.dds import reader_locators
 from understudy.ros.dds.rtps import Locator
 
@@ -41,14 +41,14 @@ CONDITION = "OutputsRead"
 class Readership:
     """Looks who reads the outputs of one workload."""
 
-    def __init__(self, view: View, sight: Sight, reporter: Reporter, address: str) -> None:
+    def __init__(self, view: View, sight: Sight, notices: Notices, address: str) -> None:
         """``address`` is that of this pod."""
-        self._view, self._sight, self._reporter, self._address = view, sight, reporter, address
+        self._view, self._sight, self._notices, self._address = view, sight, notices, address
         self._places: dict[bytes, tuple[Locator, ...]] = {}
         self._asked: set[bytes] = set()
         self._again = 0.0
         self._judged: tuple[Judgement | None, float] = (None, 0.0)
-        said = reporter.find(CONDITION)
+        said = notices.status.find(CONDITION)
         self.ungated = said.message if said is not None and said.reason == UNGATED else ""
         """What is wrong with the readers that the gate doesn't reach; empty for nothing."""
 
@@ -59,7 +59,7 @@ class Readership:
                 await self.look()
             except Exception:
                 _logger.exception("looking who reads the outputs")
-                self._reporter.condition(CONDITION, "Unknown", "NotTold", "It failed to look: see the monitor's log.")
+                self._notices.condition(CONDITION, "Unknown", "NotTold", "It failed to look: see the monitor's log.")
                 await asyncio.sleep(AGAIN)
             await asyncio.sleep(PERIOD)
 
@@ -71,7 +71,7 @@ class Readership:
         topics = list(dict.fromkeys(output.topic for output in spec.outputs if output.topic))
         if not topics:
             self.ungated = ""
-            self._reporter.withdraw(CONDITION)
+            self._notices.withdraw(CONDITION)
             return
         readers = {topic: self._sight.graph.subscribers(topic) for topic in topics}
         await self._ask({end.gid for ends in readers.values() for end in ends})
@@ -111,4 +111,4 @@ class Readership:
             self._judged = (judged, now)
         elif now - since >= SETTLE:
             self.ungated = judged[2] if judged[1] == UNGATED else ""
-            self._reporter.condition(CONDITION, *judged)
+            self._notices.condition(CONDITION, *judged)

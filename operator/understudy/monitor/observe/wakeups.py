@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import time
 
-from understudy.monitor.report import monitor_metrics
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 
 TICK = 0.1
@@ -62,6 +61,10 @@ class Looks:
         """By how many seconds the present look is late."""
         self.trusted_from = 0.0
         """From when on silence tells something."""
+        self.count = 0
+        """Looks so far."""
+        self.overruns = 0
+        """Looks that were late by more than STALLED."""
         self._arrivals = arrivals
         self._begun = 0.0
         self._next: float | None = None
@@ -77,7 +80,8 @@ class Looks:
             self._arrivals.clear()
         now = self._begun = time.time()
         self.late = max(0.0, now - self._next) if self._next is not None else 0.0
-        monitor_metrics.looked(overrun=self.late > STALLED)
+        self.count += 1
+        self.overruns += self.late > STALLED
         if self.late > STALLED:
             self.trusted_from = now + min(self.late, STALL_MOST)
         self.trusted_from = min(self.trusted_from, now + STALL_MOST)  # later where the clock was set back since

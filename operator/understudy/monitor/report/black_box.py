@@ -23,12 +23,12 @@ from understudy.api.kinds.recording_spec import BlackBox as Settings
 from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.failover.progress import Progress, rfc3339
 from understudy.kube.client import EVENTS, ApiError, Object
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
 from understudy.monitor.report import mcap_writer
 from understudy.monitor.report.mcap_writer import Content
 from understudy.monitor.report.recording_archive import Archive, TooBig
-from understudy.monitor.report.reporter import Reporter
 from understudy.process.http_pages import JSON, Answer, Page
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.trees.core.snapshots import Shown
@@ -61,8 +61,8 @@ class _Due(NamedTuple):
 class BlackBox:
     """Of one workload; by the policy's ``blackBox``, and without that it does nothing."""
 
-    def __init__(self, view: View, sight: Sight, reporter: Reporter, archive: Archive) -> None:
-        self._view, self._sight, self._reporter, self._archive = view, sight, reporter, archive
+    def __init__(self, view: View, sight: Sight, notices: Notices, archive: Archive) -> None:
+        self._view, self._sight, self._notices, self._archive = view, sight, notices, archive
         self._settings: Settings | None = None
         self._ring: SampleRing | None = None
         self._present = ""
@@ -143,7 +143,7 @@ class BlackBox:
         """Note how the tree is."""
         if (ring := self._ring) is None:
             return
-        track, now, said = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._reporter
+        track, now, said = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._notices.status
         if track.wanted:
             tree = self._sight.snapshot()
             told = {"health": said.health, "active": said.active, "epoch": said.gate.epoch, "tree": tree}
@@ -153,7 +153,7 @@ class BlackBox:
         ring, settings = self._ring, self._settings
         if ring is None or settings is None:
             return
-        recovery = self._reporter.recovery(progress.id) or progress.to_recovery(self._reporter.count)
+        recovery = self._notices.status.recovery(progress.id) or progress.to_recovery(self._notices.status.count)
         failed = progress.moments.get("detected", progress.cursor)
         since = failed - ring.seconds
         tracks = list(ring.taken(since))
@@ -222,7 +222,7 @@ class BlackBox:
         _logger.error("%s", text)
         if not self._told:
             self._told = text
-            self._reporter.event("Warning", "NotRecorded", text)
+            self._notices.event("Warning", "NotRecorded", text)
 
     # -- for those who ask ------------------------------------------------------------------------------------------
 

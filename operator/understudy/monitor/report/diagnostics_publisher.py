@@ -15,10 +15,10 @@ from collections import deque
 from collections.abc import Callable, Mapping
 
 from understudy.api.kinds.robot_workload import MonitorSettings
+from understudy.monitor.notices import Notices, StatusChanged
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
 from understudy.monitor.report.diagnostics_status import More, Said, said, status
-from understudy.monitor.report.reporter import Reporter
 from understudy.ros.actions.diagnostics_topic import Diagnostics
 from understudy.ros.actions.snapshot_streams import LEAST, Streams
 from understudy.ros.runtime.interface_types import TypeNotInstalled
@@ -46,30 +46,32 @@ class Telling:
     """Tells of one workload."""
 
     def __init__(
-        self, view: View, sight: Sight, reporter: Reporter, kept: Callable[[], Mapping[str, float]] = dict
+        self, view: View, sight: Sight, notices: Notices, kept: Callable[[], Mapping[str, float]] = dict
     ) -> None:
         """``kept`` says when the state was taken that would be restored now, in Unix seconds, by what it is of."""
-        self._view, self._sight, self._reporter, self._kept = view, sight, reporter, kept
+        self._view, self._sight, self._notices, self._kept = view, sight, notices, kept
         self._settings = MonitorSettings()
         self._diagnostics: Diagnostics | None = None
         self._streams: Streams | None = None
         self._pending: deque[Said] = deque(maxlen=LATEST)
         self._level: int | None = None
-        self._changed = asyncio.Event()
+        self._changed = False
+        self._stream = notices.subscribe()
         self._next = 0.0
         self.problems: list[str] = []
         """What isn't told and why, with what to do."""
-        reporter.on_change = self.note
 
-    def note(self) -> None:
-        """Something that the reporter says is another now. Called in the midst of failovers: it does no more than remember."""
-        if self._diagnostics is None:
-            return
-        now = said(self._reporter, time.time())
+    def _read(self) -> None:
+        """Remember how the status changed since the last call."""
+        for notice in self._stream.take():
+            if isinstance(notice, StatusChanged) and self._diagnostics is not None:
+                self._note(said(notice.status, notice.at))
+
+    def _note(self, now: Said) -> None:
         if now.level != self._level:
             self._level = now.level
             self._pending.append(now)
-            self._changed.set()
+            self._changed = True
         elif self._pending and (now.active, now.epoch) == (self._pending[-1].active, self._pending[-1].epoch):
             # Why it is so is said a moment after that it is so; what is said after the switch belongs to what comes next.
             self._pending[-1] = now._replace(at=self._pending[-1].at)
@@ -87,6 +89,7 @@ class Telling:
             self._follow(MonitorSettings())
 
     async def _tell(self) -> None:
+        self._read()
         spec = self._view.spec
         if spec is not None and spec.monitor != self._settings:
             self._follow(spec.monitor)
@@ -97,7 +100,9 @@ class Telling:
                 self._streams.show(behaviours(self._sight.snapshot(), self._view.workload))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(PERIOD if self._streams is None else LEAST):
-                await self._changed.wait()
+                while not self._changed:
+                    await self._stream.wait()
+                    self._read()
                 await asyncio.sleep(QUIET)
 
     def _follow(self, settings: MonitorSettings) -> None:
@@ -107,7 +112,7 @@ class Telling:
             if settings.diagnostics and self._diagnostics is None:
                 self._diagnostics = Diagnostics(self._sight.graph)
                 self._level, self._next = None, 0.0
-                self.note()
+                self._note(said(self._notices.status, time.time()))
             elif not settings.diagnostics and self._diagnostics is not None:
                 self._diagnostics.close()
                 self._diagnostics = None
@@ -127,24 +132,24 @@ class Telling:
         text = f"{field}: {error}"
         _logger.error("%s", text)
         self.problems.append(f"{text}.")
-        self._reporter.event("Warning", "TypeNotInstalled", text)
+        self._notices.event("Warning", "TypeNotInstalled", text)
 
     def _diagnose(self) -> None:
         """Tell what has changed since, in order; else how it is, in its period."""
-        self._changed.clear()
+        self._changed = False
         if self._diagnostics is None:
             return
         now = time.monotonic()
         if not self._pending and now < self._next:
             return
         self._next = now + PERIOD
-        told = list(self._pending) or [said(self._reporter, time.time())]
+        told = list(self._pending) or [said(self._notices.status, time.time())]
         self._pending.clear()
         if not self._diagnostics.readers:
             return
         more = self._more()
         for each in told:
-            found = status(self._view.namespace, self._view.workload, each, self._reporter, more)
+            found = status(self._view.namespace, self._view.workload, each, self._notices.status, more)
             self._diagnostics.publish(found, each.at)
 
     def _more(self) -> More:

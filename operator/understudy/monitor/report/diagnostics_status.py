@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from understudy.api.health_reasons import why
-from understudy.monitor.report.reporter import Reporter
+from understudy.monitor.notices import PublishedStatus
 from understudy.ros.actions.diagnostics_topic import Status
 from understudy.trees.core.snapshots import Snapshot
 from understudy.trees.leaves.diagnostics import OWN
@@ -58,16 +58,16 @@ class More(NamedTuple):
     tree: Snapshot | None
 
 
-def said(reporter: Reporter, at: float) -> Said:
-    """What the reporter says now."""
-    planned = reporter.health == "Recovering" and reporter.reason("Recovering") == "Rescheduling"
-    message = why(reporter.health, reporter.active, reporter.conditions)
-    return Said(at, reporter.health, message, reporter.active, reporter.gate.epoch, planned)
+def said(published: PublishedStatus, at: float) -> Said:
+    """What the published says now."""
+    planned = published.health == "Recovering" and published.reason("Recovering") == "Rescheduling"
+    message = why(published.health, published.active, published.conditions)
+    return Said(at, published.health, message, published.active, published.gate.epoch, planned)
 
 
-def status(namespace: str, workload: str, now: Said, reporter: Reporter, more: More) -> Status:
+def status(namespace: str, workload: str, now: Said, published: PublishedStatus, more: More) -> Status:
     """What is so at a moment, with all that belongs to it."""
-    values = _values(now, reporter, more)
+    values = _values(now, published, more)
     return Status(
         now.level,
         f"{OWN}{workload}",
@@ -77,15 +77,15 @@ def status(namespace: str, workload: str, now: Said, reporter: Reporter, more: M
     )
 
 
-def _values(now: Said, reporter: Reporter, more: More) -> Iterator[tuple[str, str]]:
+def _values(now: Said, published: PublishedStatus, more: More) -> Iterator[tuple[str, str]]:
     yield "health", now.health
     yield "in control", now.active
     yield "gate epoch", str(now.epoch)
     yield "policy", more.policy
-    yield "if it failed now", reporter.strategy
+    yield "if it failed now", published.strategy
     yield "standby", more.standby
-    yield "recoveries", str(reporter.count)
-    last = reporter.last
+    yield "recoveries", str(published.count)
+    last = published.last
     if last is not None:
         yield "last recovery", f"{last.result}{f' by {last.strategy}' if last.strategy else ''}"
         yield "last recovery: reason", last.reason

@@ -9,24 +9,22 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
-from understudy.monitor.report.reporter import Reporter
 from understudy.process.http_pages import HTML, JSON, Answer
 
 
 class Showing:
     """What the monitor knows and thinks at this moment. Costs nothing while nobody asks."""
 
-    def __init__(
-        self, view: View, sight: Sight, reporter: Reporter, notes: Callable[[], Sequence[str]] = tuple
-    ) -> None:
+    def __init__(self, view: View, sight: Sight, notices: Notices, notes: Callable[[], Sequence[str]] = tuple) -> None:
         """``notes`` says what else a person should know, in plain words."""
-        self._view, self._sight, self._reporter, self._notes = view, sight, reporter, notes
+        self._view, self._sight, self._notices, self._notes = view, sight, notices, notes
 
     def state(self) -> dict[str, Any]:
         """All of it as plain values. Times are Unix seconds."""
-        said, spec = self._reporter, self._view.spec
+        said, spec = self._notices.status, self._view.spec
         return {
             "workload": self._view.workload,
             "namespace": self._view.namespace,

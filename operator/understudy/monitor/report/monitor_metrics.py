@@ -1,15 +1,37 @@
-"""Prometheus metrics of the monitor."""
+"""Prometheus metrics of the monitor: counted from notices, or collected from what it observes when somebody asks.
+
+A new metric needs this module alone, unless it measures something that no notice reports yet.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime
 from typing import get_args
 
 from prometheus_client import REGISTRY, Counter, Gauge, Histogram
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
 
 from understudy.api.kinds.robot_workload import Health, Recovery
 from understudy.kube import api_traffic
+from understudy.monitor.notices import (
+    BecameDegraded,
+    BudgetCounted,
+    FailureDetected,
+    GateCommitted,
+    Notice,
+    PauseChanged,
+    PodAwaited,
+    PodClaimed,
+    PublishedStatus,
+    RecoveryDeferred,
+    RecoveryRecorded,
+    StateKept,
+    StatusChanged,
+)
+from understudy.trees.core.observations import TopicRecord
 
 _WRITES = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1, 0.2, 0.3, 0.5, 1, 2, 5)
 """Buckets for answers of the API server, in seconds."""
@@ -41,11 +63,6 @@ _WAITS = Histogram(
     ["pool", "result"],
     buckets=(0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300),
 )
-_LOOKS = Counter("understudy_tree_evaluations", "Looks at the health tree.")
-_OVERRUNS = Counter(
-    "understudy_tree_overruns",
-    "Looks at the health tree that came so late that silence can't be judged by them at once.",
-)
 _CLAIMS = Histogram(
     "understudy_claim_seconds",
     "How long the claim of a pod of a shared pool took, by what came of it.",
@@ -73,85 +90,55 @@ _REQUESTS, _HEARD = api_traffic.series(REGISTRY)
 TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)
 
 
-def health(value: Health) -> None:
-    """Set the present health."""
+def count(notice: Notice) -> None:
+    """Update the metrics that follow from a notice."""
+    match notice:
+        case RecoveryRecorded(recovery=recovery):
+            _recovered(recovery)
+        case StatusChanged(status=status):
+            _status(status)
+        case FailureDetected(late):
+            _LATENESS.observe(max(0.0, late))
+        case RecoveryDeferred(reason):
+            _HELD.labels(why=reason).inc()
+        case BecameDegraded():
+            _DEGRADATIONS.inc()
+        case PauseChanged(paused):
+            _PAUSED.set(1.0 if paused else 0.0)
+        case BudgetCounted(within, left):
+            _BUDGET.clear()
+            if left is not None:
+                _BUDGET.labels(within=within).set(left)
+        case StateKept(parts):
+            _kept(parts)
+        case PodAwaited(pool, result, seconds):
+            _WAITS.labels(pool=pool, result=result).observe(max(0.0, seconds))
+        case PodClaimed(result, seconds):
+            _CLAIMS.labels(result=result).observe(max(0.0, seconds))
+        case GateCommitted(seconds):
+            _GATES.observe(max(0.0, seconds))
+
+
+def _status(status: PublishedStatus) -> None:
     for each in get_args(Health):
-        _HEALTH.labels(health=each).set(1.0 if each == value else 0.0)
-
-
-def degraded() -> None:
-    """Count that the workload became degraded."""
-    _DEGRADATIONS.inc()
-
-
-def situation(name: str | None) -> None:
-    """Set the present situation; None for none."""
+        _HEALTH.labels(health=each).set(1.0 if each == status.health else 0.0)
+    _EPOCH.set(status.gate.epoch)
     _SITUATION.clear()
-    if name is not None:
-        _SITUATION.labels(situation=name).set(1.0)
+    if status.situation is not None:
+        _SITUATION.labels(situation=status.situation.name).set(1.0)
 
 
-def budget(within: str, left: int | None) -> None:
-    """Set what a budget has left; None where there is none."""
-    _BUDGET.clear()
-    if left is not None:
-        _BUDGET.labels(within=within).set(left)
-
-
-def paused(value: bool) -> None:
-    """Set whether it is paused."""
-    _PAUSED.set(1.0 if value else 0.0)
-
-
-def held(why: str) -> None:
-    """Count a failure that isn't recovered at once."""
-    _HELD.labels(why=why).inc()
-
-
-def epoch(value: int) -> None:
-    """Set the gate's epoch."""
-    _EPOCH.set(value)
-
-
-def kept(entries: Mapping[str, tuple[float | None, int]]) -> None:
-    """Set when each part of the kept state was taken (unix seconds), and its bytes."""
+def _kept(parts: Mapping[str, tuple[float | None, int]]) -> None:
     _KEPT_AT.clear()
     _KEPT_BYTES.clear()
-    for name, (taken_at, size) in entries.items():
+    for name, (taken_at, size) in parts.items():
         if taken_at is not None:
             _KEPT_AT.labels(name=name).set(taken_at)
             _KEPT_BYTES.labels(name=name).set(size)
 
 
-def waited(pool: str, result: str, seconds: float) -> None:
-    """Note how long a pod of a shared pool was waited for, and what came of it."""
-    _WAITS.labels(pool=pool, result=result).observe(max(0.0, seconds))
-
-
-def lateness(seconds: float) -> None:
-    """Note how late a detection was."""
-    _LATENESS.observe(max(0.0, seconds))
-
-
-def looked(overrun: bool) -> None:
-    """Count a look at the health tree, and whether it was much too late."""
-    _LOOKS.inc()
-    if overrun:
-        _OVERRUNS.inc()
-
-
-def claimed(result: str, seconds: float) -> None:
-    """Note how long a claim took: Won, or Lost to another workload."""
-    _CLAIMS.labels(result=result).observe(max(0.0, seconds))
-
-
-def committed(seconds: float) -> None:
-    """Note how long a change of the gate took."""
-    _GATES.observe(max(0.0, seconds))
-
-
-def recovered(recovery: Recovery) -> None:
-    """Count a finished recovery and its parts. A planned switchover isn't one."""
+def _recovered(recovery: Recovery) -> None:
+    """Count a finished recovery and its parts. A planned switchover is not a recovery."""
     if recovery.switchover is not None:
         _switched(recovery, recovery.switchover)
         return
@@ -170,3 +157,55 @@ def _switched(recovery: Recovery, kind: str) -> None:
     if recovery.result == "Recovered" and last is not None and first is not None:
         gap = (datetime.fromisoformat(first) - datetime.fromisoformat(last)).total_seconds()
         _SWITCHOVER_GAP.labels(kind=kind).observe(max(0.0, gap))
+
+
+class ObservationMetrics(Collector):
+    """Metrics that are read from the monitor's observations when Prometheus asks: a look at the health tree costs nothing more."""
+
+    def __init__(self, records: Callable[[], Mapping[str, TopicRecord]], looks: Callable[[], tuple[int, int]]) -> None:
+        """``records`` returns what was received, by topic; ``looks`` how many looks there were, and how many of them were overruns."""
+        self._records, self._looks = records, looks
+
+    def describe(self) -> Iterable[Metric]:
+        """The metrics without samples. prometheus_client calls this at registration."""
+        return [*_of_topics({}, 0.0), *_of_looks(0, 0)]
+
+    def collect(self) -> Iterable[Metric]:
+        """The metrics as of now."""
+        return [*_of_topics(self._records(), time.time()), *_of_looks(*self._looks())]
+
+
+def _of_looks(looks: int, overruns: int) -> list[Metric]:
+    return [
+        CounterMetricFamily("understudy_tree_evaluations", "Looks at the health tree.", value=looks),
+        CounterMetricFamily(
+            "understudy_tree_overruns",
+            "Looks at the health tree that came so late that silence can't be judged by them at once.",
+            value=overruns,
+        ),
+    ]
+
+
+def _of_topics(records: Mapping[str, TopicRecord], now: float) -> list[Metric]:
+    messages = CounterMetricFamily(
+        "understudy_topic_messages",
+        "Messages of a watched topic that count for the instance in control; their rate is the topic's.",
+        labels=["topic"],
+    )
+    last = GaugeMetricFamily(
+        "understudy_topic_last_message_timestamp_seconds",
+        "When the last of them was received (Unix time).",
+        labels=["topic"],
+    )
+    gap = GaugeMetricFamily(
+        "understudy_topic_longest_gap_seconds",
+        "Longest time between two of them in the last minute or two, the present silence included.",
+        labels=["topic"],
+    )
+    for topic, record in records.items():
+        messages.add_metric([topic], record.count)
+        if record.last is not None:
+            last.add_metric([topic], record.last)
+        if (longest := record.longest_gap(now)) is not None:
+            gap.add_metric([topic], longest)
+    return [messages, last, gap]

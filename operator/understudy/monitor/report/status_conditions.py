@@ -6,9 +6,9 @@ from understudy.api.kinds.robot_workload import GateStatus
 from understudy.failover.interfaces import Gate
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
-from understudy.monitor.report.reporter import Reporter
 from understudy.trees.core.health_tree import Verdict
 
 
@@ -22,37 +22,36 @@ class Saying:
         sight: Sight,
         safety: SafeCommands,
         repertoire: Repertoire,
-        reporter: Reporter,
+        notices: Notices,
     ) -> None:
         self._view, self._gate, self._sight = view, gate, sight
-        self._safety, self._repertoire, self._reporter = safety, repertoire, reporter
+        self._safety, self._repertoire, self._notices = safety, repertoire, notices
 
     def health(self, verdict: Verdict, *, degraded: bool) -> None:
         """How the instance in control is."""
         state = self._gate.state
-        self._reporter.set(
+        self._notices.set(
             active=state.active,
             health="Degraded" if degraded and verdict.state == "Healthy" else verdict.state,
             gate=GateStatus(epoch=state.epoch, active=state.active),
         )
         status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
-        self._reporter.condition("Healthy", status, verdict.state, verdict.reason)
+        self._notices.condition("Healthy", status, verdict.state, verdict.reason)
 
     def housekeeping(self) -> None:
         """What changes seldom, once the policy and the settings are known."""
         usable = self._repertoire.usable()
         item = self._view.object
-        self._reporter.generation = item["metadata"].get("generation") if item else None
-        self._reporter.look(item)
-        self._reporter.set(strategy=usable)
+        self._notices.observe(item["metadata"].get("generation") if item else None)
+        self._notices.set(strategy=usable)
         self._say_watched()
 
     def _say_watched(self) -> None:
         if problems := [*self._sight.problems, *self._safety.problems]:
             reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
-            if self._reporter.condition("Monitored", "False", reason, " ".join(problems)):
-                self._reporter.event("Warning", reason, " ".join(problems))
+            if self._notices.condition("Monitored", "False", reason, " ".join(problems)):
+                self._notices.event("Warning", reason, " ".join(problems))
         elif waiting := self._sight.waiting:
-            self._reporter.condition("Monitored", "Unknown", "WaitingForTopics", " ".join(waiting))
+            self._notices.condition("Monitored", "Unknown", "WaitingForTopics", " ".join(waiting))
         else:
-            self._reporter.condition("Monitored", "True", "Watching", self._sight.summary)
+            self._notices.condition("Monitored", "True", "Watching", self._sight.summary)

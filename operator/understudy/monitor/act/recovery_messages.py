@@ -1,0 +1,59 @@
+"""Finished recoveries and planned switchovers in one line, for Events, conditions and logs."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+from understudy.api.kinds.robot_workload import Recovery
+
+
+def describe(recovery: Recovery) -> str:
+    """A finished recovery in one line, for Events and logs."""
+    tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
+    if recovery.result != "Recovered" or recovery.recovery_seconds is None:
+        return f"{recovery.reason}. Nothing verified: {tried}"
+    if recovery.follows and len(recovery.attempts) == 1 and not recovery.from_pod:
+        return (
+            f"{recovery.reason}. {recovery.to_pod} is in control again after {recovery.strategy} in {recovery.recovery_seconds:.3f} s, "
+            f"epoch {recovery.epoch}"
+        )
+    text = (
+        f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} "
+        f"in {recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"
+    )
+    if (waited := _waited(recovery)) is not None:
+        text = f"{text}, of which it waited {waited:.1f} s for a pod"
+    if recovery.moments.held is not None:
+        text = f"{text}, after limits.budget had held it since {recovery.moments.held[11:19]} UTC"
+    failed = unverified(recovery)
+    return f"{text}. Before that: {'; '.join(failed)}" if failed else text
+
+
+def describe_switchover(recovery: Recovery) -> str:
+    """A planned switchover in one line, for Events and logs."""
+    last, first = recovery.moments.last_output, recovery.moments.first_output
+    if recovery.result != "Recovered":
+        tried = "; ".join(a.message for a in recovery.attempts if a.message)
+        return f"{recovery.reason}. {recovery.from_pod} was let through again: {tried}"
+    text = f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod} by {recovery.strategy}, epoch {recovery.epoch}"
+    if last is None or first is None:
+        return text
+    gap = (datetime.fromisoformat(first) - datetime.fromisoformat(last)).total_seconds()
+    return f"{text}. The robot got no command for {max(0.0, gap):.3f} s"
+
+
+def _waited(recovery: Recovery) -> float | None:
+    """Seconds for which a shared pool had no pod for it, by the strategy that recovered it; None where it had one at once."""
+    queued, claimed = recovery.moments.queued, recovery.moments.claimed
+    if queued is None or claimed is None:
+        return None
+    return (datetime.fromisoformat(claimed) - datetime.fromisoformat(queued)).total_seconds()
+
+
+def unverified(recovery: Recovery) -> list[str]:
+    """The strategies that were carried out and didn't verify, each with its pod and why."""
+    return [
+        f"{a.strategy} with {a.pod or 'no pod'} was tried in vain: {a.message}"
+        for a in recovery.attempts
+        if a.result == "NotVerified"
+    ]

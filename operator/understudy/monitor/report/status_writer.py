@@ -1,0 +1,192 @@
+"""Writes what the stages report: the status of the RobotWorkload, Events and metrics. Never on the path of a failover."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import time
+from collections.abc import Sequence
+
+import aiohttp
+
+from understudy.api.base import API_VERSION
+from understudy.kube.client import WORKLOADS, ApiError, Client, Object
+from understudy.kube.events import Recorder
+from understudy.kube.undeclared_fields import apply_declared, lacking
+from understudy.kube.watched_collection import version_of
+from understudy.monitor.notices import (
+    EventRaised,
+    Notice,
+    Notices,
+    RecoveryStarted,
+    RecoveryStopped,
+    StatusAwaited,
+    StatusChanged,
+)
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.report import monitor_metrics
+
+_logger = logging.getLogger(__name__)
+
+MANAGER = "understudy-monitor"
+
+QUIET = 0.25
+"""Seconds that a change waits for other changes, so that a failover of milliseconds costs one write instead of three."""
+
+UNDER_WAY = 3.0
+"""Most seconds that a change during a recovery waits for its end, so that both take one write. The record beside the gate shows at
+once that a recovery is under way: the operator's storm guard and dependent workloads read that.
+"""
+
+RETRY = 2.0  # seconds
+
+WATCH = 1.0
+"""Seconds between two looks whether somebody overwrote the status."""
+
+AGAIN = 10.0
+"""Least seconds between two repairs of an overwritten status, so that two monitors of one workload do not keep each other writing."""
+
+
+class StatusWriter:
+    """Applies the status of one workload if it has changed: a healthy workload costs no writes."""
+
+    def __init__(self, client: Client, view: View, recorder: Recorder, notices: Notices) -> None:
+        self._client, self._view, self._recorder, self._notices = client, view, recorder, notices
+        self._reference: Object = _reference_to(view.object) if view.object is not None else {}
+        self._stream = notices.subscribe()
+        self._changed = asyncio.Event()
+        self._urgent = asyncio.Event()
+        self._free = asyncio.Event()
+        """No recovery is under way."""
+        self._free.set()
+        self._applied = ""
+        self._said: Object = {}
+        """The status that was applied last."""
+        self._answer: Object | None = None
+        """The object after that; None if it is not known."""
+        self._unknown: Sequence[str] = ()
+        """Fields that the installed definition does not have."""
+        self._again_from = 0.0
+        self._background: set[asyncio.Future[None]] = set()
+
+    async def run(self) -> None:
+        """Write what is reported, until cancelled."""
+        async with asyncio.TaskGroup() as group:
+            group.create_task(self._write())
+            group.create_task(self._watch())
+            while True:
+                await self._stream.wait()
+                for notice in self._stream.take():
+                    self._take(notice)
+
+    def _take(self, notice: Notice) -> None:
+        monitor_metrics.count(notice)
+        match notice:
+            case StatusChanged():
+                self._changed.set()
+            case EventRaised():
+                self._tell(notice)
+            case RecoveryStarted():
+                self._free.clear()
+            case RecoveryStopped():
+                self._free.set()
+            case StatusAwaited():
+                self._urgent.set()
+                self._free.set()
+
+    def _tell(self, event: EventRaised) -> None:
+        if self._reference:
+            tell = self._recorder.warning if event.kind == "Warning" else self._recorder.normal
+            task = asyncio.ensure_future(tell(self._reference, event.reason, event.message))
+            self._background.add(task)
+            task.add_done_callback(self._background.discard)
+
+    def check(self, item: Object | None) -> None:
+        """Write the status again if the object, as the watch has it now, has another one.
+
+        A write may be carried out after its sender gave up: an earlier one of this monitor, or the last one of a monitor that died.
+        """
+        if item is None or self._answer is None or version_of(item) <= version_of(self._answer):
+            return
+        if _share(item, self._said) == _share(self._answer, self._said) or time.monotonic() < self._again_from:
+            return
+        _logger.warning("the status of %s was overwritten: writing it again", self._view.workload)
+        self._again_from = time.monotonic() + AGAIN
+        self._applied, self._answer = "", None
+        self._changed.set()
+
+    async def _watch(self) -> None:
+        while True:
+            await asyncio.sleep(WATCH)
+            self.check(self._view.object)
+
+    async def _write(self) -> None:
+        while True:
+            await self._changed.wait()
+            await self._settled()
+            self._changed.clear()
+            self._urgent.clear()
+            try:
+                await self.flush()
+            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+                if isinstance(error, ApiError) and error.not_found:
+                    _logger.info("RobotWorkload %s is gone", self._view.workload)
+                else:
+                    _logger.warning("status not written: %s", error)
+                self._changed.set()
+                await asyncio.sleep(RETRY)
+
+    async def _settled(self) -> None:
+        """Wait for changes that will follow soon."""
+        latest = time.monotonic() + UNDER_WAY
+        while True:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(QUIET):
+                    await self._urgent.wait()
+            if self._urgent.is_set() or self._free.is_set() or time.monotonic() >= latest:
+                return
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(latest - time.monotonic()):
+                    await self._free.wait()
+
+    async def flush(self) -> None:
+        """Apply the status now, unless it was applied last."""
+        place = {"name": self._view.workload, "namespace": self._view.namespace}
+        status = self._notices.status.to_wire()
+        body: Object = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "metadata": place, "status": status}
+        text = json.dumps(body, sort_keys=True)
+        if text == self._applied:
+            return
+        # The status applied before is no longer valid, even if no answer comes.
+        self._applied, self._answer = "", None
+        answer, unknown = await apply_declared(
+            self._client, WORKLOADS, self._view.namespace, body, manager=MANAGER, subresource="status"
+        )
+        if unknown and unknown != self._unknown:
+            _logger.warning("%s", lacking(WORKLOADS, unknown, "monitor"))
+        self._unknown = unknown
+        self._applied, self._said, self._answer = text, body["status"], answer
+
+
+def _reference_to(item: Object) -> Object:
+    metadata = item["metadata"]
+    return {
+        "apiVersion": API_VERSION,
+        "kind": "RobotWorkload",
+        "metadata": {
+            "name": metadata["name"],
+            "namespace": metadata["namespace"],
+            "uid": metadata["uid"],
+            "resourceVersion": metadata.get("resourceVersion", ""),
+        },
+    }
+
+
+def _share(item: Object, said: Object) -> Object:
+    """The part of an object's status that the monitor applied: the rest is the operator's."""
+    status = item.get("status") or {}
+    types = {c["type"] for c in said["conditions"]}
+    found = {key: status[key] for key in said if key in status}
+    return found | {"conditions": {c["type"]: c for c in status.get("conditions") or [] if c["type"] in types}}
