@@ -318,14 +318,12 @@ class TestHandingOver:
         world.look(30, given=HANDED, active=OTHER)
         assert world.levels.due is not None
 
-    def test_a_new_monitor_keeps_the_pause_too(self, world: World) -> None:
+    @pytest.mark.parametrize(("ago", "is_due"), [(10.0, False), (100.0, True)])
+    def test_a_new_monitor_keeps_the_pause_too(self, world: World, ago: float, is_due: bool) -> None:
         world.found = SLOW
-        world.notices.record(handed_over(time.time() - 10))
+        world.notices.record(handed_over(time.time() - ago))
         world.look(20, given=HANDED)
-        assert world.levels.due is None
-        world.notices.record(handed_over(time.time() - 100))
-        world.look(1, given=HANDED)
-        assert world.levels.due is not None
+        assert (world.levels.due is not None) == is_due
 
     def test_what_keeps_it_from_being_begun_is_told(self, world: World) -> None:
         world.found = SLOW

@@ -240,7 +240,7 @@ def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> 
     told = [message for kind, reason, message in world.told.events if reason == "RecoveryPostponed"]
     assert len(told) == 1
     assert PAUSE.words in told[0]
-    assert world.told.fields["health"] == "Failed"
+    assert world.told.status.health == "Failed"
     world.watching._unattended.nothing_verified(now)
     assert world.watching._waited_since() is None, "no safe command: somebody may have hands on it"
 

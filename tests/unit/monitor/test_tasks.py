@@ -118,7 +118,7 @@ async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_l
     await eventually(lambda: world.notices.status.task_statuses and world.notices.conditions)
     assert (world.notices.status.task_statuses[0].active, world.notices.status.task_statuses[0].resent) == (2, 1)
     assert world.notices.conditions[CONDITION][:2] == ("True", "Serving")
-    world.health = "Recovering"
+    world.notices.set(health="Recovering")
     await eventually(lambda: not heard[-1].settled)
     world.state = GateState(epoch=4, active="w-2", active_uid="2")
     await eventually(lambda: heard[-1].active == "2" and heard[-1].epoch == 4)

@@ -126,7 +126,7 @@ async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
     assert said.message.startswith("no /cmd_vel for 500 ms; since ")
     assert "it waits for a pod of FallbackPool spare, number 2 of 3 that wait (poolPriority 5), until " in said.message
     line.waits(me, 0, 2)
-    assert "number 1 of 2" in notices.status.conditions["Recovering"][2]
+    assert "number 1 of 2" in notices.conditions["Recovering"][2]
     assert [(kind, reason) for kind, reason, _ in notices.events] == [("Warning", "WaitingForPod")]
     line.served(me, "spare-x")
     said = notices.status.find("Recovering")
@@ -134,11 +134,11 @@ async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
     assert (said.status, said.reason) == ("True", "FailureDetected")
     assert said.message.startswith("no /cmd_vel for 500 ms; claimed spare-x after ")
     line.waits(me, 0, 1)
-    assert "; claimed" in notices.status.conditions["Recovering"][2], (
+    assert "; claimed" in notices.conditions["Recovering"][2], (
         "a second wait of the same recovery goes on from there"
     )
     line.gave_up(me)
-    assert "got no pod of FallbackPool spare in " in notices.status.conditions["Recovering"][2]
+    assert "got no pod of FallbackPool spare in " in notices.conditions["Recovering"][2]
     assert len(notices.events) == 2
 
 
