@@ -112,7 +112,7 @@ def test_a_claim_without_its_precondition_is_found() -> None:
         return write
 
     with mock.patch.multiple(claims, **{name: careless(name) for name in writes}):
-        assert found("was claimed by", SCARCE, "all_fail")
+        assert found("was claimed by", SCARCE, "all_fail", weather=3.0, within=300)
 
 
 def test_a_commit_without_its_precondition_is_found() -> None:

@@ -173,7 +173,10 @@ async def successor(before: Monitor, folder: Path) -> Monitor:
     fleet: Any = before.gate._fleet
     nobody: Any = None
     return Monitor(
-        before.client, view, GateControl(before.client, view, fleet, nobody, before.gate._crash_points, Notices()), folder
+        before.client,
+        view,
+        GateControl(before.client, view, fleet, nobody, before.gate._crash_points, Notices()),
+        folder,
     )
 
 

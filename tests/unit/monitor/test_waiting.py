@@ -134,9 +134,7 @@ async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
     assert (said.status, said.reason) == ("True", "FailureDetected")
     assert said.message.startswith("no /cmd_vel for 500 ms; claimed spare-x after ")
     line.waits(me, 0, 1)
-    assert "; claimed" in notices.conditions["Recovering"][2], (
-        "a second wait of the same recovery goes on from there"
-    )
+    assert "; claimed" in notices.conditions["Recovering"][2], "a second wait of the same recovery goes on from there"
     line.gave_up(me)
     assert "got no pod of FallbackPool spare in " in notices.conditions["Recovering"][2]
     assert len(notices.events) == 2
