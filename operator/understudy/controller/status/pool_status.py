@@ -9,12 +9,11 @@ from datetime import UTC, datetime
 from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
-from understudy.controller.desired.plan import UNANSWERED, Problem
-from understudy.controller.observed import kube_objects, leaving_nodes
+from understudy.controller.observed import kube_objects, leaving_nodes, pool_reader
 from understudy.controller.observed.pod_diagnosis import trouble
+from understudy.controller.plan import UNANSWERED, Problem
 from understudy.controller.pods import instance_pod, pod_counts, pool_pods, pool_size
 from understudy.controller.pods.pool_size import Sized
-from understudy.controller.status import policy_status
 from understudy.kube import selectors
 from understudy.kube.client import Object
 from understudy.kube.gates import isolation
@@ -46,7 +45,7 @@ def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | N
         )
     driving = [pod for pod in living if kube_objects.uid(pod) in observed.active]
     waiting = [*(pod for pod in living if pod not in driving), *observed.stand_ins]
-    served = sum(pool_pods.serves(observed.pool, workload) for workload in observed.workloads.values())
+    served = sum(pool_reader.serves(observed.pool, workload) for workload in observed.workloads.values())
     return Counts(
         replicas=len(waiting),
         desired=(served - observed.spared) * (spec.per_workload or 0) + observed.prewarmed,
@@ -128,7 +127,7 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
     def no(reason: str, message: str) -> Condition:
         return condition("Ready", False, reason, message, generation=generation)
 
-    if not any(pool_pods.serves(pool, workload) for workload in observed.workloads.values()):
+    if not any(pool_reader.serves(pool, workload) for workload in observed.workloads.values()):
         selector = selectors.as_text((pool.get("spec") or {}).get("workloadSelector") or {})
         return no(
             "NoMatchingWorkload",
@@ -144,9 +143,9 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
     told = f"{counts.ready} of {counts.desired} are ready"
-    if policy_status.readiness(pool) == "Uninitialized":
+    if pool_reader.readiness(pool) == "Uninitialized":
         return no("PodsNotReady", f"{told}.")
-    served = sorted(name for name, workload in observed.workloads.items() if pool_pods.serves(pool, workload))
+    served = sorted(name for name, workload in observed.workloads.items() if pool_reader.serves(pool, workload))
     return no("PodsNotReady", f"{told}; what is being done to them is in the condition BroughtUp of {_named(served)}.")
 
 
