@@ -16,7 +16,7 @@ class TaskRule:
     on_failover: str = "Resend"
     """Resend, Abort or Tree."""
     abort_grace: float = 2.0
-    """Seconds for which an end that nobody asked for isn't told yet."""
+    """Seconds for which an end that nobody asked for is not told yet."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ControlState:
     workload: str
     epoch: int = 0
     active: str = ""
-    """UID of the instance in control; empty while none is."""
+    """UID of the active instance; empty while none is."""
     settled: bool = True
     """Whether no failure is seen and no recovery under way."""
     rules: tuple[TaskRule, ...] = ()
@@ -52,7 +52,7 @@ class ControlState:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> ControlState:
-        """Raises KeyError and TypeError where it is none."""
+        """Raises KeyError and TypeError if it is none."""
         rules = tuple(TaskRule(**rule) for rule in data["rules"])
         peers = tuple(Peer(**peer) for peer in data["peers"])
         return cls(**{**data, "rules": rules, "peers": peers})

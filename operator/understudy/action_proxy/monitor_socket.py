@@ -30,7 +30,7 @@ class MonitorSocket:
         self._writers: set[asyncio.StreamWriter] = set()
 
     async def listen(self, path: Path) -> asyncio.Server:
-        """Raises OSError, also where there is a file already."""
+        """Raises OSError, also if there is a file already."""
         return await asyncio.start_unix_server(self._connected, path, limit=MOST)
 
     def tell(self) -> None:
@@ -47,7 +47,7 @@ class MonitorSocket:
             while line := await reader.readline():
                 self._on_situation(ControlState.from_wire(json.loads(line)["situation"]))
         except (ValueError, KeyError, TypeError) as error:
-            _logger.error("the monitor said what can't be understood: %r", error)
+            _logger.error("cannot understand the monitor's message: %r", error)
         except OSError as error:
             _logger.debug("the monitor is gone: %r", error)
         finally:

@@ -43,7 +43,7 @@ class AgentMemory:
 
     @classmethod
     def load(cls, directory: Path) -> AgentMemory:
-        """What was kept; blank where nothing was or it can't be read."""
+        """What was kept; blank if nothing was or it cannot be read."""
         path = directory / NAME
         try:
             data = json.loads(path.read_text())
@@ -52,7 +52,7 @@ class AgentMemory:
         except FileNotFoundError:
             return cls()
         except (OSError, ValueError, TypeError, AttributeError) as error:
-            _logger.error("%s can't be read, going on without: %s", path, error)
+            _logger.error("%s cannot be read, continuing without: %s", path, error)
             return cls()
 
     def save(self, directory: Path) -> None:

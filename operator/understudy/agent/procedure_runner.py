@@ -24,7 +24,7 @@ LONGEST = 24 * 3600.0
 """Seconds that a procedure may be given."""
 
 CHECKED_WITHIN = 2.0
-"""Seconds that one look of a check takes at most, where its period isn't longer."""
+"""Seconds that one look of a check takes at most, where its period is not longer."""
 
 Restore = Callable[..., Awaitable[RestoreReport]]
 """``(state, *, within, only)``, as of :class:`understudy.agent.state_restoration.StateRestorer`."""
@@ -126,7 +126,7 @@ class ProcedureRunner:
         self.doing = ""
         """Name of the procedure that runs."""
         self.failure = ""
-        """Why the last one failed; empty where it didn't."""
+        """Why the last one failed; empty if it did not."""
 
     @property
     def summary(self) -> str:
@@ -194,8 +194,8 @@ class ReadinessCheck:
     def __init__(self, tree: ProcedureTree, period: float, actions: Callable[[], InstanceActions]) -> None:
         """``period`` in seconds."""
         self.tree, self._period, self._actions = tree, period, actions
-        self.reason = "not looked at yet"
-        """Why it doesn't hold; empty while it does. On a busy node a single look may fail: only the second in a row counts."""
+        self.reason = "not evaluated yet"
+        """Why it does not hold; empty while it does. On a busy node a single look may fail: only the second in a row counts."""
 
     async def run(self, on_change: Callable[[], None]) -> None:
         """Look until cancelled."""
@@ -211,7 +211,7 @@ class ReadinessCheck:
                 reason = str(error)
             except Exception as error:
                 _logger.exception("the readiness check")
-                reason = f"it can't be looked at: {error!r}"
+                reason = f"it cannot be evaluated: {error!r}"
             failures = failures + 1 if reason else 0
             if reason != self.reason and (not reason or self.reason or failures > 1):
                 self.reason = reason

@@ -140,7 +140,7 @@ async def test_a_failed_leaf_is_named_with_its_place_and_ends_the_sequence() -> 
         await tree.run(instance, LONG)
 
     assert str(failure.value) == (
-        "bringUp.sequence[0].call_service: service /go answered otherwise: success is False, expected True"
+        "bringUp.sequence[0].call_service: service /go gave another answer: success is False, expected True"
     )
     assert instance.done == ["call /go"]
 
@@ -331,7 +331,7 @@ async def test_a_parameter_is_compared() -> None:
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
-        ({}, "p: the node says nothing; give one of sequence"),
+        ({}, "p: the node is empty; give one of sequence"),
         ("x", "p: found 'x'; a node is a mapping with one of sequence"),
         ({"sequence": []}, "p.sequence: the list is empty"),
         ({"sequense": []}, "p.sequense: unknown key 'sequense', did you mean 'sequence'?"),
@@ -374,7 +374,9 @@ def test_mistakes_are_named_with_what_would_be_right(tree: object, message: str)
 def test_a_check_only_looks() -> None:
     with pytest.raises(TreeError) as error:
         load_check({"sequence": [{"set_lifecycle": {"node": "/amcl", "state": "active"}}]}, path="p")
-    assert "p.sequence[0].set_lifecycle: a check only looks; set_lifecycle belongs into a procedure" in str(error.value)
+    assert "p.sequence[0].set_lifecycle: a check takes no action; set_lifecycle belongs in a procedure" in str(
+        error.value
+    )
 
 
 def test_all_mistakes_are_told_at_once() -> None:

@@ -24,7 +24,7 @@ class ArrivalWakeups:
     def __init__(self) -> None:
         self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self.asked = False
-        """Whether it has been asked to tell of any subscription."""
+        """Whether it has been asked to report any subscription."""
         self._write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         self._set = loaded("librcl").rcl_subscription_set_on_new_message_callback
         self._set.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
@@ -37,7 +37,7 @@ class ArrivalWakeups:
         if result != 0:
             self._reset_error()
             _logger.warning(
-                "the middleware doesn't say when messages come (rcl's code %d): they are seen later", result
+                "the middleware does not report new messages (rcl's code %d): they are noticed later", result
             )
             return
         self.asked = True
@@ -54,5 +54,5 @@ class ArrivalWakeups:
             os.eventfd_read(self.descriptor)
 
     def close(self) -> None:
-        """Close the descriptor, when no subscription is told of any more."""
+        """Close the descriptor, when no subscription is reported any more."""
         os.close(self.descriptor)

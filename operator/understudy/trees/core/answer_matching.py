@@ -7,7 +7,7 @@ from typing import Any
 
 
 def mismatch(found: Mapping[str, Any], expected: Mapping[str, Any], *, path: str = "") -> str | None:
-    """What of the expected fields isn't so, in plain words; None where all are. Fields that aren't named may be anything."""
+    """What of the expected fields is not so, in plain words; None if all are. Fields that are not named may be anything."""
     for field, value in expected.items():
         place = f"{path}.{field}" if path else str(field)
         if field not in found:

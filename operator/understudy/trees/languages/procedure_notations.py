@@ -37,7 +37,7 @@ class LoadedProcedure:
     """In the short form."""
     tree: ProcedureTree
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where in its text each of its nodes is, by path in the short form; empty where it was written in that."""
+    """Where in its text each of its nodes is, by path in the short form; empty if it was written in that."""
 
 
 def compose(form: str, tree: Any, *, check: bool, path: str, begins: TextOffset = WHOLE_FILE) -> LoadedProcedure:

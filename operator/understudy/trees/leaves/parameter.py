@@ -20,10 +20,10 @@ from understudy.trees.source.value_reader import Reader, found_text
 TYPE = "rcl_interfaces/msg/ParameterEvent"
 
 EVENTS = "/parameter_events"
-"""Where every node tells of its parameters when they change."""
+"""Where every node reports its parameters when they change."""
 
 BURST = 4000.0
-"""Messages per second to be ready for: a stack that starts tells of each of its parameters."""
+"""Messages per second to be ready for: a stack that starts reports each of its parameters."""
 
 KEPT = 256
 """Messages that may come between two looks. What is lost is asked for."""
@@ -95,7 +95,7 @@ def _equal(value: ParameterValue, text: str) -> bool:
 
 
 class ParameterLeaf(EvidenceLeaf[ParameterState]):
-    """Holds while a parameter of a node is what it must be, or while that can't be told."""
+    """Holds while a parameter of a node is what it must be, or while that cannot be told."""
 
     hears = False
 

@@ -53,14 +53,14 @@ class ValueLeaf(ContentLeaf):
         try:
             message = content.message()
         except Unreadable as error:
-            return Finding(False, f"it can't be told: {error}")
+            return Finding(False, f"it cannot be determined: {error}")
         try:
             if wanted.holds(message):
                 return Finding(True, "")
             values = wanted.values(message).replace(" is ", " was ")
             return Finding(False, values)
         except Undefined as error:
-            return Finding(False, f"it can't be told: {error}")
+            return Finding(False, f"it cannot be determined: {error}")
 
     def condition(self) -> str:
         """The condition in words."""

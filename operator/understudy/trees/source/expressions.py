@@ -4,7 +4,7 @@ Python's grammar is used to read them, and nothing of Python to evaluate them: e
 into a closure of its own, and all else is refused when the expression is read. A name is a field of the message, so
 nothing but the message's own data can be reached. The work that an expression can cause is bounded.
 
-The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison can't be told
+The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison cannot be told
 (:class:`Undefined`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: what one side decides alone is decided.
 """
 
@@ -40,11 +40,11 @@ LARGEST = 2.0**64
 """Largest number that may be written, the end of the largest integer field."""
 
 SHOWN = 3
-"""Values that are told with a condition that doesn't hold."""
+"""Values that are told with a condition that does not hold."""
 
 Fields = Callable[[str], Mapping[str, str] | None]
 """The fields of a message type with their types, as rosidl names them (``double``, ``sequence<geometry_msgs/Point>``);
-None where the type is not known here."""
+None if the type is not known here."""
 
 _Evaluate = Callable[[Any, Any], Any]
 """The value for a message and, inside any and all, an element."""
@@ -55,11 +55,11 @@ _NESTED = re.compile(r"(\w+)/(\w+)")
 
 
 class ExpressionError(ValueError):
-    """An expression that can't be used; says what was found and what would be right."""
+    """An expression that cannot be used; says what was found and what would be right."""
 
 
 class Undefined(Exception):
-    """Whether a condition holds can't be told of a message; the text says why."""
+    """Whether a condition holds cannot be reported a message; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def _kind_of(type_name: str) -> _Kind:
 
 
 class Expression:
-    """A condition that was read; holds for a message or doesn't, or can't be told."""
+    """A condition that was read; holds for a message or does not, or cannot be told."""
 
     def __init__(self, text: str, evaluate: _Evaluate, shown: Sequence[tuple[str, _Evaluate]]) -> None:
         self.text = text
@@ -101,7 +101,7 @@ class Expression:
 
     @classmethod
     def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Expression:
-        """Read a condition over messages of a type, whose fields are checked where they are known.
+        """Read a condition over messages of a type, whose fields are checked if they are known.
 
         Raises ExpressionError.
         """
@@ -115,7 +115,7 @@ class Expression:
         return _truth(self._evaluate(message, None), self.text)
 
     def values(self, message: object) -> str:
-        """The first few values that it looks at, such as ``percentage is 0.12``; empty where there are none to show."""
+        """The first few values that it looks at, such as ``percentage is 0.12``; empty if there are none to show."""
         told = []
         for name, evaluate in self._shown:
             try:
@@ -136,7 +136,7 @@ class Quantity:
 
     @classmethod
     def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Quantity:
-        """Read a number over messages of a type, whose fields are checked where they are known. Raises ExpressionError."""
+        """Read a number over messages of a type, whose fields are checked if they are known. Raises ExpressionError."""
         text = text.strip()
         compiler, tree = _read(text, type_name, fields, "a number such as distance_remaining")
         return cls(text, compiler.number(tree, 1))
@@ -162,9 +162,9 @@ def _read(text: str, type_name: str, fields: Fields | None, example: str) -> tup
         tree = ast.parse(text, mode="eval").body
     except SyntaxError as error:
         place = f" at character {error.offset}" if error.offset else ""
-        raise ExpressionError(f"{text!r:.80} can't be read{place}; write {example}") from None
+        raise ExpressionError(f"{text!r:.80} cannot be read{place}; write {example}") from None
     except (ValueError, MemoryError, RecursionError):
-        raise ExpressionError(f"{text!r:.80} can't be read; write {example}") from None
+        raise ExpressionError(f"{text!r:.80} cannot be read; write {example}") from None
     if sum(1 for _ in ast.walk(tree)) > 3 * MOST_NODES:  # operators and contexts are nodes of Python's too
         raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
     return _Compiler(text, _Kind(f"a {type_name}" if type_name else "the message", message=type_name), fields), tree
@@ -378,14 +378,14 @@ class _Compiler:
         for kind, text in zip(kinds, texts, strict=True):
             if kind.item is not None or kind.message:
                 raise ExpressionError(
-                    f"{text} is {kind.text}, which can't be compared; name a field or an element of it"
+                    f"{text} is {kind.text}, which cannot be compared; name a field or an element of it"
                 )
             if ordered and kind not in (_NUMBER, _ANY):
                 raise ExpressionError(f"{text} is {kind.text}, not a number; compare it by == or !=")
         first, second = kinds
         if first != second and _ANY not in kinds:
             raise ExpressionError(
-                f"{texts[0]} is {first.text} and {texts[1]} is {second.text}; compare what is of one kind"
+                f"{texts[0]} is {first.text} and {texts[1]} is {second.text}; compare values of one type"
             )
 
     # -- functions --------------------------------------------------------------------------------------------------
@@ -435,7 +435,7 @@ class _Compiler:
     def _loop(self, node: ast.expr, name: str, depth: int) -> _Evaluate:
         """``any`` and ``all`` over the elements of one array, those that a filter lets through."""
         if not isinstance(node, ast.GeneratorExp) or len(node.generators) != 1 or node.generators[0].is_async:
-            raise ExpressionError(f"{self._source(node)} can't be gone through; write {_CALLS[name]}")
+            raise ExpressionError(f"{self._source(node)} cannot be iterated; write {_CALLS[name]}")
         if self._element is not None:
             raise ExpressionError(f"{name} inside of any or all is not allowed")
         self._loops += 1
@@ -475,7 +475,7 @@ _CALLS = {
 
 
 def _index(node: ast.expr) -> int | None:
-    """The number of an element, counted from the end where it is negative."""
+    """The number of an element, counted from the end if it is negative."""
     sign = 1
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         sign, node = -1, node.operand

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 MOST_LISTED = 10
-"""Problems that are told of one tree where not all of them can be."""
+"""Problems that are reported one tree where not all of them can be."""
 
 _LONGEST_TOLD = 1000
 _LONGEST_WORD = 64
@@ -30,7 +30,7 @@ class Problem:
 
 
 class TreeError(ValueError):
-    """A tree that can't be loaded; all its problems at once."""
+    """A tree that cannot be loaded; all its problems at once."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = list(problems)

@@ -47,7 +47,7 @@ class Part:
         return next(self.all(rule), None)
 
     def text_of(self, rule: str) -> str:
-        """What the first part of a rule was written as; empty where there is none."""
+        """What the first part of a rule was written as; empty if there is none."""
         found = self.first(rule)
         return found.text if found is not None else ""
 
@@ -64,7 +64,7 @@ def parse(text: str, dialect: Dialect, begins: TextOffset = WHOLE_FILE) -> Part:
         error.column += begins.columns
         raise
     except RecursionError as error:  # what is too deep has been refused; this is for an unforeseen way to be so
-        raise Malformed("what is in each other is too deep") from error
+        raise Malformed("the nesting is too deep") from error
 
 
 def _parsed(text: str, dialect: Dialect, begins: TextOffset) -> Part:

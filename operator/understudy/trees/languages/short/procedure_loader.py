@@ -62,11 +62,11 @@ Make = Callable[[ProcedureRun, Sequence[TimeLimit]], Behaviour]
 
 
 class ProcedureFailed(Exception):
-    """A procedure that didn't succeed; the text names the leaf and says why."""
+    """A procedure that did not succeed; the text names the leaf and says why."""
 
 
 class ProcedureTree:
-    """A tree that is run once, or looked at again and again where it has only conditions."""
+    """A tree that is run once, or looked at again and again if it has only conditions."""
 
     def __init__(self, make: Make, kinds: Collection[str], topics: Sequence[WatchedTopic]) -> None:
         self._make = make
@@ -115,7 +115,7 @@ class ProcedureTree:
 def load_procedure(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
     """The procedure that a node of the short form stands for. Raises TreeError with all its problems.
 
-    ``places`` are those of its nodes in the text that it was written in, by their paths in the short form, where it was
+    ``places`` are those of its nodes in the text that it was written in, by their paths in the short form, if it was
     written in another language: what fails is called by them.
     """
     return _load(_Loader(waits=True, called=_caller(path, places)), tree, path)
@@ -192,7 +192,7 @@ class _Loader(Reader):
             if key in self._allowed or key == "name":
                 continue
             if key in (*STEPS, *DECORATORS):
-                self.problem(f"{path}.{key}", f"a check only looks; {key} belongs into a procedure")
+                self.problem(f"{path}.{key}", f"a check takes no action; {key} belongs in a procedure")
             elif key in REFUSED_PLUGINS:
                 self.problem(f"{path}.{key}", REFUSED_PLUGINS[key])
             elif key in ("do", "within", "times", "wait"):
@@ -273,7 +273,7 @@ class _Loader(Reader):
         async def work(actions: Actions, within: float) -> None:
             answer = await actions.call(str(service), str(type_), request, within, repeat=repeat)
             if (reason := mismatch(answer, expect)) is not None:
-                raise ProcedureFailed(f"service {service} answered otherwise: {reason}")
+                raise ProcedureFailed(f"service {service} gave another answer: {reason}")
 
         return work
 
