@@ -1,4 +1,4 @@
-"""What the monitor tells the task proxy: the tasks, the instances, and which of them is in control."""
+"""What the monitor reports to the task proxy: the tasks, the instances, and the active one."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Peer:
 
 @dataclass(frozen=True)
 class ControlState:
-    """What is so, by the monitor."""
+    """The state of control, as the monitor reports it."""
 
     workload: str
     epoch: int = 0

@@ -1,4 +1,4 @@
-"""What the task proxy must still know after a restart of its container, in a file."""
+"""Keeps what the task proxy needs after a restart of its container, in a file."""
 
 from __future__ import annotations
 

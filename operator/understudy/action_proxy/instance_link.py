@@ -1,4 +1,4 @@
-"""The proxy's connection to one instance's agent: has it do what is ordered, and passes on what it says."""
+"""The proxy's connection to one instance's agent: sends orders, and passes on events."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The socket over which the monitor tells the proxy what is so, and the proxy how its tasks are doing.
+"""The socket over which the monitor reports the state of control, and the proxy the state of its tasks.
 
 A Unix socket in a folder that only the two containers share. One JSON object a line: ``{"situation": ...}`` to the proxy,
 ``{"report": ...}`` back on every change.

@@ -1,4 +1,4 @@
-"""What an agent must still know after a restart of its container: who claimed the pod, and how far it had come."""
+"""What an agent keeps over a restart of its container: who claimed the pod, and the progress of its instance."""
 
 from __future__ import annotations
 

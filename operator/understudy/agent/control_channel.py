@@ -1,4 +1,4 @@
-"""The control channel: lets in who knows the token, carries out requests, says how the instance is doing.
+"""The control channel: authenticates monitors, carries out their requests, and reports the instance's state.
 
 What comes over the network is never trusted before the mac is right, and nothing that happens in a session ends more
 than that session.

@@ -1,4 +1,4 @@
-"""Judges the instance from inside its pod: the policy's own health tree, on this pod's outputs and the robot's inputs.
+"""Evaluates the policy's health tree on the instance from inside its pod.
 
 An executing standby's outputs do not reach the monitor, and the active pod's are matched by every reader of the same
 name, so only here can a standby be told healthy. What counts for an output are samples of writers on this host alone
@@ -95,7 +95,7 @@ class HealthPlan:
 
 @dataclass
 class InstanceJudgement:
-    """How the instance is doing. Times are Unix seconds.
+    """The state of the instance. Times are Unix seconds.
 
     A ready instance has a reason too where part of the tree cannot be judged, as for a type that is not installed.
     """
@@ -164,7 +164,7 @@ class _OwnOutputs:
 
 
 class InstanceHealth:
-    """Looks at the instance until cancelled, and says what it sees in ``judgement``."""
+    """Evaluates the instance until cancelled, and keeps the result in ``judgement``."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Brings a kept pose to the present while it is given: by this pod's own look at the robot's odometry, at the last moment.
+"""Propagates a kept pose to the present when it is restored, by the robot's odometry as this pod receives it.
 
 The monitor says where odometry had the robot when the pose was so (state/pose_propagation.py). From then on the robot may
 have driven on until it noticed that nobody drives it, and the instance may have taken long to start: only when the pose

@@ -1,4 +1,4 @@
-"""Runs procedures on this pod's instance, and looks at what must hold of it (trees/languages/short/procedure_loader.py)."""
+"""Runs procedures and checks on this pod's instance (trees/languages/short/procedure_loader.py)."""
 
 from __future__ import annotations
 
@@ -138,7 +138,8 @@ class ProcedureRunner:
         return {"procedure": self._on_procedure}
 
     async def _on_procedure(self, body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:
-        from understudy.trees.languages.short.procedure_loader import ProcedureFailed, load_procedure
+        from understudy.trees.core.procedure_steps import ProcedureFailed
+        from understudy.trees.languages.short.procedure_loader import load_procedure
 
         name, within, token = str(body.get("name") or "procedure"), body.get("within"), str(body.get("as") or "")
         if not isinstance(within, int | float) or isinstance(within, bool) or not 0 < within <= LONGEST:
@@ -189,7 +190,7 @@ class ProcedureRunner:
 
 
 class ReadinessCheck:
-    """Looks again and again whether a check holds."""
+    """Evaluates a check periodically."""
 
     def __init__(self, tree: ProcedureTree, period: float, actions: Callable[[], InstanceActions]) -> None:
         """``period`` in seconds."""
@@ -199,7 +200,7 @@ class ReadinessCheck:
 
     async def run(self, on_change: Callable[[], None]) -> None:
         """Look until cancelled."""
-        from understudy.trees.languages.short.procedure_loader import ProcedureFailed
+        from understudy.trees.core.procedure_steps import ProcedureFailed
 
         failures = 0
         while True:

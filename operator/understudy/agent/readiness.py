@@ -1,4 +1,4 @@
-"""What makes a waiting instance ready: how far it was brought, and a check that must hold of it."""
+"""The readiness of a standby: what procedures brought it to, and a check that must hold."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StandbyExpectation:
-    """What the monitor expects of an instance while it waits."""
+    """What the monitor expects of a standby."""
 
     brought: str = ""
     """What it must have been brought to, as the monitor calls it; empty if nothing is done to it."""
@@ -45,7 +45,7 @@ class StandbyExpectation:
 
 
 class StandbyReadiness:
-    """Whether a waiting instance is ready."""
+    """Determines whether a standby is ready."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Gives kept state to this pod's instance, and asks it for what the monitor cannot see on its own.
+"""Restores kept state to this pod's instance, and reads what the monitor cannot observe.
 
 Everything can be done again to the same effect: a parameter is set, a node is brought to a state, a message is said.
 Parameters come first, since some are read only when a node is configured; messages wait for their subscribers, which

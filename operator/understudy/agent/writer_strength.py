@@ -1,4 +1,4 @@
-"""How strong the instance's writers are against those of its understudies, if the robot's readers choose by strength.
+"""Ownership strengths of the instance's writers, for robots whose readers choose the strongest writer.
 
 A process reads its strength from the pod's profiles when it starts. A container that was restarted must not have the
 strength of its first start, or it would take the robot back from the standby that took over: so as soon as the

@@ -173,7 +173,9 @@ class Carrier:
             missing = odometry.problem or _NOTHING
         elif moment is None:
             missing = (
-                f"odometry began again since: {odometry.begun}" if odometry.begun else "it is not known at the time of the pose"
+                f"odometry began again since: {odometry.begun}"
+                if odometry.begun
+                else "it is not known at the time of the pose"
             )
         if missing or last is None or present is None or moment is None:
             return Motion(by.topic, by.type, by.required, f"it cannot be propagated by {by.topic}: {missing}")

@@ -107,7 +107,8 @@ def test_it_is_known_for_as_long_as_the_pose_is_kept_and_no_longer(carrier: Carr
     carrier.prune({Key("Topic", "/amcl_pose"): [Version(START + 2.02, START + 2.02, pose(START + 2.0), POSE)]})
     assert motion(carrier, 2.0, 60.0).missing == ""
     assert (
-        motion(carrier, 1.0, 60.0).missing == "it cannot be propagated by /odom: it is not known at the time of the pose"
+        motion(carrier, 1.0, 60.0).missing
+        == "it cannot be propagated by /odom: it is not known at the time of the pose"
     )
 
 

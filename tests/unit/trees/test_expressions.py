@@ -10,7 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Header, Pack, fields
-from understudy.trees.source.expressions import MOST_ELEMENTS, Expression, ExpressionError, Undefined
+from understudy.trees.source.expression_values import MOST_ELEMENTS, Undefined
+from understudy.trees.source.expressions import Expression, ExpressionError
 
 NAN, INF = math.nan, math.inf
 

@@ -19,6 +19,7 @@ from tests.unit.trees.garbled import garbled, loaded_or_refused
 from tests.unit.trees.steps_written import as_scenario, as_xml
 from tests.unit.trees.test_procedures import LONG, Instance
 from understudy.api.kinds.procedure_spec import Check, Procedure
+from understudy.trees.core.procedure_steps import ProcedureFailed
 from understudy.trees.languages.btcpp import library
 from understudy.trees.languages.btcpp import steps as xml
 from understudy.trees.languages.osc import steps as scenarios
@@ -27,7 +28,7 @@ from understudy.trees.languages.osc.library import WORDS
 from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.procedure_notations import LoadedProcedure, compose, composed
 from understudy.trees.languages.short import procedure_loader
-from understudy.trees.languages.short.procedure_loader import CONDITIONS, DECORATORS, STEPS, ProcedureFailed
+from understudy.trees.languages.short.procedure_loader import CONDITIONS, DECORATORS, STEPS
 from understudy.trees.leaves import procedure_steps
 from understudy.trees.leaves.registry import LEAVES
 from understudy.trees.source.positions import TextOffset

@@ -11,7 +11,8 @@ import pytest
 from tests.unit.trees.messages import Battery, Heard
 from understudy.trees.core.health_tree import HealthTree, Verdict
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
-from understudy.trees.languages.short.procedure_loader import ProcedureFailed, load_check, load_procedure
+from understudy.trees.core.procedure_steps import ProcedureFailed
+from understudy.trees.languages.short.procedure_loader import load_check, load_procedure
 from understudy.trees.source.problems import TreeError
 
 LONG = 20.0

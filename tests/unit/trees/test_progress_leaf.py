@@ -21,7 +21,8 @@ from tests.unit.trees.world import (
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
-from understudy.trees.source.expressions import ExpressionError, Quantity, Undefined
+from understudy.trees.source.expression_values import Undefined
+from understudy.trees.source.expressions import ExpressionError, Quantity
 
 ROOT = "spec.monitoring.yaml"
 GO = "t/action/Go"

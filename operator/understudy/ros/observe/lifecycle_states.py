@@ -1,4 +1,4 @@
-"""The states of managed nodes of the active instance: by what they report their transitions, and by what they answer."""
+"""The states of managed nodes of the active instance, from their transition events and their answers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What nodes of the active instance say of themselves: by what they report changes, and asked for now and then.
+"""What nodes of the active instance report about themselves: changes as they happen, and the present at intervals.
 
 What a node tells has its sender. An answer has none, and a request reaches every node of that name, also a standby's: it
 counts where all that could have answered did so and say the same. Nothing here waits: requests are sent, and answers taken,
@@ -115,7 +115,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
 
     @abstractmethod
     def blind(self, subject: Subject, nodes: int, found: str) -> str:
-        """Why it cannot be reported so many nodes in different pods, of which this was found."""
+        """Why the fact cannot be determined, with the number of nodes in different pods and what they answered."""
 
     @abstractmethod
     def evidence(self, received: float, fact: Fact | None) -> Said:

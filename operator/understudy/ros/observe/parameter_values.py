@@ -1,4 +1,4 @@
-"""Parameters of nodes of the active instance: by the changes that they report, and by what they answer."""
+"""Parameters of nodes of the active instance, from their parameter events and their answers."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class Capturing:
                 self._look(topic)
 
     def attribute(self, instances: Mapping[str, str], active: str) -> bool:
-        """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
+        """Set the instances (IP by pod name) and the active one (empty for none).
 
         Returns whether another is in control than before. Cheap where nothing changed.
         """

@@ -1,4 +1,4 @@
-"""Watches topics by draining their queues instead of being called for each message.
+"""Watches topics by draining their queues, without a callback for each message.
 
 Fast DDS keeps what arrives in a subscription's history and stamps it with the time of receipt, so nothing is lost in
 exactness by looking only now and then, and a look costs a few microseconds a message instead of an executor's round.
@@ -123,7 +123,7 @@ class _Topic:
 
 
 class TopicWatch:
-    """The topics of a health tree, as received here, and from which pod.
+    """The topics of a health tree, as this process receives them, attributed to pods.
 
     An Observations of the samples that are not from another instance of the workload than the one in control: the
     robot's own topics, and the instance's. All times are Unix seconds by this machine's clock; when that is set, they
@@ -132,7 +132,7 @@ class TopicWatch:
 
     def __init__(self, graph: Graph, own: bytes | None = None, arrivals: ArrivalWakeups | None = None) -> None:
         """``own`` is the HOST part of GIDs of the instance that is judged, if that is the one this process is in;
-        ``arrivals`` is to report messages that should be looked at as they come.
+        ``arrivals`` wakes the process for messages that must be evaluated on arrival.
         """
         self._graph = graph
         self._own = own
@@ -249,7 +249,7 @@ class TopicWatch:
             self._be_told(topic)
 
     def _be_told(self, topic: _Topic) -> None:
-        """Be reported messages as they come, or no longer."""
+        """Be woken by messages on arrival, or no longer."""
         if self._arrivals is None or topic.subscription is None:
             return
         tell = self._arrivals.tell_of if topic.want.prompt else self._arrivals.forget
@@ -281,11 +281,11 @@ class TopicWatch:
 
     @property
     def in_control(self) -> bool:
-        """It is the one in control that is judged by all that is received."""
+        """Every received sample counts as evidence about the active instance."""
         return True
 
     def attribute(self, instances: Mapping[str, str], active: str) -> None:
-        """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
+        """Set the instances (IP by pod name) and the active one (empty for none).
 
         What was received so far is judged again. Cheap where nothing changed.
         """

@@ -1,10 +1,10 @@
-"""When a failed tree counts: only after it has been failed for a while without a break."""
+"""Debounces failures: a failed tree counts only after it has been failed for a while without a break."""
 
 from __future__ import annotations
 
 
 class Debounce:
-    """Remembers since when a tree has been failed. Times are Unix seconds."""
+    """Records since when a tree has been failed. Times are Unix seconds."""
 
     def __init__(self) -> None:
         self.failing_since: float | None = None

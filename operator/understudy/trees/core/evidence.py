@@ -1,4 +1,4 @@
-"""Leaves that are told again and again whether a condition holds, and remember since when it does or does not."""
+"""Leaves over a stream of evidence, which record since when their condition holds or does not."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EvidenceT = TypeVar("EvidenceT", bound=Evidence)
 
 
 class Finding(NamedTuple):
-    """What a message, or other evidence, says of a condition."""
+    """What one piece of evidence, such as a message, says about the condition of a leaf."""
 
     holds: bool
     """False too if it cannot be determined: what must hold has to be seen to."""
@@ -28,7 +28,7 @@ class Finding(NamedTuple):
 
 @dataclass
 class EvidenceTrack(Generic[EvidenceT]):
-    """What the messages (or other evidence) of one instance have said. Times are Unix seconds."""
+    """The evidence about one instance so far. Times are Unix seconds."""
 
     since: float = math.nan
     """Which instance: when it took control."""
@@ -70,7 +70,7 @@ class EvidenceTrack(Generic[EvidenceT]):
 
 
 class EvidenceLeaf(Leaf, Generic[EvidenceT]):
-    """Holds while what is received says so: failed once they have said otherwise for ``hold_off`` seconds.
+    """Holds while the evidence says so: fails when it has said otherwise for ``hold_off`` seconds.
 
     That moment is exact, whether more comes until then or not. Before the first evidence, and until the condition
     has held for the first time, it is starting for as long as the grace lasts.

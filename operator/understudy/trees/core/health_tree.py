@@ -1,7 +1,7 @@
-"""A health tree: its verdict now, and the exact moment at which that can get worse on its own.
+"""A health tree: its verdict now, and the exact time at which that gets worse if nothing more arrives.
 
-Detection is not bound to a tick. After each look at the topics, ask :meth:`HealthTree.deadline` and wake up then: a
-500 ms gap is found 500 ms after the last message's receipt, however slow the ticks are.
+Detection is not bound to a tick. After each evaluation, ask :meth:`HealthTree.deadline` and wake up then: a
+500 ms gap is detected 500 ms after the last message was received, however slow the ticks are.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SEVERITY: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
 
 @dataclass(frozen=True)
 class WatchedTopic:
-    """A topic that a tree needs, with what its subscription must be able to hold."""
+    """A topic that a tree needs, with what is needed of it."""
 
     name: str
     type: str | None
@@ -91,7 +91,7 @@ class WatchedTopic:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the tree says of an instance."""
+    """The tree's verdict on an instance."""
 
     state: State
     """Starting, Healthy or Failed."""
@@ -107,7 +107,7 @@ _HEALTHY = Verdict("Healthy", "", "", None)
 
 
 class HealthTree:
-    """What healthy means, over py_trees behaviours.
+    """The definition of a healthy instance, as py_trees behaviours.
 
     One tree judges one instance at a time: it remembers, for the present ``since``, which rates have held once.
     All times are Unix seconds.

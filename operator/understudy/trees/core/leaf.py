@@ -1,4 +1,4 @@
-"""The leaves of a health tree: what must hold of one topic."""
+"""The base class of leaves: one condition about one topic."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STATE: dict[Status, State] = {status: state for state, status in STATUS.items()}
 
 
 class Leaf(Behaviour, ABC):
-    """What must hold of one topic, of the instance that is evaluated.
+    """One condition about one topic of the instance that is evaluated.
 
     One that is for a task is not judged while that is not active. Its clocks begin when it becomes active at the earliest,
     and it has some time to start then.

@@ -1,4 +1,4 @@
-"""What a health tree looks at: which topics were received when, and what they said last.
+"""What a health tree evaluates: when messages of which topics were received, and their last contents.
 
 The tree knows the protocol only. :class:`TopicRecord` and :class:`RecordedObservations` are the plain implementation that the
 drained subscriptions of ``understudy.ros`` fill, and that tests fill by hand.
@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 
 class Evidence(Protocol):
-    """Something that was received, or seen."""
+    """Something that was received or observed, with its time."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
@@ -52,12 +52,12 @@ class Content(Evidence, Protocol):
 
 
 class Unreadable(ValueError):
-    """A message that is not of the type that it should be of; the text says why."""
+    """A message is not of the expected type; the text says why."""
 
 
 @dataclass(eq=False)
 class Publishers:
-    """Who published a topic when the ROS graph was looked at."""
+    """The publishers of a topic, as observed in the ROS graph."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
@@ -67,7 +67,7 @@ class Publishers:
 
 @dataclass(eq=False)
 class NodePresence:
-    """Whether a node was there when the ROS graph was looked at."""
+    """Whether a node exists, as observed in the ROS graph."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
@@ -81,7 +81,7 @@ class NodePresence:
 
 @dataclass(eq=False)
 class NodeState:
-    """What is known of a managed node of the active instance."""
+    """The known state of a managed node of the active instance."""
 
     received: float
     """When it was so, in Unix seconds; moved where the clock was set."""
@@ -100,7 +100,7 @@ class PodCondition(NamedTuple):
 
 
 class PodUsage(NamedTuple):
-    """What the containers of a pod take, all together, but for the agent."""
+    """The CPU and memory that the containers of a pod use together, without the agent."""
 
     cpu: float
     """Cores, on the average of some time."""
@@ -110,7 +110,7 @@ class PodUsage(NamedTuple):
 
 @dataclass(eq=False)
 class PodState:
-    """What the cluster said of the pod of the active instance when it was looked at."""
+    """The last observed state of the active instance's pod."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
@@ -127,7 +127,7 @@ ParameterValue = bool | int | float | str
 
 @dataclass(eq=False)
 class ParameterState:
-    """What is known of a parameter of a node of the active instance."""
+    """The known value of a parameter of a node of the active instance."""
 
     received: float
     """When it was so, in Unix seconds; moved where the clock was set."""
@@ -239,7 +239,7 @@ class Observations(Protocol):
 
 
 class RecordedObservations:
-    """Observations out of a mapping of records."""
+    """Observations from mappings of records."""
 
     in_control = True
 
@@ -297,7 +297,7 @@ class RecordedObservations:
 
 @dataclass
 class Evaluation:
-    """The moment a tree is judged for; one object shared by all its leaves, changed before each tick."""
+    """The instant and the observations of an evaluation; all leaves of a tree share one, which is changed before each tick."""
 
     grace: float
     """Seconds that an instance has to become healthy for the first time."""

@@ -1,7 +1,7 @@
 """What a procedure does to an instance: its leaves as py_trees behaviours over asynchronous actions.
 
-A leaf starts its action when it is first ticked and is reported its end by the next tick; one that is no longer wanted
-is cancelled. Every action knows how much time is left for it, so that it can say on its own what it was waiting for.
+A leaf starts its action at its first tick and sees its end at a later one; an action that is no longer wanted is
+cancelled. Every action knows how much time is left for it, so that it can say on its own what it was waiting for.
 """
 
 from __future__ import annotations
@@ -26,8 +26,12 @@ may come to that late.
 """
 
 
+class ProcedureFailed(Exception):
+    """A procedure failed; the text names the leaf and says why."""
+
+
 class Actions(Protocol):
-    """What can be done to one instance. Each raises, in plain words, what it failed by; times are bounds in seconds."""
+    """The actions on one instance. Each raises an exception that says why it failed; times are bounds in seconds."""
 
     async def call(
         self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
@@ -73,7 +77,7 @@ Work = Callable[[Actions, float], Awaitable[None]]
 
 
 class TimeLimit:
-    """An end of time that leaves share."""
+    """A deadline that leaves share."""
 
     def __init__(self) -> None:
         self.until = float("inf")

@@ -90,7 +90,7 @@ def hertz(rate: Fraction | float) -> str:
 
 
 class Window:
-    """Counts the samples of one topic in a sliding window and foretells when the count leaves a band."""
+    """Counts the samples of one topic in a sliding window, and computes in advance when the count leaves a band."""
 
     def __init__(self, band: Band, window: float) -> None:
         """The band, and the window's length in seconds."""

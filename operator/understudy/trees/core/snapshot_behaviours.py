@@ -1,4 +1,4 @@
-"""A snapshot of a health tree as the tools of py_trees_ros take it: a list of behaviours that name each other by ids.
+"""A snapshot of a health tree in the form of py_trees_ros: a list of behaviours that refer to each other by id.
 
 Plain values; the numbers are those of py_trees_ros_interfaces/msg/Behaviour 2.1. A tool builds its own tree from them, and
 fails on a type or a status that it does not know, on a decorator without a child and on a list without a root: none of them

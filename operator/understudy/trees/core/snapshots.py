@@ -1,4 +1,4 @@
-"""How a health tree is at this moment, as plain values: for a terminal, for a page and for tools."""
+"""Snapshots of a health tree as plain values, for terminals, web pages and tools."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _KINDS: tuple[tuple[type[Behaviour], str], ...] = (
 
 
 def snapshot(tree: HealthTree, observations: Observations, now: float) -> Snapshot | None:
-    """The tree as it was at its last evaluation; None if nothing of it can be judged. ``now`` in Unix seconds."""
+    """Return the tree with the states of its last evaluation; None if nothing of it can be evaluated. ``now`` in Unix seconds."""
     return _node(tree.root, observations, now) if tree.root is not None else None
 
 

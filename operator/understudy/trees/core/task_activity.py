@@ -1,4 +1,4 @@
-"""What makes a part of a health tree count: a task that is being worked on."""
+"""Tasks that decide whether a part of a health tree is evaluated."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TaskActive:
 
 @dataclass(frozen=True)
 class TaskTiming:
-    """Times that a leaf is judged by, in Unix seconds."""
+    """The times from which a leaf is evaluated, in Unix seconds."""
 
     active: float
     """When the last of the tasks that it is for became active: its clock begins there at the earliest."""
@@ -50,7 +50,7 @@ class TaskTiming:
 
 
 def task_timing(tasks: Sequence[TaskActive], evaluation: Evaluation) -> TaskTiming | None:
-    """The situation of a leaf that is for some tasks; None while one of them is not active, so that it is not judged."""
+    """Return the times of a leaf that is for some tasks; None while one of them is not active."""
     active = settled = float("-inf")
     for task in tasks:
         since = task.since(evaluation)

@@ -1,4 +1,4 @@
-"""The leaf ``progress``: whether an action that has a goal gets on with it, by its feedback."""
+"""The leaf ``progress``: whether an action makes progress with its goal, by its feedback."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from understudy.trees.core.observations import Content, Evaluation, TopicRecord,
 from understudy.trees.core.task_activity import SETTLE, TaskActive
 from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, time_key
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import ExpressionError, Fields, Quantity, Undefined
+from understudy.trees.source.expression_values import Undefined
+from understudy.trees.source.expressions import ExpressionError, Fields, Quantity
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 MOST_GOALS = 16
@@ -24,7 +25,7 @@ MOST_GOALS = 16
 
 @dataclass(frozen=True)
 class Aim:
-    """What a goal must get on by."""
+    """The progress that a goal must make."""
 
     quantity: Quantity
     sign: int
@@ -38,7 +39,7 @@ class Aim:
 
 
 class ProgressLeaf(ContentLeaf):
-    """Holds while no goal is active, or the active one gets on: feedback comes, and a quantity in it gets better.
+    """Holds while no goal is active, or the active one makes progress: feedback arrives, and a quantity in it improves.
 
     Better than it ever was with this goal: a robot that backs up and tries again the same way has not got on.
     """
@@ -136,7 +137,7 @@ class ProgressLeaf(ContentLeaf):
 
 
 def feedback_of(action: str) -> str:
-    """Where an action's server tells how its goals get on (ROS 2 design: actions)."""
+    """Return the feedback topic of an action (ROS 2 design: actions)."""
     return f"{action}/_action/feedback"
 
 

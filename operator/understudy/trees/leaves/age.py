@@ -38,7 +38,7 @@ CLOCKS = (STAMP, SOURCE)
 
 
 class AgeLeaf(ContentLeaf):
-    """Holds while the newest message's stamp was at most so old when the message was received."""
+    """Holds while the newest message was not too old when it was received."""
 
     def __init__(
         self,

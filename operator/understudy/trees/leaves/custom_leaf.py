@@ -1,4 +1,4 @@
-"""Leaves of one's own: classes of other packages that judge the messages of a topic (docs/how-to/writing-a-leaf.md).
+"""Custom leaves: classes of other packages that judge the messages of a topic (docs/how-to/writing-a-leaf.md).
 
 Such a class is given messages and says why they are not well; all else that makes a leaf (its topic, how long it must not
 hold, the instance that it is for) is done here. A mistake in it costs this one leaf, and never the robot's protection.
@@ -53,7 +53,7 @@ LONGEST = 200
 
 
 class Judge(Protocol):
-    """What judges the messages of one instance; it is made again for each."""
+    """Judges the messages of one instance; each instance gets a new one."""
 
     def judge(self, message: Any) -> str | None:
         """Why the message is not well, in plain words; None if it is."""
@@ -61,7 +61,7 @@ class Judge(Protocol):
 
 
 class CustomLeaf(ContentLeaf):
-    """Holds while its judge has nothing against the newest message, and while the judge itself fails."""
+    """Holds while its judge accepts the newest message, and also while the judge itself fails."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""The leaf ``diagnostics``: how bad what is said on ``/diagnostics`` may be (REP 107)."""
+"""The leaf ``diagnostics``: the worst level that statuses on ``/diagnostics`` may have (REP 107)."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ BURST = 100.0
 
 
 class LifecycleLeaf(EvidenceLeaf[NodeState]):
-    """Holds while a managed node is in a state, or while that cannot be told."""
+    """Holds while a managed node is in a state, or while its state cannot be determined."""
 
     hears = False
 

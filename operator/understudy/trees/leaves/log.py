@@ -1,4 +1,4 @@
-"""The leaf ``log``: what nodes of the instance may not log, or not that often (rcl_interfaces/msg/Log on ``/rosout``)."""
+"""The leaf ``log``: what nodes of the instance must not log, or not too often (rcl_interfaces/msg/Log on ``/rosout``)."""
 
 from __future__ import annotations
 

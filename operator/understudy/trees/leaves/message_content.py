@@ -1,4 +1,4 @@
-"""Leaves that look into a topic's messages."""
+"""Leaves that evaluate the contents of a topic's messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The leaf ``motion``: whether the robot is seen, from outside, to move as it is commanded to."""
+"""The leaf ``motion``: whether an observer outside the robot sees it move as commanded."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ FASTEST = 100.0
 
 
 class MotionLeaf(Leaf):
-    """Holds unless the velocity that is seen differs from the commanded one by more than can be chance.
+    """Holds unless the observed velocity differs from the commanded one by more than the tolerance and the noise explain.
 
     If nothing is seen, or nothing commanded, it cannot be told and holds; so it does for an instance that is not in
     control: what the robot does is not its doing.

@@ -1,4 +1,4 @@
-"""The leaf ``node``: whether a node of the instance is there, by the ROS graph."""
+"""The leaf ``node``: whether the instance has a node, by the ROS graph."""
 
 from __future__ import annotations
 

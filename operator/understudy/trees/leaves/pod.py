@@ -1,4 +1,4 @@
-"""The leaf ``pod``: what Kubernetes says of the pod of the active instance.
+"""The leaf ``pod``: what Kubernetes reports about the pod of the active instance.
 
 Only who watches the cluster can tell, which is the workload's monitor. For an instance that waits the leaf holds: it is
 judged by its own agent, and that one by what its pod says would go in a circle.
@@ -41,7 +41,7 @@ _CONDITION = re.compile(r"([a-z0-9.-]{1,253}/)?[A-Za-z0-9]([A-Za-z0-9_.-]{0,61}[
 
 @dataclass(frozen=True)
 class Bound:
-    """What a figure must be less, or more, than."""
+    """A bound on a resource figure."""
 
     sign: str
     text: str
@@ -123,7 +123,7 @@ class ConditionLeaf(_LookLeaf):
 
 
 class UsageLeaf(_LookLeaf):
-    """Holds while the pod takes no more of its node, or no less, than it may; also while that cannot be told."""
+    """Holds while the pod's use of a resource is within its bound; also while that cannot be determined."""
 
     def __init__(
         self,
@@ -176,7 +176,7 @@ class _Counted:
 
 
 class RestartsLeaf(Leaf):
-    """Holds while the containers of the pod are not started again more than so many times within a window.
+    """Holds while the containers of the pod are not restarted too often within a window.
 
     It fails with the restart that is one too many, and is well again when the first of these is out of the window.
     """

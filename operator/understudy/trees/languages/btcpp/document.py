@@ -1,4 +1,4 @@
-"""What is in a file: its trees, which of them counts, and the models of their ports."""
+"""The parts of a file: its trees, the main one, and the models of their ports."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class _Spot:
 
 
 class Nodes:
-    """Turns elements into what was written by them, and collects problems; one that cannot be read becomes None."""
+    """Converts elements to parsed nodes, and collects problems; an element that cannot be read becomes None."""
 
     def __init__(self, document: Document, path: str) -> None:
         self.problems: list[LocatedProblem] = []

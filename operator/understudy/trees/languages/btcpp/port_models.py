@@ -1,4 +1,4 @@
-"""<TreeNodesModel>: what the one who wrote a text, most often Groot 2, took the nodes and subtrees to be."""
+"""<TreeNodesModel>: the ports that the author of a text, most often Groot 2, expects of nodes and subtrees."""
 
 from __future__ import annotations
 

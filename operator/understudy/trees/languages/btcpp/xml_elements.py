@@ -1,4 +1,4 @@
-"""Reads XML that nobody has to trust, with the place of each element.
+"""Reads untrusted XML, with the place of each element.
 
 Without a document type there are no entities but XML's own five, so nothing can be expanded and nothing is fetched. Texts
 with one are refused before they are parsed: expat goes on to the end of a text after a handler has raised.

@@ -1,4 +1,4 @@
-"""What of the language trees of a kind can have; what procedures can is in steps.py, which agents do not load."""
+"""The part of the language that one kind of tree can use. That of procedures is in steps.py, which agents do not load."""
 
 from __future__ import annotations
 

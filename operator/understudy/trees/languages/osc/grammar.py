@@ -1,4 +1,4 @@
-"""Reads OpenSCENARIO 2 that nobody has to trust, by the parser of scenario-execution, into plain parts with their places.
+"""Reads untrusted OpenSCENARIO 2 with the parser of scenario-execution, into plain parts with their places.
 
 Only its lexer and parser are used. Its model would follow imports into files, load the entry points of whatever else is installed,
 and make the behaviours. To import the parser takes 0.1 s and 15 MB, so only a policy in this language does.
@@ -27,7 +27,7 @@ _CHAIN = frozenset(_EXPRESSIONS.split())
 
 @dataclass(frozen=True)
 class Part:
-    """What one rule of the grammar was found to be, or a word."""
+    """What one rule of the grammar, or one word, matched."""
 
     rule: str
     """Name of the rule in the grammar, such as ``behaviorInvocation``; empty for a word."""

@@ -19,7 +19,7 @@ _Read = Callable[[Part, Part | None, int], ParsedNode | None]
 
 
 class Nodes:
-    """Turns parts into what was written by them, and collects problems; one that cannot be read becomes None."""
+    """Converts parts to parsed nodes, and collects problems; a part that cannot be read becomes None."""
 
     def __init__(self, document: Document, path: str) -> None:
         self.problems: list[LocatedProblem] = []

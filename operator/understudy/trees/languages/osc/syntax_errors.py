@@ -1,4 +1,4 @@
-"""What lexer and parser complain of, in words for whoever wrote the text."""
+"""Messages for the errors of lexer and parser."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _NAMES = {
 _UNTOLD = frozenset(
     {"FloatLiteral", "HexUintLiteral", "IntLiteral", "BoolLiteral", "'import'", *(f"'{word}'" for word in REFUSED)}
 )
-"""What is not reported that: it is as good as another, or is not for health trees."""
+"""What is left out of that: another word means the same, or health trees cannot have it."""
 
 _UNREAD = re.compile(r"token recognition error at: '(.*)'", re.DOTALL)
 _EXPECTED = re.compile(r"(?:expecting|missing) (\{.*?\}|'[^']+'|\w+)( at|$)", re.DOTALL)

@@ -1,4 +1,4 @@
-"""What is refused by its words alone, before a text is parsed: all that a tree has no use for, and what is too deep.
+"""Refuses a text by its tokens, before it is parsed: words that trees cannot have, and too deep nesting.
 
 What is left of the language is small: a parser that looks ahead as far as it needs to cannot be kept busy by it.
 """
@@ -31,7 +31,9 @@ _DECLARES = (
     "a policy declares nothing but one scenario and its parameters; what there is comes with import osc.understudy"
 )
 _EVERYWHERE = "nothing is declared but one scenario and its parameters; what there is comes with import osc.understudy"
-_EVENTS = f"{_JUDGES}, and neither waits nor sends events; leave it out. How long something may be missing is said by gap"
+_EVENTS = (
+    f"{_JUDGES}, and neither waits nor sends events; leave it out. How long something may be missing is said by gap"
+)
 _CALCULATES = "nothing is calculated; write the value"
 
 REFUSED: Mapping[str, str] = {
@@ -104,7 +106,7 @@ class Token:
 
 
 def check(tokens: Sequence[Token], subject: TreeKind, refused: Mapping[str, str]) -> None:
-    """Refuse what is too much, and all words that trees of a kind do not have. Raises Malformed at the first."""
+    """Refuse too many tokens, and all words that trees of this kind cannot have. Raises Malformed at the first."""
     if len(tokens) > MOST:
         last = tokens[MOST]
         raise Malformed(f"the text has more than {MOST} words and signs", last.line, last.column)

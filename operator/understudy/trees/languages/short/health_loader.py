@@ -102,7 +102,7 @@ class _Loader(Reader):
             return None
 
         def build(left_out: Collection[str]) -> Behaviour | None:
-            # Whether a task is active cannot be reported a topic that is not watched: then nothing hangs on it.
+            # Without its topic, nobody knows whether the task is active: then the node is left out.
             node = child(left_out) if task.topic not in left_out else None
             return While(name, node, task, self.evaluation) if node is not None else None
 

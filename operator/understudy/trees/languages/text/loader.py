@@ -1,4 +1,4 @@
-"""Loads a tree from a text of a language of its own: read into what was written, then loaded as the short form."""
+"""Loads a tree from a text in another language: parsed first, then loaded as the short form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was written in a text as a node of the short form, and where each part of that was written."""
+"""The parsed nodes of a text as nodes of the short form, with the place of each part in the text."""
 
 from __future__ import annotations
 
