@@ -255,6 +255,8 @@ def languages() -> str:
             behavior = PROCEDURES.modifiers.get(key) or PROCEDURES.actions[key]
             scenario = f"`{key}()`{where}{_listed(list(behavior.arguments))}"
         lines.append(f"| `{key}` | `<{tags[key]}>`{ports} | {scenario} |")
+    leaves = ", ".join(f"`{name}`" for name, leaf in _OWN_LEAVES.items() if not leaf.active_only)
+    lines += ["", f"The leaves of health trees are written [as there](trees.md#behaviortreecpp-xml): {leaves}."]
     return "\n".join(lines)
 
 

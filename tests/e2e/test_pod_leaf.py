@@ -36,7 +36,7 @@ def test_one_restart_is_allowed_and_the_next_is_one_too_many(kubectl: Kubectl) -
     robot.fail(old, "killed")
     recovery = robot.wait_recovered(1, within=180)
     assert recovery.old == old, recovery
-    assert recovery.reason == "containers of the pod were started again 2 times within 600 s", recovery
+    assert recovery.reason == "containers of the pod were restarted 2 times within 600 s", recovery
     assert recovery.strategy == "Restart", recovery
     assert_handed_over(robot, recovery)
 

@@ -15,7 +15,7 @@ import pytest
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import eventually, never
 
-NODES = Path(__file__).parents[1] / "unit" / "tasks" / "nodes.py"
+NODES = Path(__file__).parents[1] / "unit" / "action_proxy" / "nodes.py"
 IMAGE = "localhost/understudy-monitor:dev"
 ACTION, TYPE = "/goto", "test_msgs/action/Fibonacci"
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6

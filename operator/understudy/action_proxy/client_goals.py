@@ -31,7 +31,7 @@ class AttemptState(Enum):
     REJECTED = "rejected"
     ENDED = "ended"
     LOST = "lost"
-    """Its application was started anew and no longer knows it."""
+    """Its application was started again and no longer knows it."""
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Attempt:
     status: int = UNKNOWN
     """With which it ended there."""
     after: float = 0.0
-    """Unix seconds from which it may be tried anew there."""
+    """Unix seconds from which it may be tried again there."""
 
     @property
     def open(self) -> bool:
@@ -81,14 +81,14 @@ class Goal:
     """By the UID of the instance, the latest there."""
     tries: int = 0
     cancels: list[tuple[str, int]] = field(default_factory=list)
-    """Clients' requests to cancel it that the instance hasn't answered yet."""
+    """Clients' requests to cancel it that the instance has not answered yet."""
     results: list[tuple[str, int]] = field(default_factory=list)
     """Clients' requests for its result."""
     unasked: GoalEnd | None = None
     """An end that nobody asked for, which may be part of a failure: not told yet."""
     unasked_at: float = 0.0
     refused_since: float = 0.0
-    """Since when instances have rejected it that were given it because of a failover; 0 if they haven't."""
+    """Since when instances have rejected it that were given it because of a failover; 0 if they have not."""
     end: GoalEnd | None = None
     ended_at: float = 0.0
 
@@ -109,7 +109,7 @@ class Goal:
         return EXECUTING if working else ACCEPTED
 
     def attempt(self, uid: str) -> Attempt:
-        """Begin an attempt at an instance: under the client's own id, but under a new one where that was taken there."""
+        """Begin an attempt at an instance: under the client's own id, but under a new one if that was taken there."""
         before = self.attempts.get(uid)
         if before is None:
             made = Attempt(self.id)
@@ -128,7 +128,7 @@ class Goal:
 
     @classmethod
     def from_note(cls, note: str, data: str) -> Goal:
-        """Raises KeyError, TypeError and ValueError where it is none."""
+        """Raises KeyError, TypeError and ValueError if it is none."""
         found = json.loads(note)
         request = tuple(found["request"]) if found["request"] else None
         results = [tuple(entry) for entry in found["results"]]
@@ -146,7 +146,7 @@ class Goal:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> Goal:
-        """Raises KeyError, TypeError and ValueError where it is none."""
+        """Raises KeyError, TypeError and ValueError if it is none."""
         goal = cls(**data)
         goal.phase = Phase(data["phase"])
         goal.attempts = {uid: Attempt(**{**a, "at": AttemptState(a["at"])}) for uid, a in data["attempts"].items()}

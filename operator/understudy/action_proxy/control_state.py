@@ -1,4 +1,4 @@
-"""What the monitor tells the task proxy: the tasks, the instances, and which of them is in control."""
+"""What the monitor reports to the task proxy: the tasks, the instances, and the active one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class TaskRule:
     on_failover: str = "Resend"
     """Resend, Abort or Tree."""
     abort_grace: float = 2.0
-    """Seconds for which an end that nobody asked for isn't told yet."""
+    """Seconds for which an end that nobody asked for is not told yet."""
 
 
 @dataclass(frozen=True)
@@ -35,12 +35,12 @@ class Peer:
 
 @dataclass(frozen=True)
 class ControlState:
-    """What is so, by the monitor."""
+    """The state of control, as the monitor reports it."""
 
     workload: str
     epoch: int = 0
     active: str = ""
-    """UID of the instance in control; empty while none is."""
+    """UID of the active instance; empty while none is."""
     settled: bool = True
     """Whether no failure is seen and no recovery under way."""
     rules: tuple[TaskRule, ...] = ()
@@ -52,7 +52,7 @@ class ControlState:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> ControlState:
-        """Raises KeyError and TypeError where it is none."""
+        """Raises KeyError and TypeError if it is none."""
         rules = tuple(TaskRule(**rule) for rule in data["rules"])
         peers = tuple(Peer(**peer) for peer in data["peers"])
         return cls(**{**data, "rules": rules, "peers": peers})

@@ -1,4 +1,4 @@
-"""What the task proxy must still know after a restart of its container, in a file."""
+"""Keeps what the task proxy needs after a restart of its container, in a file."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _logger = logging.getLogger(__name__)
 
 
 class GoalJournal:
-    """One file, replaced atomically. It isn't synced: it guards against a killed process, not against a lost node."""
+    """One file, replaced atomically. It is not synced: it guards against a killed process, not against a lost node."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._last = ""
 
     def save(self, ledger: GoalLedger, rules: Sequence[TaskRule]) -> None:
-        """Keep the goals and the tasks, if they aren't what was kept last. Raises OSError."""
+        """Keep the goals and the tasks, if they are not what was kept last. Raises OSError."""
         text = json.dumps({"ledger": ledger.to_wire(), "rules": [asdict(rule) for rule in rules]})
         if text == self._last:
             return
@@ -35,14 +35,14 @@ class GoalJournal:
         self._last = text
 
     def load(self) -> tuple[GoalLedger, tuple[TaskRule, ...]]:
-        """What was kept; blank where nothing was. A damaged file is put aside, since it can't be gone on with."""
+        """What was kept; blank if nothing was. A damaged file is put aside, since it cannot be gone on with."""
         try:
             data = json.loads(self._path.read_text())
             return GoalLedger.from_wire(data["ledger"], time.time()), tuple(TaskRule(**rule) for rule in data["rules"])
         except FileNotFoundError:
             return GoalLedger(), ()
         except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-            _logger.error("%s can't be read, going on without its goals: %r", self._path, error)
+            _logger.error("%s cannot be read, continuing without its goals: %r", self._path, error)
             if self._path.exists():
                 self._path.replace(self._path.with_suffix(".damaged"))
             return GoalLedger(), ()

@@ -1,16 +1,16 @@
-"""Which goals there are, where they are, and what follows from what happens: the rules of the task proxy, without ROS.
+"""Which goals exist, at which instances, and what follows from events: the rules of the task proxy, without ROS.
 
 Everything that happens is noted, then :meth:`GoalLedger.advance` draws the conclusions; what an instance is to do is read
 off at any time (:meth:`GoalLedger.orders`) and can be ordered again and again. So no event that is lost, and no restart, of
 the proxy, of an agent or of the monitor, loses a goal or has one executed twice:
 
-- Only the instance in control decides on a goal. What others say of it, the old instance after a switch among them,
+- Only the active instance decides on a goal. What others say of it, the old instance after a switch among them,
   changes nothing for the client.
-- A goal that has ended or is being cancelled is never sent again. A cancel that the old instance hadn't answered counts
+- A goal that has ended or is being cancelled is never sent again. A cancel that the old instance had not answered counts
   as accepted.
-- An end that nobody asked for isn't told while a failure is seen or a recovery under way, nor in the first moments:
+- An end that nobody asked for is not told while a failure is seen or a recovery under way, nor in the first moments:
   applications abort their goals when they are told to end.
-- A goal that a newer one has replaced (an abort while the newer one goes on) is over, and isn't sent again.
+- A goal that a newer one has replaced (an abort while the newer one goes on) is over, and is not sent again.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ REFUSED = 30.0
 """Seconds for which a goal that was accepted once is offered to a new instance that rejects it."""
 
 AGAIN = 0.5
-"""Seconds between two attempts at the instance in control."""
+"""Seconds between two attempts at the active instance."""
 
 MIRROR_AGAIN = 2.0
 """Seconds between two attempts at a standby."""
@@ -174,7 +174,7 @@ class GoalLedger:
     def report(
         self, uid: str, id: str, at: AttemptState, now: float, *, status: int = UNKNOWN, result: str = ""
     ) -> None:
-        """An instance says how one of its goals is. What it doesn't have any more is passed over."""
+        """An instance says how one of its goals is. What it does not have any more is passed over."""
         found = self._at(uid, id)
         if found is None:
             return
@@ -200,7 +200,7 @@ class GoalLedger:
             self._orphaned(goal, now)
 
     def adopt(self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float) -> None:
-        """Take up a goal that the instance in control has and that isn't known here, since the journal was lost.
+        """Take up a goal that the active instance has and that is not known here, since the journal was lost.
 
         ``ended`` has the status and the result of one that has ended meanwhile. Raises KeyError, TypeError and ValueError
         for a note that is none.
@@ -333,9 +333,9 @@ class GoalLedger:
     def from_wire(cls, data: Mapping[str, Any], now: float) -> GoalLedger:
         """What an earlier proxy kept; what it answered last is answered again, since it may not have gone out.
 
-        Who is in control isn't taken from it: that may be another by now.
+        Who is in control is not taken from it: that may be another by now.
 
-        Raises KeyError, TypeError and ValueError where it is none.
+        Raises KeyError, TypeError and ValueError if it is none.
         """
         made = cls()
         made.goals = {goal.id: goal for goal in map(Goal.from_wire, data["goals"])}
@@ -489,7 +489,7 @@ class GoalLedger:
         return self._settled or self._active in self._invited
 
     def _move(self, goal: Goal, active: str, now: float) -> None:
-        """Put the instance in control in charge of a goal: it goes on there where it is mirrored, else it is sent."""
+        """Put the active instance in charge of a goal: it goes on there if it is mirrored, else it is sent."""
         attempt = goal.attempts.get(active)
         lost = attempt is not None and attempt.at is AttemptState.LOST
         if lost and attempt is not None and attempt.after > now:

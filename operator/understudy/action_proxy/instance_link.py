@@ -1,4 +1,4 @@
-"""The proxy's connection to one instance's agent: has it do what is ordered, and passes on what it says."""
+"""The proxy's connection to one instance's agent: sends orders, and passes on events."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 _logger = logging.getLogger(__name__)
 
 RETRY = 1.0
-"""Seconds after which what an agent refused, or didn't answer, is asked again."""
+"""Seconds after which what an agent refused, or did not answer, is asked again."""
 
 WITHIN = 10.0
 """Seconds for an answer: the agent asks its instance to cancel, which may take a while."""
@@ -52,7 +52,7 @@ class Listener(Protocol):
         """Its recovery tree wants the unfinished goals."""
 
     def troubled(self, uid: str, action: str, problem: str) -> None:
-        """Why it can't be given a goal of an action; empty when it was."""
+        """Why it cannot be given a goal of an action; empty when it was."""
 
 
 class InstanceLink:
@@ -65,7 +65,7 @@ class InstanceLink:
         self._sent: dict[str, str] = {}
         """By id, the note with which the agent has the goal."""
         self._mine: set[str] = set()
-        """Goals that were ordered and haven't ended: what is ordered no longer is cancelled."""
+        """Goals that were ordered and have not ended: what is ordered no longer is cancelled."""
         self._cancelled: set[str] = set()
         self._invitations: list[int] = []
         self._link = AgentLink(
@@ -92,7 +92,7 @@ class InstanceLink:
 
     def _changed(self, link: AgentLink) -> None:
         if not link.connected:
-            # What happens meanwhile is missed: everything is asked for anew.
+            # What happens meanwhile is missed: everything is asked for again.
             self._asked = False
             self._sent.clear()
             self._cancelled.clear()
@@ -157,7 +157,7 @@ class InstanceLink:
                     self._cancelled.discard(order.id)
                     await self._send(order)
             except AgentRefused as error:
-                refused = error  # other goals, such as those of another action, don't suffer for it
+                refused = error  # other goals, such as those of another action, do not suffer for it
         invitations, self._invitations = self._invitations, []
         for number in dict.fromkeys(invitations):
             await self._link.request("resent", {"number": number}, within=WITHIN)

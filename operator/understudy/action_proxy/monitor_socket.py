@@ -1,4 +1,4 @@
-"""The socket over which the monitor tells the proxy what is so, and the proxy how its tasks are doing.
+"""The socket over which the monitor reports the state of control, and the proxy the state of its tasks.
 
 A Unix socket in a folder that only the two containers share. One JSON object a line: ``{"situation": ...}`` to the proxy,
 ``{"report": ...}`` back on every change.
@@ -30,7 +30,7 @@ class MonitorSocket:
         self._writers: set[asyncio.StreamWriter] = set()
 
     async def listen(self, path: Path) -> asyncio.Server:
-        """Raises OSError, also where there is a file already."""
+        """Raises OSError, also if there is a file already."""
         return await asyncio.start_unix_server(self._connected, path, limit=MOST)
 
     def tell(self) -> None:
@@ -47,7 +47,7 @@ class MonitorSocket:
             while line := await reader.readline():
                 self._on_situation(ControlState.from_wire(json.loads(line)["situation"]))
         except (ValueError, KeyError, TypeError) as error:
-            _logger.error("the monitor said what can't be understood: %r", error)
+            _logger.error("cannot understand the monitor's message: %r", error)
         except OSError as error:
             _logger.debug("the monitor is gone: %r", error)
         finally:

@@ -44,7 +44,7 @@ def main(argv: list[str]) -> int:
 def health(silent_for: float) -> tuple[int, str]:
     """The page by which a proxy that hangs is told: answered by the loop, and about the thread that serves ROS."""
     if silent_for > HUNG:
-        return 503, f"nothing was done in ROS for {silent_for:.0f} s\n"
+        return 503, f"the ROS thread has been stuck for {silent_for:.0f} s\n"
     return 200, "ok\n"
 
 

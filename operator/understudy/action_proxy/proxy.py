@@ -1,7 +1,7 @@
 """The task proxy: serves the workload's actions to clients, and has the instances work on their goals.
 
 Whatever happens is noted in the ledger; what follows is kept in the journal first and done then, so that a process that
-is killed at any moment goes on where it was.
+is killed at any time continues from there.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Served:
     """None until it is open."""
     problem: str = ""
     troubles: dict[str, str] = field(default_factory=dict)
-    """By the UID of an instance, why it can't be given goals."""
+    """By the UID of an instance, why it cannot be given goals."""
     statuses: list[KnownGoal] | None = None
     unsent: list[Answer] = field(default_factory=list)
 
@@ -104,7 +104,7 @@ class Proxy:
         return {"tasks": tasks, "epoch": situation.epoch if situation else None}
 
     async def close(self) -> None:
-        """Let go of everything; goals go on where they are."""
+        """Close all connections; goals continue at their instances."""
         if self._timer is not None:
             self._timer.cancel()
         for link in self._links.values():
@@ -119,7 +119,7 @@ class Proxy:
         return self._ledger.orders(uid)
 
     def found(self, uid: str, goal: Mapping[str, Any]) -> None:
-        """A goal that the instance has: taken up where it isn't known and its end, if it has one, is recent."""
+        """A goal that the instance has: taken up if it is not known and its end, if it has one, is recent."""
         ended = None
         if goal["state"] == "ended":
             if goal.get("ago", 0.0) > RECENT:
@@ -130,7 +130,7 @@ class Proxy:
         try:
             self._ledger.adopt(uid, goal["id"], goal.get("note", ""), goal.get("data", ""), ended, time.time())
         except (KeyError, TypeError, ValueError) as error:
-            _logger.error("goal %s of an earlier proxy can't be taken up: %r", goal["id"], error)
+            _logger.error("goal %s of an earlier proxy cannot be adopted: %r", goal["id"], error)
 
     def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         """How one of its goals is."""
@@ -156,7 +156,7 @@ class Proxy:
         self._conclude()
 
     def troubled(self, uid: str, action: str, problem: str) -> None:
-        """Why it can't be given a goal of an action; empty when it was."""
+        """Why it cannot be given a goal of an action; empty when it was."""
         if (served := self._served.get(action)) is not None:
             served.troubles[uid] = problem
             self._tell()
@@ -188,7 +188,7 @@ class Proxy:
         try:
             self._journal.save(self._ledger, self._rules)
         except OSError as error:
-            _logger.error("the goals would not outlast a restart: %s", error)
+            _logger.error("the goals would be lost at a restart: %s", error)
         for answer in answers:
             if (served := self._served.get(answer.action)) is not None:
                 self._answer(served, answer)

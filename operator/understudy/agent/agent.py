@@ -1,4 +1,4 @@
-"""The agent of one pod: who may command it, what phase the instance is in, and what it remembers of both."""
+"""The agent of one pod: which monitor may command it, the phase of its instance, and what it keeps of both."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Agent:
     """Implements :class:`understudy.agent.control_channel.AgentInterface`."""
 
     def __init__(self, identity: PodIdentity, probes: ProbeSender) -> None:
-        """Take up where an earlier agent of this pod left off. Raises OSError when the shared volume can't be used."""
+        """Take up where an earlier agent of this pod left off. Raises OSError when the shared volume cannot be used."""
         self._identity, self._probes = identity, probes
         self._holds = HeldContainers(identity.directory, identity.held)
         self._holds.prepare()
@@ -77,18 +77,18 @@ class Agent:
     async def begin(self) -> None:
         """Go on with what was begun: finish a start that was cut short, judge by the last tree.
 
-        Raises OSError when the shared volume can't be used; a restart of the container tries again.
+        Raises OSError when the shared volume cannot be used; a restart of the container tries again.
         """
         if self._memory.configuration is not None:
             try:
                 self._health.configure(await asyncio.to_thread(HealthPlan.of, self._memory.configuration))
             except ValueError as error:
-                _logger.error("the health tree of an earlier agent is left out: %s", error)
+                _logger.error("the health tree of an earlier agent is ignored: %s", error)
                 self._memory.configuration = None
         try:
             self._expect(self._memory.standby)
         except Refused as error:
-            _logger.error("what an earlier agent was told of a standby is left out: %s", error)
+            _logger.error("what an earlier agent expected of a standby is ignored: %s", error)
             self._memory.standby = None
         if self._memory.workload and self._identity.held:
             self._holds.start(self._memory.variables(self._identity.held))
@@ -218,14 +218,14 @@ class Agent:
     async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Start what is held, and belong to who asked for it. Harmless when repeated. Raises Refused."""
         if not self._identity.held:
-            raise Refused(f"pod {self._identity.pod} isn't held: its containers started with it")
+            raise Refused(f"pod {self._identity.pod} is not held: its containers started with it")
         if not self._memory.workload:
             self._memory = self._bound(body, peer)
             _logger.info("claimed by %s (%s)", peer.workload, peer.claim)
         try:
             self._holds.start(self._memory.variables(self._identity.held))
         except OSError as error:
-            raise Refused(f"starting what is held: {error}") from error
+            raise Refused(f"cannot start the held containers: {error}") from error
         self._notify()
         self._look()
 
@@ -252,7 +252,7 @@ class Agent:
             try:
                 self.isolation.build(self._identity.held)
             except OSError as error:
-                raise Refused(f"making what it can be held by: {error}") from error
+                raise Refused(f"cannot create the FIFOs: {error}") from error
         bound = dataclasses.replace(
             self._memory,
             workload=peer.workload,
@@ -352,7 +352,7 @@ class Agent:
         try:
             self._memory.save(self._identity.directory)
         except OSError as error:
-            _logger.error("%s: what is known would not outlast a restart: %s", self._identity.directory, error)
+            _logger.error("%s: the agent's memory would be lost at a restart: %s", self._identity.directory, error)
 
     def _notify(self) -> None:
         self._version += 1

@@ -1,4 +1,4 @@
-"""What an agent must still know after a restart of its container: who claimed the pod, and how far it had come."""
+"""What an agent keeps over a restart of its container: who claimed the pod, and the progress of its instance."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class AgentMemory:
 
     @classmethod
     def load(cls, directory: Path) -> AgentMemory:
-        """What was kept; blank where nothing was or it can't be read."""
+        """What was kept; blank if nothing was or it cannot be read."""
         path = directory / NAME
         try:
             data = json.loads(path.read_text())
@@ -52,7 +52,7 @@ class AgentMemory:
         except FileNotFoundError:
             return cls()
         except (OSError, ValueError, TypeError, AttributeError) as error:
-            _logger.error("%s can't be read, going on without: %s", path, error)
+            _logger.error("%s cannot be read, continuing without: %s", path, error)
             return cls()
 
     def save(self, directory: Path) -> None:

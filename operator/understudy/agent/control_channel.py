@@ -1,4 +1,4 @@
-"""The control channel: lets in who knows the token, carries out requests, says how the instance is doing.
+"""The control channel: authenticates monitors, carries out their requests, and reports the instance's state.
 
 What comes over the network is never trusted before the mac is right, and nothing that happens in a session ends more
 than that session.
@@ -26,7 +26,7 @@ from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
 _logger = logging.getLogger(__name__)
 
 MOST_PENDING = 16
-"""Sessions that haven't proved the token yet; one more ends the oldest, so that strangers can't keep a monitor out."""
+"""Sessions that have not proved the token yet; one more ends the oldest, so that strangers cannot keep a monitor out."""
 
 MOST_SESSIONS = 8
 """Sessions that have. A workload has one monitor, and for a moment two."""
@@ -41,14 +41,14 @@ MOST_REQUESTS = 32
 """Requests of one session that are carried out at the same time; some, such as an initialization, take long."""
 
 MOST_EVENTS = 512
-"""Events that wait for a session to take them in; one more ends it, and it asks anew for what is so."""
+"""Events that wait for a session to take them in; one more ends it, and it asks again for what is so."""
 
 _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
 _UNACKNOWLEDGED = 6000  # milliseconds
 
 
 class Refused(Exception):
-    """The request can't be done, and its text says why."""
+    """The request cannot be done, and its text says why."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class _Session:
         self._writer.transport.abort()
 
     def reset(self) -> None:
-        """End it with what was sent and isn't there yet: the kernel would try to deliver that first."""
+        """End it with what was sent and is not there yet: the kernel would try to deliver that first."""
         with contextlib.suppress(OSError):
             self._writer.get_extra_info("socket").setsockopt(
                 socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
@@ -147,7 +147,7 @@ class ControlChannel:
         self._last_refusal = ""
 
     async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> asyncio.Server:
-        """Listen, on all addresses where none is given. Raises OSError."""
+        """Listen, on all addresses if none is given. Raises OSError."""
         return await asyncio.start_server(self._connected, host, port, limit=wire.MAX_GREETING)
 
     @property
@@ -156,12 +156,12 @@ class ControlChannel:
         return len(self._sessions)
 
     def publish(self, event: Mapping[str, Any]) -> None:
-        """Send an event to all sessions, in order. One that doesn't take them in is ended."""
+        """Send an event to all sessions, in order. One that does not take them in is ended."""
         for session in list(self._sessions):
             try:
                 session.events.put_nowait(event)
             except asyncio.QueueFull:
-                _logger.warning("session of %s doesn't take in its events", session.peer.host)
+                _logger.warning("session of %s does not receive its events", session.peer.host)
                 session.abort()
 
     def taken_in(self) -> bool:
@@ -232,17 +232,17 @@ class ControlChannel:
         try:
             token = self._served.token()
         except OSError as error:
-            return f"the agent can't read its token: {error.strerror}"
+            return f"the agent cannot read its token: {error.strerror}"
         if not token:
             return "the agent's token is empty"
         right = wire.mac(token, nonce, peer.workload, peer.claim)
         if not hmac.compare_digest(right.encode(), proof.encode()):
-            return "wrong mac: the token is another"
+            return "wrong mac: the tokens differ"
         return self._served.refuses(peer.workload, peer.claim)
 
     async def _follow(self, session: _Session) -> None:
         while len(self._sessions) >= MOST_SESSIONS:
-            await self._sessions.pop(0).end("too many sessions: a newer one took the place")
+            await self._sessions.pop(0).end("too many sessions: a newer one replaced this one")
         self._sessions.append(session)
         peer = session.peer
         _logger.info("session of %s (workload %r, claim %r)", peer.host, peer.workload, peer.claim)
@@ -284,7 +284,7 @@ class ControlChannel:
             session.abort()
 
     async def _tell(self, session: _Session) -> None:
-        """Send the status on every change and once a second. A session that can't take it in is ended."""
+        """Send the status on every change and once a second. A session that cannot take it in is ended."""
         try:
             while True:
                 version = self._served.version

@@ -65,23 +65,23 @@ def wake_fifo(path: Path) -> bool:
 
 
 class HeldContainers:
-    """The held containers of this pod; none of them in a pod that isn't held."""
+    """The held containers of this pod; none of them in a pod that is not held."""
 
     def __init__(self, directory: Path, containers: Sequence[str]) -> None:
         self._directory = directory
         self.containers = tuple(containers)
 
     def prepare(self) -> None:
-        """Make the FIFOs for images that can't."""
+        """Make the FIFOs for images that cannot."""
         for container in self.containers:
             make_fifo(self._directory / hold_script.wake_name(container))
 
     def missing(self) -> list[str]:
-        """Containers that don't wait (yet): still being created, reading their warm paths, or ended."""
+        """Containers that do not wait (yet): still being created, reading their warm paths, or ended."""
         return [container for container in self.containers if not self._waits(container)]
 
     def start(self, environment: Mapping[str, Mapping[str, str]]) -> None:
-        """Start every container that hasn't been, each with its environment. Raises ValueError and OSError.
+        """Start every container that has not been, each with its environment. Raises ValueError and OSError.
 
         All environments are made before the first is written: with a bad variable nothing starts.
         """

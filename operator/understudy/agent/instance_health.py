@@ -1,6 +1,6 @@
-"""Judges the instance from inside its pod: the policy's own health tree, on this pod's outputs and the robot's inputs.
+"""Evaluates the policy's health tree on the instance from inside its pod.
 
-An executing standby's outputs don't reach the monitor, and the active pod's are matched by every reader of the same
+An executing standby's outputs do not reach the monitor, and the active pod's are matched by every reader of the same
 name, so only here can a standby be told healthy. What counts for an output are samples of writers on this host alone
 (the pod's network namespace, see ros/dds/sample_sources.py); for all else anyone's, since instances of one workload are isolated
 from each other.
@@ -24,7 +24,7 @@ from understudy.agent.output_topics import Output
 from understudy.api.protocol.agent_messages import OutputCount
 
 if TYPE_CHECKING:
-    from understudy.ros.actions.instance_calls import GraphLocation
+    from understudy.ros.actions.calling_node import GraphLocation
     from understudy.ros.observe.topic_watch import TopicWatch
     from understudy.ros.runtime.graph_node import Graph
     from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
@@ -43,7 +43,7 @@ STARTING_PERIOD = 0.02
 """Seconds between looks while the instance starts: its start is part of a recovery's time."""
 
 STARTING_FOR = 60.0
-"""Seconds after which an instance that still isn't up is looked at as seldom as any other."""
+"""Seconds after which an instance that still is not up is looked at as seldom as any other."""
 
 PERIOD = 0.2
 """Seconds between looks otherwise; deadlines of the tree come on top."""
@@ -95,13 +95,13 @@ class HealthPlan:
 
 @dataclass
 class InstanceJudgement:
-    """How the instance is doing. Times are Unix seconds.
+    """The state of the instance. Times are Unix seconds.
 
-    A ready instance has a reason too where part of the tree can't be judged, as for a type that is not installed.
+    A ready instance has a reason too where part of the tree cannot be judged, as for a type that is not installed.
     """
 
     ready: bool = False
-    reason: str = "not looked at yet"
+    reason: str = "not evaluated yet"
     process_up_at: float | None = None
     ready_at: float | None = None
     outputs: dict[str, OutputCount] = field(default_factory=dict)
@@ -111,7 +111,7 @@ class _OwnOutputs:
     """Observations in which an output counts only where it comes from this host."""
 
     in_control = False
-    """Nobody here knows whether it is; as long as it isn't, the robot does what another instance says."""
+    """Nobody here knows whether it is; as long as it is not, the robot does what another instance says."""
 
     def __init__(self, watching: TopicWatch, outputs: Sequence[Output], host: bytes) -> None:
         self._watching, self._host = watching, host
@@ -164,7 +164,7 @@ class _OwnOutputs:
 
 
 class InstanceHealth:
-    """Looks at the instance until cancelled, and says what it sees in ``judgement``."""
+    """Evaluates the instance until cancelled, and keeps the result in ``judgement``."""
 
     def __init__(
         self,
@@ -193,7 +193,7 @@ class InstanceHealth:
 
     def place(self) -> GraphLocation | None:
         """Where in the ROS graph this process is; None while it has not joined."""
-        from understudy.ros.actions.instance_calls import GraphLocation
+        from understudy.ros.actions.calling_node import GraphLocation
 
         if self._joined is None:
             return None
@@ -213,7 +213,7 @@ class InstanceHealth:
         from understudy.trees.core.health_tree import Verdict
 
         if self._own is None or self._joined is None:
-            return Verdict("Starting", "the agent hasn't joined the ROS graph yet", "", None)
+            return Verdict("Starting", "the agent has not joined the ROS graph yet", "", None)
         watching = self._joined[1]
         watching.drain()
         tree.leave_out(watching.unwatchable)
@@ -253,7 +253,7 @@ class InstanceHealth:
                 graph, watching, host = await asyncio.to_thread(_join, self._node_name)
             except Exception as error:
                 _logger.exception("joining the ROS graph")
-                self._say(False, f"can't join the ROS graph: {error}")
+                self._say(False, f"cannot join the ROS graph: {error}")
                 await asyncio.sleep(RETRY)
                 continue
             try:
@@ -261,7 +261,7 @@ class InstanceHealth:
                 await self._look(graph, watching, host)
             except Exception as error:
                 _logger.exception("looking at the instance")
-                self._say(False, f"looking at the instance failed: {error!r}")
+                self._say(False, f"evaluating the instance failed: {error!r}")
                 await asyncio.sleep(RETRY)
             finally:
                 self._joined = self._own = None
@@ -270,7 +270,7 @@ class InstanceHealth:
 
     async def _look(self, graph: Graph, watching: TopicWatch, host: bytes) -> None:
         if self._plan is None:
-            self._say(False, "waiting for the monitor to say what healthy is")
+            self._say(False, "waiting for the monitor's health tree")
             await self._new_plan.wait()
         self._new_plan.set()
         joined = time.monotonic()
@@ -376,7 +376,7 @@ def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
                     host = endpoint.gid[HOST]
                     return graph, TopicWatch(graph, host), host
             time.sleep(0.01)
-        raise TimeoutError(f"the node doesn't see its own publisher within {OWN_GID:g} s")
+        raise TimeoutError(f"the node does not see its own publisher within {OWN_GID:g} s")
     except BaseException:
         graph.close()
         raise

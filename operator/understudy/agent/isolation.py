@@ -1,7 +1,7 @@
-"""Holds the application of a pod that is cut off, until the monitor says what becomes of it (permit.py decides, this acts).
+"""Freezes the application of an isolated pod until the monitor decides about it. permit.py decides, this module acts.
 
-That somebody can be reached is found out by TCP connections: that one is accepted or refused is an answer, and either is
-the kernel's alone, so that no answer comes late because a process is busy.
+TCP connections show whether somebody can be reached: an accepted and a refused connection are both answers. The kernel gives
+them, so that a busy process does not delay them.
 """
 
 from __future__ import annotations
@@ -29,45 +29,45 @@ from understudy.api.protocol import freeze_script
 _logger = logging.getLogger(__name__)
 
 ANSWER = 1.0
-"""Seconds after which an answer doesn't count any more: it may take a while to get here, but says how it was when it left."""
+"""Seconds after which an answer no longer counts: it describes the time at which it was sent."""
 
 MOST_WITNESSES = 8
 
 APISERVER_PERIOD = 1.0
-"""Seconds between two questions to the API server while no monitor is there."""
+"""Seconds between two questions to the API server while no monitor is connected."""
 
-COMPLAIN = 10.0
-"""Seconds between two words in the log about an error that comes with each look."""
+LOG_PERIOD = 10.0
+"""Seconds between two log lines about an error that every evaluation has."""
 
-_AT_ONCE = struct.pack("ii", 1, 0)  # SO_LINGER: a connection that was only to be answered leaves nothing behind
+_AT_ONCE = struct.pack("ii", 1, 0)  # SO_LINGER: close leaves no state behind
 
 
 @dataclass(frozen=True)
 class Address:
-    """Who may answer."""
+    """The address of a party that may answer."""
 
     host: str
     port: int
     accept: bool = False
-    """Whether a refusal doesn't count: the address of a Service that has no pods is refused by the node itself."""
+    """Whether only an accepted connection counts: the node itself refuses the address of a Service that has no pods."""
 
 
 class MonitorSessions(Protocol):
-    """The sessions with monitors, as far as they show that somebody is there."""
+    """The sessions with monitors, as far as they show that a monitor is reachable."""
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """The number of sessions."""
 
     def taken_in(self) -> bool:
-        """Whether the other side of one has all that was sent to it."""
+        """Return whether the other side of a session has received everything that was sent."""
 
     def abort(self) -> None:
         """End all of them at once."""
 
 
 class Isolation:
-    """The applications of one pod; idle where none of its containers can be held."""
+    """Freezes the containers of one pod while it is isolated; idle if none of them can be frozen."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class Isolation:
         on_change: Callable[[], None] = lambda: None,
         nudge: Callable[[], None] = lambda: None,
     ) -> None:
-        """``on_change`` is called when they are held or let go, ``nudge`` to have something sent in every session."""
+        """``on_change`` is called when the containers are frozen or continue, ``nudge`` to have something sent in every session."""
         self.containers = tuple(containers)
         self._unfenced = tuple(unfenced)
         self._directory, self._on_change, self._nudge = directory, on_change, nudge
@@ -89,15 +89,15 @@ class Isolation:
         self._favourite: Address | None = None
         self._attempts = ConnectionAttempts()
         self._asked_apiserver = 0.0
-        self._complained_at = -COMPLAIN
+        self._logged_at = -LOG_PERIOD
         self.contacts: MonitorSessions | None = None
         self.since: float | None = None
-        """Since when they are held, in unix seconds."""
+        """Since when the containers are frozen, in Unix seconds; None while they run."""
         self._permit = Permit()
-        self._told = self._permit.state
+        self._applied = self._permit.state
         with contextlib.suppress(OSError):
             self.since = self._marker.stat().st_mtime
-            self._permit = Permit(state="Away")
+            self._permit = Permit(state="Isolated")
 
     @property
     def _marker(self) -> Path:
@@ -105,21 +105,21 @@ class Isolation:
 
     @property
     def reason(self) -> str:
-        """Why the application is held; empty while it isn't."""
+        """Why the application is frozen; empty while it runs."""
         if self.since is None:
             return ""
         since = datetime.fromtimestamp(self.since, UTC).strftime("%H:%M:%S UTC")
         match self._permit.state:
-            case "Away":
-                return f"held: cut off since {since}, nobody answers"
+            case "Isolated":
+                return f"frozen: isolated since {since}, nobody answers"
             case "Replaced":
-                return f"held: it was cut off at {since} and was replaced"
+                return f"frozen: it was isolated at {since} and has been replaced"
             case _:
-                return f"held: it was cut off at {since} and waits for the monitor's word"
+                return f"frozen: it was isolated at {since} and waits for the monitor's decision"
 
     @property
     def unfenced(self) -> str:
-        """Why the application couldn't be held if it were cut off; empty where it could, or needn't."""
+        """Why the application could not be frozen if it were isolated; empty if it could, or need not be."""
         if self._unfenced:
             return f"container {', '.join(self._unfenced)} has no command in the template"
         if self.containers and self._permit.state == "Idle":
@@ -127,17 +127,20 @@ class Isolation:
         return ""
 
     def build(self, containers: Sequence[str]) -> None:
-        """Make what containers can be held by, before their applications are started. Raises OSError."""
+        """Create the FIFOs by which containers are frozen, before their applications start. Raises OSError."""
         for container in containers:
             make_fifo(self._directory / freeze_script.fence_name(container))
         self.containers = tuple(containers)
 
     def operations(self) -> Mapping[str, Operation]:
-        """What a monitor can ask for."""
+        """The operations that a monitor can request."""
         return {"lease": self.renew}
 
     async def renew(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Take the addresses of who may answer, and what becomes of the application if it is held. Raises Refused."""
+        """Take the addresses of the parties that may answer, and the monitor's decision about a frozen application.
+
+        On the wire this is the operation ``lease``. Raises Refused.
+        """
         found, word = body.get("witnesses", []), body.get("word")
         if not isinstance(found, list) or not all(isinstance(host, str) for host in found):
             raise Refused(f"witnesses: expected a list of addresses, not {found!r:.100}")
@@ -146,47 +149,47 @@ class Isolation:
         self._monitor = self._favourite = Address(peer.host, names.PROBE_PORT)
         self._witnesses = tuple(Address(host, names.PROBE_PORT) for host in found[:MOST_WITNESSES])
         if word is not None:
-            self._permit.word(word, time.monotonic())
+            self._permit.instruct(word, time.monotonic())
             self._apply()
 
     async def run(self) -> None:
-        """Watch until cancelled."""
+        """Evaluate until cancelled."""
         try:
             while True:
                 if self.containers:
-                    self._look_anyhow(time.monotonic())
+                    self._evaluate_safely(time.monotonic())
                 await asyncio.sleep(self._permit.wait)
         finally:
             self._attempts.close()
 
-    def _look_anyhow(self, now: float) -> None:
-        """Look, whatever error comes of it: nobody else does, and what is cut off would drive on. A restarted agent has forgotten
-        that anybody ever answered, and would hold nothing either.
+    def _evaluate_safely(self, now: float) -> None:
+        """Evaluate, whatever error occurs: nothing else would freeze an isolated application. A restarted agent could not
+        either, because it does not know that anybody has ever answered.
         """
-        for look in (self._look, self._judge):
+        for evaluate in (self._evaluate, self._evaluate_without_answers):
             try:
-                look(now)
+                evaluate(now)
                 return
             except Exception:
-                if now - self._complained_at >= COMPLAIN:
-                    self._complained_at = now
-                    _logger.exception("looking whether anybody answers")
+                if now - self._logged_at >= LOG_PERIOD:
+                    self._logged_at = now
+                    _logger.exception("cannot evaluate whether anybody answers")
 
-    def _judge(self, now: float) -> None:
-        """Where nobody can be asked, it is as if nobody answered."""
+    def _evaluate_without_answers(self, now: float) -> None:
+        """Evaluate as if nobody answered, because nobody can be asked."""
         self._attempts.close()
         self._attempts = ConnectionAttempts()
-        self._permit.look(now)
+        self._permit.evaluate(now)
         if self._permit.asked_at != now:
             self._permit.ask(now)
         self._apply()
 
-    def _look(self, now: float) -> None:
+    def _evaluate(self, now: float) -> None:
         permit, contacts = self._permit, self.contacts
         self._take_answers(now)
         if permit.rounds and permit.state != "Idle" and contacts is not None and contacts.taken_in():
             permit.answered(now)
-        permit.look(now)
+        permit.evaluate(now)
         self._apply()
         match permit.ask(now):
             case "One":
@@ -195,10 +198,10 @@ class Isolation:
                 if permit.state != "Idle":
                     self._nudge()
                 self._ask(now, self._monitor, *self._witnesses)
-                # Its connections are written down there, so it is asked only where nobody else is left.
+                # The API server logs its connections, so it is asked only if nobody else answers.
                 if permit.rounds > 1 and permit.state != "Idle":
                     self._ask(now, self._apiserver)
-        if permit.state == "Back" and not (contacts and contacts.count):
+        if permit.state == "Reconnected" and not (contacts and contacts.count):
             if now - self._asked_apiserver >= APISERVER_PERIOD:
                 self._asked_apiserver = now
                 self._ask(now, self._apiserver)
@@ -206,24 +209,24 @@ class Isolation:
             permit.apiserver(now, False)
 
     def _apply(self) -> None:
-        """Have what was decided come about."""
-        state, before = self._permit.state, self._told
-        self._told = state
-        if (before, state) == ("Away", "Back") and self.contacts is not None:
-            # What was sent meanwhile is repeated after seconds only; a monitor whose session ends comes back at once.
+        """Apply the state of the permit."""
+        state, before = self._permit.state, self._applied
+        self._applied = state
+        if (before, state) == ("Isolated", "Reconnected") and self.contacts is not None:
+            # TCP repeats what was sent meanwhile only after seconds; a monitor whose session ends connects again at once.
             self.contacts.abort()
-        if self._permit.held != (self.since is not None):
+        if self._permit.frozen != (self.since is not None):
             try:
-                self._mark(self._permit.held)
+                self._mark(self._permit.frozen)
             except OSError as error:
-                _logger.error("%s: the application can't be held or let go: %s", self._marker, error)
+                _logger.error("%s: the application cannot be frozen or continued: %s", self._marker, error)
         if state != before:
             if before != "Idle":
-                _logger.warning("%s", self.reason or "the application goes on")
+                _logger.warning("%s", self.reason or "the application continues")
             self._on_change()
 
-    def _mark(self, held: bool) -> None:
-        if held:
+    def _mark(self, frozen: bool) -> None:
+        if frozen:
             write_atomically(self._marker, "", 0o644)
             self.since = time.time()
         else:
@@ -231,7 +234,9 @@ class Isolation:
             self.since = None
         for container in self.containers:
             if not wake_fifo(self._directory / freeze_script.fence_name(container)):
-                _logger.warning("container %s isn't there to be %s", container, "held" if held else "let go")
+                _logger.warning(
+                    "container %s is not there: it cannot be %s", container, "frozen" if frozen else "continued"
+                )
 
     def _ask(self, now: float, *addresses: Address | None) -> None:
         for address in addresses:
@@ -248,14 +253,14 @@ class Isolation:
 
 
 class ConnectionAttempts:
-    """Connections that are begun only to see whether anybody answers. Who asks looks again later: nothing is awaited."""
+    """TCP connections that only show whether an address answers. Nothing is awaited: the caller asks for the results later."""
 
     def __init__(self) -> None:
         self._open: list[tuple[Address, float, socket.socket]] = []
         self._ended: list[tuple[Address, float, bool]] = []
 
     def ask(self, address: Address, now: float) -> None:
-        """Begin to connect."""
+        """Begin to connect to an address."""
         sock = None
         try:
             sock = socket.socket(socket.AF_INET6 if ":" in address.host else socket.AF_INET, socket.SOCK_STREAM)
@@ -274,7 +279,7 @@ class ConnectionAttempts:
         self._ended.append((address, now, _is_answer(address, error)))
 
     def answers(self, now: float) -> list[tuple[Address, float, bool]]:
-        """What became of those that have ended since the last look: whom, when it was asked, and whether it answered."""
+        """Return the attempts that ended since the last call: the address, when it was asked, and whether it answered."""
         found, self._ended = self._ended, []
         poll = select.poll()
         for _, _, sock in self._open:
@@ -295,7 +300,7 @@ class ConnectionAttempts:
         return found
 
     def close(self) -> None:
-        """Give them all up."""
+        """Cancel all attempts."""
         for _, _, sock in self._open:
             sock.close()
         self._open = []
@@ -306,12 +311,12 @@ def _is_answer(address: Address, error: int) -> bool:
 
 
 def built(directory: Path, containers: Sequence[str]) -> tuple[str, ...]:
-    """Those of the containers that can be held since an earlier agent of this pod."""
+    """Return the containers that an earlier agent of this pod made freezable."""
     return tuple(container for container in containers if (directory / freeze_script.fence_name(container)).exists())
 
 
 def apiserver(environment: Mapping[str, str]) -> Address | None:
-    """The API server's address, which every pod is told. None where that isn't an IP address and a port."""
+    """Return the API server's address from a pod's environment; None if it is not an IP address and a port."""
     host, port = environment.get("KUBERNETES_SERVICE_HOST", ""), environment.get("KUBERNETES_SERVICE_PORT", "")
     try:
         socket.getaddrinfo(host, port, flags=socket.AI_NUMERICHOST | socket.AI_NUMERICSERV)

@@ -26,7 +26,7 @@ class Output:
 
     @classmethod
     def from_wire(cls, data: object) -> Output:
-        """From an entry of a ``configure`` request; what isn't known is left out. Raises ValueError."""
+        """From an entry of a ``configure`` request; what is not known is left out. Raises ValueError."""
         if not isinstance(data, Mapping):
             raise ValueError(f"an output is a mapping, not {data!r:.100}")
         names = {key: data.get(key) for key in ("topic", "service", "action")}

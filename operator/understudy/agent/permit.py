@@ -1,10 +1,10 @@
-"""When an instance may no longer run: a lease that every answer of somebody else renews.
+"""The permit of an instance to act: every answer of another party renews it, and without answers it expires.
 
-While an instance is cut off another one may be put in control, and what would keep it from the robot, the policies on its
-own node, knows nothing of that when the node is connected again. So an instance to which nobody answers is held. That costs
-nothing, since it doesn't reach its robot either. Afterwards only who decides about it can let it go on.
+While an instance is isolated, another one may take control. The policies on the node of the isolated instance do not know
+that when the node is connected again. So an instance that nobody answers is frozen, which costs nothing: it cannot reach its
+robot either. Afterwards only the monitor, or the API server after a while, lets it continue.
 
-Nothing here looks at a clock or a socket: what is so comes in with its time, in monotonic seconds.
+This module reads no clock and no socket: events come with their time, in monotonic seconds.
 """
 
 from __future__ import annotations
@@ -13,44 +13,44 @@ from dataclasses import dataclass
 from typing import Literal
 
 RENEW_PERIOD = 0.125
-"""Seconds between two questions to the one who answered last."""
+"""Seconds between two questions to the party that answered last."""
 
 RETRY = 0.1
-"""Seconds after which everybody is asked again, where no answer came."""
+"""Seconds without an answer after which all parties are asked."""
 
 IDLE_PERIOD = 1.0
-"""Seconds between two such rounds before anybody has ever answered."""
+"""Seconds between two rounds before anybody has ever answered."""
 
 FROZEN_PERIOD = 0.25
-"""Seconds between two such rounds once the instance is held."""
+"""Seconds between two rounds while the instance is frozen."""
 
 PATIENCE = 0.4
-"""Seconds without any answer after which the instance is held; it takes 0.45 at most where this process isn't late."""
+"""Seconds without any answer after which the instance is frozen; 0.45 at most if this process is not late."""
 
 ROUNDS = 2
-"""Times that everybody must have been asked in vain before; each has AGAIN seconds to answer."""
+"""Rounds in which nobody answered that must come before that; each lasts RETRY seconds."""
 
 STALLED = 0.25
-"""Seconds that a look comes late by, which say that this process was stalled: then everybody is asked anew before it is judged."""
+"""Delay of an evaluation, in seconds, that shows that this process was stalled. Then everybody is asked again first."""
 
 WITHOUT_MONITOR = 30.0
-"""Seconds for which the API server must have been reached before a held instance goes on with no word of a monitor."""
+"""Seconds for which the API server must have been reached before a frozen instance continues without a monitor's decision."""
 
 Instruction = Literal["Go", "Stay"]
-"""What the monitor says of an instance: it drives or stands by, or it was replaced."""
+"""The monitor's decision about an instance. Go: it is active or a standby. Stay: it was replaced."""
 
 Questioned = Literal["Nobody", "One", "Everybody"]
 
-State = Literal["Idle", "Running", "Away", "Back", "Replaced"]
-"""Idle: nobody has ever answered, so silence says nothing. Running: somebody answers. Away: held, nobody answers. Back: held,
-answers come again, waiting for the monitor's word. Replaced: held for good."""
+State = Literal["Idle", "Running", "Isolated", "Reconnected", "Replaced"]
+"""Idle: nobody has ever answered, so silence means nothing. Running: somebody answers. Isolated: frozen, nobody answers.
+Reconnected: frozen, answers arrive again, the monitor has not decided yet. Replaced: frozen for good."""
 
-FROZEN: frozenset[State] = frozenset({"Away", "Back", "Replaced"})
+FROZEN: frozenset[State] = frozenset({"Isolated", "Reconnected", "Replaced"})
 
 
 @dataclass
 class Permit:
-    """One instance's."""
+    """The permit of one instance."""
 
     state: State = "Idle"
     answered_at: float = 0.0
@@ -58,41 +58,41 @@ class Permit:
     waiting: bool = False
     """Whether somebody was asked since then."""
     rounds: int = 0
-    """Times that everybody was asked since then."""
+    """Rounds since then."""
     asked_at: float = 0.0
     """When somebody was asked last."""
-    looked_at: float | None = None
+    evaluated_at: float | None = None
     apiserver_since: float | None = None
-    """Since when the API server was reached whenever it was asked."""
+    """Since when the API server was reached every time."""
 
     @property
-    def held(self) -> bool:
+    def frozen(self) -> bool:
         """Whether the application must not run."""
         return self.state in FROZEN
 
     @property
     def wait(self) -> float:
-        """Seconds until the next look."""
+        """Seconds until the next evaluation."""
         if self.state == "Idle":
             return IDLE_PERIOD
-        if self.held:
+        if self.frozen:
             return FROZEN_PERIOD
         return RETRY if self.rounds else RENEW_PERIOD
 
     def answered(self, now: float) -> None:
-        """Somebody answered."""
+        """Note that somebody answered."""
         self.answered_at, self.rounds, self.waiting = now, 0, False
         match self.state:
             case "Idle":
                 self.state = "Running"
-            case "Away":
-                self.state = "Back"
+            case "Isolated":
+                self.state = "Reconnected"
 
     def ask(self, now: float) -> Questioned:
-        """Whom to ask now. They are taken to be asked."""
+        """Return who is to be asked now, and note that they are."""
         if self.state == "Replaced":
             return "Nobody"
-        everybody = self.waiting or self.state in ("Idle", "Away")
+        everybody = self.waiting or self.state in ("Idle", "Isolated")
         self.waiting, self.asked_at = True, now
         if not everybody:
             return "One"
@@ -100,36 +100,38 @@ class Permit:
         return "Everybody"
 
     def apiserver(self, now: float, reached: bool) -> None:
-        """The API server was asked, and accepted a connection or didn't."""
+        """Note whether the API server accepted a connection."""
         if not reached:
             self.apiserver_since = None
         elif self.apiserver_since is None:
             self.apiserver_since = now
 
-    def word(self, word: Instruction, now: float) -> None:
-        """The monitor said what becomes of a held instance; its last word counts."""
-        if not self.held:
+    def instruct(self, instruction: Instruction, now: float) -> None:
+        """Apply the monitor's decision about a frozen instance; its last decision counts."""
+        if not self.frozen:
             return
         self.answered(now)
-        if word == "Stay":
+        if instruction == "Stay":
             self.state = "Replaced"
         else:
-            self._go_on()
+            self._continue()
 
-    def look(self, now: float) -> None:
-        """Judge by what came until now, before anybody is asked again."""
-        stalled = self.looked_at is not None and now - self.looked_at > self.wait + STALLED
-        self.looked_at = now
+    def evaluate(self, now: float) -> None:
+        """Evaluate the answers so far, before anybody is asked again."""
+        stalled = self.evaluated_at is not None and now - self.evaluated_at > self.wait + STALLED
+        self.evaluated_at = now
         if stalled:
             self.rounds, self.waiting = 0, False
             return
         silent = now - self.answered_at >= PATIENCE and self.rounds >= ROUNDS and now - self.asked_at >= RETRY * 0.9
-        if silent and self.state in ("Running", "Back"):
-            self.state, self.apiserver_since = "Away", None
+        if silent and self.state in ("Running", "Reconnected"):
+            self.state, self.apiserver_since = "Isolated", None
         elif (
-            self.state == "Back" and self.apiserver_since is not None and now - self.apiserver_since >= WITHOUT_MONITOR
+            self.state == "Reconnected"
+            and self.apiserver_since is not None
+            and now - self.apiserver_since >= WITHOUT_MONITOR
         ):
-            self._go_on()
+            self._continue()
 
-    def _go_on(self) -> None:
+    def _continue(self) -> None:
         self.state, self.apiserver_since, self.rounds, self.waiting = "Running", None, 0, False

@@ -25,7 +25,7 @@ class PodIdentity:
     fenced: tuple[str, ...] = ()
     """Containers whose application can be held while the pod is cut off."""
     unfenced: tuple[str, ...] = ()
-    """Containers where it should be and can't."""
+    """Containers where it should be and cannot."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> PodIdentity:

@@ -1,4 +1,4 @@
-"""Brings a kept pose to the present while it is given: by this pod's own look at the robot's odometry, at the last moment.
+"""Propagates a kept pose to the present when it is restored, by the robot's odometry as this pod receives it.
 
 The monitor says where odometry had the robot when the pose was so (state/pose_propagation.py). From then on the robot may
 have driven on until it noticed that nobody drives it, and the instance may have taken long to start: only when the pose
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from understudy.ros.runtime.sample_taking import Sample
 
 ODOMETRY_WITHIN = 5.0
-"""Seconds that odometry is waited for at most; half of the time that there is for giving the pose, where that is less."""
+"""Seconds that odometry is waited for at most; half of the time that there is for giving the pose, if that is less."""
 
 TOLD_FROM = 1.0
 """Seconds that nobody watched odometry for which it is told; less is a process that was stalled."""
@@ -35,7 +35,7 @@ class PoseOutcome:
     """What became of a pose that was to be carried."""
 
     metres: float | None = None
-    """How far it was; None where it wasn't."""
+    """How far it was; None if it was not."""
     note: str = ""
     """Why not, or what is uncertain about it."""
 
@@ -44,14 +44,14 @@ class PosePublication:
     """A kept message as it is to be said now."""
 
     def __init__(self, sample: KeptSample, listener: Listener | None = None, missing: str = "") -> None:
-        """``missing`` says why a pose can't be carried, as long as no odometry comes."""
+        """``missing`` says why a pose cannot be carried, as long as no odometry comes."""
         self._sample, self._listener, self._missing = sample, listener, missing
         self.outcome: PoseOutcome | None = None
-        """What became of it when it was said last; None for a message that isn't to be carried."""
+        """What became of it when it was said last; None for a message that is not to be carried."""
 
     def message(self) -> bytes:
-        """Its bytes. It loads rclpy. Raises CallFailed, also where it must not be said without having been carried."""
-        from understudy.agent.state_restoration import stamped
+        """Its bytes. It loads rclpy. Raises CallFailed, also if it must not be said without having been carried."""
+        from understudy.agent.kept_messages import stamped
         from understudy.ros.actions.instance_calls import CallFailed
 
         motion = self._sample.motion
@@ -63,14 +63,16 @@ class PosePublication:
             try:
                 data, metres = self._carried(motion, came)
             except ValueError as error:
-                missing = f"it can't be carried by {motion.topic}: {error}"
+                missing = f"it cannot be propagated by {motion.topic}: {error}"
             else:
-                note = f"{motion.topic} was not watched for {motion.blind:.1f} s of what it was carried over"
+                note = (
+                    f"{motion.topic} was not watched for {motion.blind:.1f} s of the time over which it was propagated"
+                )
                 self.outcome = PoseOutcome(metres, note if motion.blind > TOLD_FROM else "")
                 return data
         if motion.required:
             raise CallFailed(missing)
-        self.outcome = PoseOutcome(None, f"{missing}; it was given as it was kept")
+        self.outcome = PoseOutcome(None, f"{missing}; it was restored as it was kept")
         return stamped(self._sample)
 
     def _carried(self, motion: Motion, came: Sample) -> tuple[bytes, float]:
@@ -84,7 +86,7 @@ class PosePublication:
         track = Track()
         track.add(before)
         if reason := track.add(Point(said.pose, said.stamp, received, said.frame, said.child, came.gid)):
-            raise ValueError(f"it began anew since: {reason}")
+            raise ValueError(f"odometry began again since: {reason}")
         driven = motion.driven + motion.last.distance(said.pose)
         turned = motion.turned + motion.last.to(said.pose).angle
         return composed(self._sample, motion.then, said, driven=driven, turned=turned), driven
@@ -94,11 +96,11 @@ def composed(sample: KeptSample, then: Pose, now: Reading, *, driven: float, tur
     """A kept pose's message, with its pose moved as odometry did since. It loads rclpy.
 
     Its stamp is that of the odometry, since that is when the robot is there, or the present time where the policy says so.
-    Raises ValueError where the message isn't of its type, or its pose none or of another body, and CallFailed.
+    Raises ValueError if the message is not of its type, or its pose none or of another body, and CallFailed.
     """
     from rclpy.serialization import serialize_message
 
-    from understudy.agent.state_restoration import deserialized
+    from understudy.agent.kept_messages import deserialized
     from understudy.ros.runtime.message_values import now as present_time
 
     message = deserialized(sample)
@@ -142,7 +144,7 @@ async def present(caller: InstanceCaller, sample: KeptSample, within: float) -> 
             listener = await stack.enter_async_context(caller.listening(motion.topic, motion.type, within))
             waited = min(ODOMETRY_WITHIN, within / 2)
             if await listener.first(waited) is None:
-                missing = f"it can't be carried by {motion.topic}: nothing came on it within {waited:.3g} s"
+                missing = f"it cannot be propagated by {motion.topic}: nothing came on it within {waited:.3g} s"
         except CallFailed as error:
-            missing = f"it can't be carried by {motion.topic}: {error}"
+            missing = f"it cannot be propagated by {motion.topic}: {error}"
         yield PosePublication(sample, listener, missing)

@@ -1,7 +1,7 @@
 """``understudy prepare``: an init container that writes the profiles of its pod before any of its processes reads them,
 and makes what they are held by.
 
-Only pods whose profiles hold what isn't known before they start have it.
+Only pods whose profiles hold what is not known before they start have it.
 """
 
 from __future__ import annotations

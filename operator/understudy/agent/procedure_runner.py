@@ -1,4 +1,4 @@
-"""Runs procedures on this pod's instance, and looks at what must hold of it (trees/languages/short/procedure_loader.py)."""
+"""Runs procedures and checks on this pod's instance (trees/languages/short/procedure_loader.py)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LONGEST = 24 * 3600.0
 """Seconds that a procedure may be given."""
 
 CHECKED_WITHIN = 2.0
-"""Seconds that one look of a check takes at most, where its period isn't longer."""
+"""Seconds that one look of a check takes at most, where its period is not longer."""
 
 Restore = Callable[..., Awaitable[RestoreReport]]
 """``(state, *, within, only)``, as of :class:`understudy.agent.state_restoration.StateRestorer`."""
@@ -126,7 +126,7 @@ class ProcedureRunner:
         self.doing = ""
         """Name of the procedure that runs."""
         self.failure = ""
-        """Why the last one failed; empty where it didn't."""
+        """Why the last one failed; empty if it did not."""
 
     @property
     def summary(self) -> str:
@@ -138,7 +138,8 @@ class ProcedureRunner:
         return {"procedure": self._on_procedure}
 
     async def _on_procedure(self, body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:
-        from understudy.trees.languages.short.procedure_loader import ProcedureFailed, load_procedure
+        from understudy.trees.core.procedure_steps import ProcedureFailed
+        from understudy.trees.languages.short.procedure_loader import load_procedure
 
         name, within, token = str(body.get("name") or "procedure"), body.get("within"), str(body.get("as") or "")
         if not isinstance(within, int | float) or isinstance(within, bool) or not 0 < within <= LONGEST:
@@ -189,17 +190,17 @@ class ProcedureRunner:
 
 
 class ReadinessCheck:
-    """Looks again and again whether a check holds."""
+    """Evaluates a check periodically."""
 
     def __init__(self, tree: ProcedureTree, period: float, actions: Callable[[], InstanceActions]) -> None:
         """``period`` in seconds."""
         self.tree, self._period, self._actions = tree, period, actions
-        self.reason = "not looked at yet"
-        """Why it doesn't hold; empty while it does. On a busy node a single look may fail: only the second in a row counts."""
+        self.reason = "not evaluated yet"
+        """Why it does not hold; empty while it does. On a busy node a single look may fail: only the second in a row counts."""
 
     async def run(self, on_change: Callable[[], None]) -> None:
         """Look until cancelled."""
-        from understudy.trees.languages.short.procedure_loader import ProcedureFailed
+        from understudy.trees.core.procedure_steps import ProcedureFailed
 
         failures = 0
         while True:
@@ -211,7 +212,7 @@ class ReadinessCheck:
                 reason = str(error)
             except Exception as error:
                 _logger.exception("the readiness check")
-                reason = f"it can't be looked at: {error!r}"
+                reason = f"it cannot be evaluated: {error!r}"
             failures = failures + 1 if reason else 0
             if reason != self.reason and (not reason or self.reason or failures > 1):
                 self.reason = reason

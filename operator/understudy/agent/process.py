@@ -22,8 +22,8 @@ from understudy.ros.runtime.lean_imports import rclpy_imported
 
 _logger = logging.getLogger(__name__)
 
-FORSAKEN = 60.0
-"""Seconds without any monitor after which probes stop: its address may be somebody else's by then."""
+WITHOUT_MONITOR = 60.0
+"""Seconds without any monitor after which probes stop: another host may have its address by then."""
 
 _HOUSEKEEPING = 5.0  # seconds
 
@@ -31,6 +31,7 @@ _PROCEDURES = "understudy.trees.languages.short.procedure_loader"
 _WARM = (
     "understudy.ros.observe.topic_watch",
     "understudy.ros.actions.instance_calls",
+    "understudy.ros.runtime.service_client",
     "understudy.trees.languages.notations",
     _PROCEDURES,
 )
@@ -75,7 +76,7 @@ async def _run(identity: PodIdentity, probes: ProbeSender) -> None:
     await agent.begin()
     _logger.info("agent of %s%s", identity.pod, ", held" if agent.held else "")
     housekeeping = [
-        asyncio.create_task(_rest_when_forsaken(sessions, probes)),
+        asyncio.create_task(stop_probes_without_monitor(sessions, probes)),
         asyncio.create_task(agent.isolation.run(), name="fence"),
     ]
     # A recovery may need them at any time; until then, nobody who asks waits for them.
@@ -90,12 +91,13 @@ async def _run(identity: PodIdentity, probes: ProbeSender) -> None:
     _logger.info("ended")
 
 
-async def _rest_when_forsaken(sessions: ControlChannel, probes: ProbeSender) -> None:
+async def stop_probes_without_monitor(sessions: ControlChannel, probes: ProbeSender) -> None:
+    """Stop the probes after a while without a monitor; runs until cancelled."""
     last = time.monotonic()
     while True:
         if sessions.count:
             last = time.monotonic()
-        elif time.monotonic() - last > FORSAKEN:
+        elif time.monotonic() - last > WITHOUT_MONITOR:
             probes.rest()
         await asyncio.sleep(_HOUSEKEEPING)
 

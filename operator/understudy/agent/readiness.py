@@ -1,4 +1,4 @@
-"""What makes a waiting instance ready: how far it was brought, and a check that must hold of it."""
+"""The readiness of a standby: what procedures brought it to, and a check that must hold."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StandbyExpectation:
-    """What the monitor expects of an instance while it waits."""
+    """What the monitor expects of a standby."""
 
     brought: str = ""
-    """What it must have been brought to, as the monitor calls it; empty where nothing is done to it."""
+    """What it must have been brought to, as the monitor calls it; empty if nothing is done to it."""
     check: Mapping[str, Any] | None = None
     """A check in the short form, instead of the health tree."""
     period: float = 1.0
     """Seconds between two looks of the check."""
     tree: bool = True
-    """Whether the health tree must hold where there's no check."""
+    """Whether the health tree must hold if there is no check."""
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where the check's nodes were written, where that was in another language."""
+    """Where the check's nodes were written, if that was in another language."""
 
     @classmethod
     def from_wire(cls, data: object) -> StandbyExpectation | None:
@@ -45,7 +45,7 @@ class StandbyExpectation:
 
 
 class StandbyReadiness:
-    """Whether a waiting instance is ready."""
+    """Determines whether a standby is ready."""
 
     def __init__(
         self,
@@ -60,11 +60,11 @@ class StandbyReadiness:
 
     @property
     def reason(self) -> str:
-        """Why the check doesn't hold; empty where it does or there is none."""
+        """Why the check does not hold; empty if it does or there is none."""
         return self._checking.reason if self._checking is not None else ""
 
     def expect(self, standing: StandbyExpectation | None) -> None:
-        """Judge by this from now on. Raises ValueError where its check doesn't load."""
+        """Judge by this from now on. Raises ValueError if its check does not load."""
         if standing == self._standing:
             return
         checking = None

@@ -1,4 +1,4 @@
-"""Gives kept state to this pod's instance, and asks it for what the monitor can't see by itself.
+"""Restores kept state to this pod's instance, and reads what the monitor cannot observe.
 
 Everything can be done again to the same effect: a parameter is set, a node is brought to a state, a message is said.
 Parameters come first, since some are read only when a node is configured; messages wait for their subscribers, which
@@ -39,7 +39,7 @@ LAST_MOMENT = 0.05
 """Seconds before the end at which single steps give up, so that all that is to be told about them is told in time."""
 
 INSPECT_WITHIN = 3.0
-"""Seconds that an inspection takes at most, where the request doesn't say."""
+"""Seconds that an inspection takes at most, if the request does not say."""
 
 Item = KeptSample | ParameterValues | LifecycleState
 
@@ -60,7 +60,7 @@ class StateRestorer:
     async def restore(self, state: KeptState, *, within: float, only: Collection[str] = ()) -> RestoreReport:
         """Give the instance this state, or only what of it is of these topics and nodes, in so many seconds.
 
-        What can't be given is in the report, with the reason; nothing is raised for it.
+        What cannot be given is in the report, with the reason; nothing is raised for it.
         """
         end = time.monotonic() + within - LAST_MOMENT
         restored: list[Restored] = []
@@ -190,40 +190,6 @@ class StateRestorer:
         except (TypeError, KeyError, AttributeError) as error:
             raise Refused("parameters is a list of node and names, lifecycle one of nodes") from error
         return await self.inspect(wanted, nodes, within=_within(body, INSPECT_WITHIN))
-
-
-def stamped(sample: KeptSample) -> bytes:
-    """The message as it is published: with the present time in its header where the policy says so. It loads rclpy.
-
-    Raises CallFailed where its bytes are not of its type, TypeNotInstalled.
-    """
-    if sample.stamp != "now":
-        return sample.data
-    from rclpy.serialization import serialize_message
-
-    from understudy.ros.runtime.message_values import now
-
-    message = deserialized(sample)
-    header = getattr(message, "header", None)
-    if header is None or not hasattr(header, "stamp"):
-        return sample.data
-    header.stamp = now()
-    return bytes(serialize_message(message))
-
-
-def deserialized(sample: KeptSample) -> Any:
-    """The message itself. It loads rclpy. Raises CallFailed where its bytes are not of its type, or that isn't installed."""
-    from rclpy.serialization import deserialize_message
-
-    from understudy.ros.actions.instance_calls import CallFailed
-    from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class
-
-    try:
-        return deserialize_message(sample.data, message_class(sample.type))
-    except (TypeNotInstalled, ValueError) as error:
-        raise CallFailed(str(error)) from error
-    except Exception as error:  # rclpy has no type of its own for what rmw refuses
-        raise CallFailed(f"what is kept of {sample.topic} is no {sample.type}: {error}") from error
 
 
 def _within(body: Mapping[str, Any], usual: float) -> float:

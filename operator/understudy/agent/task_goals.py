@@ -21,7 +21,7 @@ from understudy.agent.control_channel import Operation, Peer, Refused
 
 if TYPE_CHECKING:
     from understudy.ros.actions.action_endpoints import ActionClient, ActionType
-    from understudy.ros.actions.instance_calls import GraphLocation
+    from understudy.ros.actions.calling_node import GraphLocation
     from understudy.ros.runtime.served_node import ServedNode
 
 _logger = logging.getLogger(__name__)
@@ -123,7 +123,7 @@ class TaskGoals:
                 code = await server.cancel(record.id)
         except TimeoutError:
             raise Refused(f"{record.action}: no answer to a cancel within {ANSWER:g} s") from None
-        # One that has ended meanwhile tells so by itself.
+        # One that has ended meanwhile tells so on its own.
         return {"known": True, "accepted": code in (0, 3)}
 
     async def list(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
@@ -223,9 +223,9 @@ class TaskGoals:
             asking.cancel()
 
     async def _await_end(self, record: _Record, server: ActionClient) -> None:
-        """Wait for the result; asked for again when another process serves the action, which then doesn't know it.
+        """Wait for the result; asked for again when another process serves the action, which then does not know it.
 
-        And now and then, since a server that is starved of CPU drops the answer to a client that it hasn't matched in time.
+        And now and then, since a server that is starved of CPU drops the answer to a client that it has not matched in time.
         """
         asking = asyncio.ensure_future(server.result(record.id))
         try:

@@ -1,4 +1,4 @@
-"""How strong the instance's writers are against those of its understudies, where the robot's readers choose by strength.
+"""Ownership strengths of the instance's writers, for robots whose readers choose the strongest writer.
 
 A process reads its strength from the pod's profiles when it starts. A container that was restarted must not have the
 strength of its first start, or it would take the robot back from the standby that took over: so as soon as the
@@ -37,14 +37,14 @@ class WriterStrengths:
         self._directory, self._clock = directory, clock
         self._known: set[str] = set()
         self.range: tuple[int, int] | None = None
-        """Between which strengths the instance's writers are; None where it has none (yet)."""
+        """Between which strengths the instance's writers are; None if it has none (yet)."""
         try:
             kept = json.loads((directory / NAME).read_text())
             self._known, self.range = set(kept["processes"]), (int(kept["least"]), int(kept["most"]))
         except FileNotFoundError:
             pass
         except (OSError, ValueError, KeyError, TypeError) as error:
-            _logger.error("%s can't be read, going on without: %s", directory / NAME, error)
+            _logger.error("%s cannot be read, continuing without: %s", directory / NAME, error)
 
     def saw(self, writers: Iterable[bytes]) -> bool:
         """Take in the GIDs of the instance's writers; whether the range changed. A full volume must not end an agent."""
@@ -60,7 +60,7 @@ class WriterStrengths:
             now = strength(self._clock())
             if processes - self._known:
                 # The first ones have read what is there. Later ones may have read it before it was last changed; which
-                # of the writers a reader hears isn't known, so what holds for all of them is told.
+                # of the writers a reader hears is not known, so what holds for all of them is told.
                 first = int(written[2])
                 self.range = (min(now, self.range[0]), self.range[1]) if self.range else (first, first)
                 self._known |= processes
@@ -74,7 +74,7 @@ class WriterStrengths:
         return self.range != before
 
     def give_way(self) -> None:
-        """Have no process that starts from now on be heard by the robot. Running ones aren't changed. Raises OSError."""
+        """Have no process that starts from now on be heard by the robot. Running ones are not changed. Raises OSError."""
         path = self._directory / names.PROFILES_KEY
         with contextlib.suppress(FileNotFoundError):
             text = path.read_text()

@@ -8,7 +8,7 @@ which a velocity can be wrong.
 
 How seldom it errs is known without trying: a sum of log-likelihood ratios passes a threshold h by chance once in exp(h)
 independent observations or less (G. Lorden, Procedures for Reacting to a Change in Distribution, Annals of Mathematical Statistics
-42, 1971). Velocities over a window aren't independent of each other; each counts by the part of the window that passed since
+42, 1971). Velocities over a window are not independent of each other; each counts by the part of the window that passed since
 the one before, and by Hoelder's inequality so many of them weigh no more than one that is independent.
 """
 
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 SILENT = 0.5
-"""Seconds after a command from which on a robot may stop, since it isn't commanded any more, or may go on."""
+"""Seconds after a command from which on a robot may stop, since it is not commanded any more, or may go on."""
 
 LOST = 1.0
 """Seconds without an observation after which nothing can be told any more."""
@@ -94,7 +94,7 @@ class Reach:
         self._begin = self._last = 0.0
 
     def command(self, time: float, value: float) -> None:
-        """A command came. Times don't go back."""
+        """A command came. Times do not go back."""
         if self._value is not None:
             self._interrupt(time)
             if value != self._value:
@@ -105,7 +105,7 @@ class Reach:
         self._value, self._last = value, time
 
     def had(self, time: float, value: float) -> None:
-        """It was seen to have this velocity, for reasons that aren't known."""
+        """It was seen to have this velocity, for reasons that are not known."""
         self._pieces.append(_Piece(value, time, time))
 
     def _interrupt(self, time: float) -> None:
@@ -121,7 +121,7 @@ class Reach:
         if time - self._last > SILENT:
             low, high = min(low, 0.0), max(high, 0.0)
         kept: list[_Piece] = []
-        for piece in reversed(self._pieces):  # newer ones first: what they cover the older don't widen, now or ever
+        for piece in reversed(self._pieces):  # newer ones first: what they cover the older do not widen, now or ever
             over = self._acceleration * max(0.0, time - piece.end - self._slack)
             if piece.value + over < low or piece.value - over > high or not over:
                 kept.append(piece)
@@ -255,13 +255,13 @@ class CommandFollowing:
         self._found = None
 
     def discrepancy(self, time: float) -> Discrepancy | None:
-        """What is wrong at a time, as it was when it was found; None where nothing is, or it can't be told."""
+        """What is wrong at a time, as it was when it was found; None if nothing is, or it cannot be told."""
         until = self.until
         return self._found if until is not None and time < until else None
 
     @property
     def until(self) -> float | None:
-        """Until when what was seen says something, if nothing more is; None where nothing was seen."""
+        """Until when what was seen says something, if nothing more is; None if nothing was seen."""
         return self._last + LOST if self._last is not None else None
 
     @property

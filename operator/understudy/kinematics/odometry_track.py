@@ -1,6 +1,6 @@
 """What odometry has said of late, as long as it is one motion without a break.
 
-Odometry is only good for how the robot moved between two moments, and only while nothing has set it anew in between: its
+Odometry is only good for how the robot moved between two moments, and only while nothing has set it again in between: its
 publisher was started again, a driver reset it, a filter jumped. That is looked for in each step, since afterwards nobody
 could tell.
 """
@@ -18,10 +18,10 @@ LENGTH = 120
 """Points that are remembered. A message may be of a time that lies back a little; older moments were asked for before."""
 
 SLACK = 100_000_000
-"""ns by which a moment may lie after the last point and still be told by it, where none comes any more."""
+"""ns by which a moment may lie after the last point and still be told by it, if none comes any more."""
 
 BLIND = 1_000_000_000
-"""ns without a point after which it wasn't watched meanwhile."""
+"""ns without a point after which it was not watched meanwhile."""
 
 FASTEST = 10.0
 """m/s that a robot is taken to move at most where nothing else is known."""
@@ -33,7 +33,7 @@ LEAST_STEP, LEAST_TURN = 0.1, 0.2
 """m and rad that are no jump in any case: odometry is corrected by a little now and then."""
 
 MARK_STEP, MARK_TURN = 0.02, 0.02
-"""m and rad from which on motion is added up: a robot that stands doesn't drive by its sensors' noise."""
+"""m and rad from which on motion is added up: a robot that stands does not drive by its sensors' noise."""
 
 _SECOND = 1e-9
 _PACKED = struct.Struct("<7d2q16s3dH")
@@ -49,7 +49,7 @@ class Moment(NamedTuple):
     turned: float
     """rad"""
     blind: float
-    """s for which it wasn't watched."""
+    """s for which it was not watched."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Point:
 
     pose: Pose
     stamp: int
-    """ns by the clock of who said it; 0 where it doesn't say."""
+    """ns by the clock of who said it; 0 if it does not say."""
     received: int
     """ns by this machine's clock."""
     frame: str
@@ -86,7 +86,7 @@ class Track:
         return self._points[-1][1] if self._points else None
 
     def add(self, point: Point) -> str:
-        """Take in what came next; why what was before can't be joined with it, empty where it can."""
+        """Take in what came next; why what was before cannot be joined with it, empty if it can."""
         if not self._points:
             self._begin(point)
             return ""
@@ -121,7 +121,7 @@ class Track:
         self._velocity, self._mark = None, point.pose
 
     def _break(self, last: Point, point: Point, elapsed: int) -> str:
-        """Why two points are not of one motion; empty where they may be."""
+        """Why two points are not of one motion; empty if they may be."""
         if reason := changed(last, point):
             return reason
         if elapsed < 0:
@@ -138,9 +138,9 @@ class Track:
         return f"it jumped by {last.pose.distance(point.pose):.2f} m within {seconds:.2f} s" if miss > most else ""
 
     def at(self, stamp: int, received: int, *, last: bool = False) -> Moment | None:
-        """The moment at a time, which is given by the clock of who says it (0 where it doesn't) and by this machine's.
+        """The moment at a time, which is given by the clock of who says it (0 if it does not) and by this machine's.
 
-        None where the time isn't known. With ``last`` a time shortly after the last point is told by that.
+        None if the time is not known. With ``last`` a time shortly after the last point is told by that.
         """
         if not self._points:
             return None
@@ -176,7 +176,7 @@ class Track:
 
     @classmethod
     def unpack(cls, data: bytes) -> Track:
-        """A track that goes on where another ended. Raises ValueError where the bytes are none."""
+        """A track that goes on where another ended. Raises ValueError if the bytes are none."""
         track = cls()
         if not data:
             return track
@@ -193,7 +193,7 @@ class Track:
 
 
 def changed(before: Point, now: Point) -> str:
-    """What makes two messages those of different odometries, in plain words; empty where they may be of the same one."""
+    """What makes two messages those of different odometries, in plain words; empty if they may be of the same one."""
     if before.writer != now.writer:
         return "it comes from another publisher"
     if (before.frame, before.child) != (now.frame, now.child):

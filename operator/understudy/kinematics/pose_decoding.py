@@ -27,15 +27,15 @@ class Reading(NamedTuple):
     """What a message says of a pose."""
 
     stamp: int
-    """When it was so, in ns by the clock of who said it; 0 where it doesn't say."""
+    """When it was so, in ns by the clock of who said it; 0 if it does not say."""
     frame: str
     child: str
-    """The body's own frame; empty where the type has none."""
+    """The body's own frame; empty if the type has none."""
     pose: Pose
 
 
 def stamp_of(data: bytes) -> int:
-    """The stamp in ns of a message whose type begins with a header; 0 where it has none. Raises ValueError."""
+    """The stamp in ns of a message whose type begins with a header; 0 if it has none. Raises ValueError."""
     order = _order(data)
     try:
         seconds, rest = struct.unpack_from(f"{order}iI", data, _HEADER)
@@ -45,7 +45,7 @@ def stamp_of(data: bytes) -> int:
 
 
 def read(type_name: str, data: bytes) -> Reading:
-    """What a message of one of POSE_TYPES says, given as CDR with its header. Raises ValueError where it is none."""
+    """What a message of one of POSE_TYPES says, given as CDR with its header. Raises ValueError if it is none."""
     if type_name not in POSE_TYPES:
         raise ValueError(f"{type_name} has no pose at its beginning: {', '.join(POSE_TYPES)} do")
     order = _order(data)
@@ -63,9 +63,9 @@ def read(type_name: str, data: bytes) -> Reading:
 
 
 def _order(data: bytes) -> str:
-    """The byte order, as of the struct module. Raises ValueError where the bytes are serialized in another way."""
+    """The byte order, as of the struct module. Raises ValueError if the bytes are serialized in another way."""
     if len(data) < _HEADER or data[0] != 0 or data[1] > 1:
-        raise ValueError(f"it isn't plain CDR: it begins with {data[:_HEADER].hex() or 'nothing'}")
+        raise ValueError(f"it is not plain CDR: it begins with {data[:_HEADER].hex() or 'nothing'}")
     return "<" if data[1] == 1 else ">"
 
 

@@ -14,10 +14,10 @@ DRIFT = 0.05
 """What odometry is doubted by, as a standard deviation: a part of the distance and of the angle that it says."""
 
 DRIFT_IN_HEADING = 0.02
-"""And in each angle, in rad for each metre: wheels that aren't equally large turn a robot that believes to drive straight."""
+"""And in each angle, in rad for each metre: wheels that are not equally large turn a robot that believes to drive straight."""
 
 _UNIT = 0.1
-"""How far from 1 the length of a quaternion may be: what is rounded is made a rotation, what is none isn't."""
+"""How far from 1 the length of a quaternion may be: what is rounded is made a rotation, what is none is not."""
 
 Vector = tuple[float, float, float]
 
@@ -35,7 +35,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Pose:
-        """From place and quaternion, which is made a unit one. Raises ValueError where they are no pose."""
+        """From place and quaternion, which is made a unit one. Raises ValueError if they are no pose."""
         if len(values) != 7 or not all(map(math.isfinite, values)):
             raise ValueError(f"{list(values)} is no pose: seven finite numbers are, a place and a quaternion")
         length = math.hypot(*values[3:])
@@ -45,7 +45,7 @@ class Pose(NamedTuple):
 
     @property
     def place(self) -> Vector:
-        """Where it is, in m."""
+        """If it is, in m."""
         return self.x, self.y, self.z
 
     @property
@@ -136,7 +136,7 @@ def grown(covariance: Sequence[float], kept: Pose, present: Pose, *, driven: flo
     after = [[sum(half[i][k] * jacobian[j][k] for k in range(6)) for j in range(6)] for i in range(6)]
     place, turn = (DRIFT * driven) ** 2, (DRIFT * turned + DRIFT_IN_HEADING * driven) ** 2
     for i in range(6):
-        # What a planar robot is not doubted in (z, roll, pitch are 0) it doesn't begin to be by driving.
+        # What a planar robot is not doubted in (z, roll, pitch are 0) it does not begin to be by driving.
         if before[i][i] > 0 or i in (0, 1, 5):
             after[i][i] += place if i < 3 else turn
     return [value for row in after for value in row]

@@ -1,7 +1,7 @@
-"""How fast a body moves over the floor, by where it was seen to be of late.
+"""How fast a body moves over the floor, from where it was seen recently.
 
 A velocity is the slope of a straight line through the poses of a short window, by weighted least squares; what is said
-of its uncertainty follows from that of the poses. Where they don't lie on a line as well as they should, since the
+of its uncertainty follows from that of the poses. If they do not lie on a line as well as they should, since the
 body has changed its speed meanwhile, the uncertainty grows by how badly they do (the Birge ratio: R. T. Birge, Phys.
 Rev. 40, 1932).
 """
@@ -57,14 +57,14 @@ class Velocities:
         self._poses: deque[Seen] = deque()
 
     def add(self, seen: Seen) -> Velocity | None:
-        """Note where the body was seen, and say how fast it moves; None where too little has been seen.
+        """Note where the body was seen, and say how fast it moves; None if too little has been seen.
 
-        A stamp that isn't later than the last one begins anew: its clock was set, or the images come from the start again.
+        A stamp that is not later than the last one begins again: its clock was set, or the images come from the start again.
         """
         poses = self._poses
         if poses and seen.stamp <= poses[-1].stamp:
             poses.clear()
-        if poses:  # on from the last heading, so that the line has no step in it where the angle begins anew
+        if poses:  # on from the last heading, so that the line has no step in it where the angle begins again
             before = poses[-1].heading
             seen = seen._replace(heading=before + math.remainder(seen.heading - before, math.tau))
         poses.append(seen)

@@ -22,7 +22,7 @@ utilization clamps.
 
 
 def ask_for_short_slices() -> bool:
-    """Have this process, and the threads that it starts from now on, run as soon as it's woken.
+    """Have this process, and the threads that it starts from now on, run as soon as it is woken.
 
     Linux lets a process that asks for less time at once go before one that is running (EEVDF, from 6.12 on; older kernels
     take no notice). No privilege is needed and no share of the processor gained. Returns whether the kernel took it.

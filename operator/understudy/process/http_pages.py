@@ -13,7 +13,7 @@ PLAIN = "text/plain; charset=utf-8"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 
 Answer = tuple[int, str] | tuple[int, str | Path, str]
-"""A status, a text or a file, and what that is where it isn't plain text."""
+"""A status, a text or a file, and what that is if it is not plain text."""
 
 Page = Callable[[], Answer]
 

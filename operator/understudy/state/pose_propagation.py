@@ -173,10 +173,12 @@ class Carrier:
             missing = odometry.problem or _NOTHING
         elif moment is None:
             missing = (
-                f"it began anew since: {odometry.begun}" if odometry.begun else "it isn't known of the time of the pose"
+                f"odometry began again since: {odometry.begun}"
+                if odometry.begun
+                else "it is not known at the time of the pose"
             )
         if missing or last is None or present is None or moment is None:
-            return Motion(by.topic, by.type, by.required, f"it can't be carried by {by.topic}: {missing}")
+            return Motion(by.topic, by.type, by.required, f"it cannot be propagated by {by.topic}: {missing}")
         unseen = now - last.received * _SECOND
         return Motion(
             topic=by.topic,

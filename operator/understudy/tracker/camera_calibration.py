@@ -22,9 +22,9 @@ def read(file: Path) -> Calibration:
     try:
         text = file.read_text()
     except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it isn't UTF-8 text"
+        why = error.strerror if isinstance(error, OSError) else "it is not UTF-8 text"
         raise ConfigurationError(
-            f"{FIELD}: {file} can't be read: {why}; give the file that camera_calibration wrote for this camera"
+            f"{FIELD}: {file} cannot be read: {why}; give the file that camera_calibration wrote for this camera"
         ) from error
     return load(text, f"{FIELD}: {file}")
 

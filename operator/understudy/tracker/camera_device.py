@@ -1,6 +1,6 @@
 """A camera of this machine, read by OpenCV (V4L). No ROS is needed.
 
-A thread waits for images and keeps the newest; whoever looks for markers takes that one, and doesn't fall behind. A
+A thread waits for images and keeps the newest; whoever looks for markers takes that one, and does not fall behind. A
 camera's own queue is emptied all the time, since what waits in it is old.
 """
 
@@ -24,13 +24,13 @@ from understudy.tracker.configuration import Device
 from understudy.tracker.image_messages import Gray, Unusable
 
 AGAIN = 1.0
-"""Seconds after which a camera that has gone, or isn't there yet, is looked for again."""
+"""Seconds after which a camera that has gone, or is not there yet, is looked for again."""
 
 EARLY = 0.1
 """The part of the period between images by which one may come early."""
 
 FASTEST = 240.0
-"""Hz that a video is played at, at most; a file that says more doesn't know its rate."""
+"""Hz that a video is played at, at most; a file that says more does not know its rate."""
 
 PATTERN = "%"
 """What is in the path of a numbered sequence of pictures, such as image%04d.png."""
@@ -45,7 +45,7 @@ class Frame(NamedTuple):
 
 
 class Footage:
-    """Gives the newest image of a camera, and looks for it again where it has gone."""
+    """Gives the newest image of a camera, and looks for it again if it has gone."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
         """``size`` is the width and the height of the images that it is asked for, in pixels."""
@@ -58,9 +58,9 @@ class Footage:
         self._thread.start()
 
     def take(self, timeout: float) -> Frame | None:
-        """The newest image that wasn't taken yet, or the next one; None where none comes in so many seconds.
+        """The newest image that was not taken yet, or the next one; None if none comes in so many seconds.
 
-        Raises Unusable, with what is wrong, each time that the camera can't be used.
+        Raises Unusable, with what is wrong, each time that the camera cannot be used.
         """
         with self._came:
             self._came.wait_for(lambda: self._newest is not None, timeout)
@@ -81,7 +81,7 @@ class Footage:
             except Unusable as error:
                 self._say(error)
             except cv2.error as error:
-                self._say(Unusable(f"{self._device.path}: OpenCV can't read it: {error}"))
+                self._say(Unusable(f"{self._device.path}: OpenCV cannot read it: {error}"))
             self._ended.wait(AGAIN)
 
     def _say(self, newest: Frame | Unusable) -> None:
@@ -106,7 +106,7 @@ class Footage:
                     continue
                 got, image = capture.retrieve()
                 if not got:
-                    raise Unusable(f"{self._device.path} gave an image that OpenCV can't decode: try another format")
+                    raise Unusable(f"{self._device.path} gave an image that OpenCV cannot decode: try another format")
                 last = now
                 self._say(Frame(stamp, _gray(np.asarray(image, np.uint8))))
 
@@ -153,8 +153,8 @@ def _is_camera(path: str) -> bool:
 
 
 def refused(path: str, error: OSError) -> str:
-    """Why a camera can't be opened, and the way out."""
-    said = f"camera.device.path: {path} can't be opened: {error.strerror}"
+    """Why a camera cannot be opened, and the way out."""
+    said = f"camera.device.path: {path} cannot be opened: {error.strerror}"
     match error.errno:
         case errno.ENOENT | errno.ENXIO | errno.ENODEV:
             return f"{said}: is the camera connected, and in a container, its device there?{_cameras()}"

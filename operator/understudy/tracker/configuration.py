@@ -54,7 +54,7 @@ LONGEST = 10.0
 
 
 class ConfigurationError(ValueError):
-    """A configuration that can't be used; the text has a line for each problem."""
+    """A configuration that cannot be used; the text has a line for each problem."""
 
 
 def _duration(value: object) -> float:
@@ -130,7 +130,7 @@ class Device(_Part):
     """A camera of this machine (V4L), which the tracker reads itself."""
 
     path: File
-    """The device, such as ``/dev/video0``; a file that isn't one is played as a video, over and over."""
+    """The device, such as ``/dev/video0``; a file that is not one is played as a video, over and over."""
     calibration: File
     """The file with its calibration, as ROS' camera_calibration writes it. A relative path counts from the tracker's own file.
     Images are asked for in the size that it is for."""
@@ -141,7 +141,7 @@ class Device(_Part):
 
 
 class Camera(_Part):
-    """The camera and where it is."""
+    """The camera and its place."""
 
     image: Topic | None = None
     """Its images in the ROS graph."""
@@ -282,10 +282,10 @@ def read(file: Path) -> Configuration:
         text = file.read_text()
     except OSError as error:
         raise ConfigurationError(
-            f"{file} can't be read: {error.strerror}; give a file that says which camera and which markers"
+            f"{file} cannot be read: {error.strerror}; give a file that says which camera and which markers"
         ) from error
     except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{file} can't be read: it isn't UTF-8; save it as UTF-8 text") from error
+        raise ConfigurationError(f"{file} cannot be read: it is not UTF-8; save it as UTF-8 text") from error
     found = load(text, str(file))
     if (device := found.camera.device) is not None:
         device.calibration = str(file.parent / device.calibration)

@@ -31,7 +31,7 @@ _STEP = 0.05
 
 
 class Misfit(ValueError):
-    """What was found isn't the marker that it is taken for, or not where it should be; the text says why."""
+    """What was found is not the marker that it is taken for, or not where it should be; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def view_by(references: list[tuple[Reference, Corners]], calibration: Calibratio
     if miss > MOST_MISS or (seen[:, 2] <= 0).any():
         raise Misfit(
             f"the reference markers are seen {miss:.1f} pixels from where they should be: "
-            "one of them isn't where camera.references says, or the camera's calibration is wrong"
+            "one of them is not where camera.references says, or the camera's calibration is wrong"
         )
     return view
 

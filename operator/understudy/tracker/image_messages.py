@@ -23,7 +23,7 @@ MOST_PIXELS = 64_000_000
 
 
 class Unusable(ValueError):
-    """An image or a calibration that can't be used; the text says why."""
+    """An image or a calibration that cannot be used; the text says why."""
 
 
 def gray(message: Any) -> Gray:
@@ -77,10 +77,10 @@ MODELS = {
 
 
 def calibration(message: Any) -> Calibration:
-    """A sensor_msgs/CameraInfo of images that aren't rectified. Raises Unusable."""
+    """A sensor_msgs/CameraInfo of images that are not rectified. Raises Unusable."""
     matrix = np.array(message.k, np.float64).reshape(3, 3)
     if not np.isfinite(matrix).all() or matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or matrix[2, 2] != 1:
-        raise Unusable("its matrix k is that of no camera: the camera isn't calibrated")
+        raise Unusable("its matrix k is that of no camera: the camera is not calibrated")
     model, distortion = message.distortion_model, np.array(message.d, np.float64)
     if model not in MODELS:
         raise Unusable(f"its distortion_model is {model!r}; {', '.join(filter(None, MODELS))} can be used")

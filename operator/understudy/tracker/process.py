@@ -22,12 +22,12 @@ NEEDS = {"cv2": "opencv-python-headless", "rclpy": "ros-jazzy-rclpy"}
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM or SIGINT. Exit status 2 where it is not told what to do, or can't be used as it is installed."""
+    """Run until SIGTERM or SIGINT. Exit status 2 if it is not told what to do, or cannot be used as it is installed."""
     parser = argparse.ArgumentParser(
         prog="understudy tracker",
         description="Publishes where robots with ArUco markers are and how fast they move, as a camera sees them.",
-        epilog="Exit status: 0 where it was told to end, or where --check finds nothing wrong, 2 where it isn't told what to do, or "
-        "can't do it as it is installed.",
+        epilog="Exit status: 0 if a signal ended it, or if --check finds no mistake; 2 if its configuration is missing or wrong, or "
+        "a package that it needs is not installed.",
     )
     parser.add_argument(
         "file", nargs="?", type=Path, default=os.environ.get("UNDERSTUDY_TRACKER"), metavar="FILE",

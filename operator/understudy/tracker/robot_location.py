@@ -63,7 +63,7 @@ class Locator:
         try:
             found = self._detector.find(image)
         except cv2.error as error:
-            raise Unusable(f"OpenCV can't look for markers in it: {error}") from error
+            raise Unusable(f"OpenCV cannot look for markers in it: {error}") from error
         if self.view is None:
             self._look_for_references(found, calibration)
         if self.view is None:
@@ -84,7 +84,7 @@ class Locator:
     def _look_for_references(self, found: dict[int, Corners], calibration: Calibration) -> None:
         references = self._configuration.camera.references
         if missing := [str(reference.id) for reference in references if reference.id not in found]:
-            self.problems.append(f"the markers {', '.join(missing)} of camera.references aren't seen yet")
+            self.problems.append(f"the markers {', '.join(missing)} of camera.references are not seen yet")
             return
         self._references.append([found[reference.id] for reference in references])
         if len(self._references) < REFERENCE_IMAGES:

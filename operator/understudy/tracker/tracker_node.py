@@ -38,7 +38,7 @@ _FIGURE = re.compile(r"[0-9.]+")
 """What differs from one image to the next while a problem stays."""
 
 FIXED = 1e-6
-"""m2, rad2 and their like for speeds: the variance of what a robot on the floor can't do, such as flying."""
+"""m2, rad2 and their like for speeds: the variance of what a robot on the floor cannot do, such as flying."""
 
 
 class Tracker:
@@ -47,7 +47,7 @@ class Tracker:
     def __init__(self, configuration: Configuration, *, context: Context | None = None) -> None:
         """In a context that is there already, or in one of its own.
 
-        Raises ConfigurationError where a device's calibration can't be used.
+        Raises ConfigurationError if a device's calibration cannot be used.
         """
         self._locator = Locator(configuration)
         self._camera = configuration.camera
@@ -79,8 +79,8 @@ class Tracker:
         # A reader that asks for no more than best effort matches every camera. Only the newest image is of use.
         reliability = ReliabilityPolicy.RELIABLE if self._camera.reliable else ReliabilityPolicy.BEST_EFFORT
         newest = QoSProfile(depth=1, reliability=reliability)
-        self.node.create_subscription(Image, self._camera.source, self._on_image, newest)
-        self.node.create_subscription(CameraInfo, self._camera.calibration, self._on_calibration, newest)
+        self.node.create_subscription(Image, self._camera.source, self.on_image, newest)
+        self.node.create_subscription(CameraInfo, self._camera.calibration, self.on_calibration, newest)
 
     def turn(self, timeout: float) -> None:
         """Serve what has come, or wait so many seconds for something."""
@@ -104,7 +104,8 @@ class Tracker:
         self.node.destroy_node()
         self._context.try_shutdown()
 
-    def _on_calibration(self, message: Any) -> None:
+    def on_calibration(self, message: Any) -> None:
+        """Take a calibration (sensor_msgs/msg/CameraInfo)."""
         self._without_image += 1
         if self._without_image >= WITHOUT_IMAGE:
             self._problem(self._no_images())
@@ -115,7 +116,7 @@ class Tracker:
         try:
             self._locator.calibrate(calibration(message))
         except Unusable as error:
-            self._problem(f"the calibration on {self._camera.calibration} can't be used: {error}")
+            self._problem(f"the calibration on {self._camera.calibration} cannot be used: {error}")
             return
         self._info = info
         _logger.info("calibration of %d x %d pixels from %s", message.width, message.height, self._camera.calibration)
@@ -124,11 +125,12 @@ class Tracker:
         text = f"calibrations come on {self._camera.calibration}, and no image on {self._camera.source}: "
         if self._camera.reliable:
             return (
-                f"{text}nobody publishes there, or what is published can't be asked for: set camera.reliable to false"
+                f"{text}nobody publishes there, or what is published cannot be asked for: set camera.reliable to false"
             )
         return f"{text}nobody publishes there, or images are lost on the way, as large ones may be: set camera.reliable to true"
 
-    def _on_image(self, message: Any) -> None:
+    def on_image(self, message: Any) -> None:
+        """Find the markers in an image (sensor_msgs/msg/Image), and publish where the robots are."""
         self._without_image = 0
         stamp = message.header.stamp
         if not stamp.sec and not stamp.nanosec:
@@ -142,7 +144,7 @@ class Tracker:
         self._see(image, stamp)
 
     def _unusable(self, error: Unusable) -> str:
-        return f"an image {'of' if self._device is not None else 'on'} {self._camera.source} can't be used: {error}"
+        return f"an image {'of' if self._device is not None else 'on'} {self._camera.source} cannot be used: {error}"
 
     def _see(self, image: Gray, stamp: Any) -> None:
         try:
@@ -183,7 +185,7 @@ def pose_of(sighting: Sighting, frame: str, stamp: Any) -> Any:
 
 
 def odometry_of(sighting: Sighting, frame: str, stamp: Any) -> Any | None:
-    """The same with its velocity, as nav_msgs/Odometry; None while that isn't known yet."""
+    """The same with its velocity, as nav_msgs/Odometry; None while that is not known yet."""
     if sighting.velocity is None:
         return None
     message = Odometry()

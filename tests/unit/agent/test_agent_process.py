@@ -5,7 +5,7 @@ import json
 import signal
 import stat
 import time
-from types import SimpleNamespace
+from dataclasses import dataclass
 
 import pytest
 
@@ -310,7 +310,7 @@ async def test_a_pod_that_is_not_held_belongs_to_its_workload(pod: Pod, links):
     links.extend([link := pod.link(claim=""), other := pod.link("other", "")])
     status = await link.wait_for(lambda s: True, 60)
     assert status.phase == "Starting"
-    with pytest.raises(AgentRefused, match="isn't held"):
+    with pytest.raises(AgentRefused, match="is not held"):
         await link.start({}, {})
     with pytest.raises(AgentGone, match="is an instance of robot, not of other"):
         await other.wait_connected(1)
@@ -364,13 +364,20 @@ async def test_probes_go_where_the_monitor_says(pod: Pod, links):
     receiver.close()
 
 
+@dataclass
+class Connected:
+    """The monitors that are connected."""
+
+    count: int
+
+
 async def test_a_forsaken_agent_stops_probing(monkeypatch):
-    monkeypatch.setattr(running, "FORSAKEN", 0.1)
+    monkeypatch.setattr(running, "WITHOUT_MONITOR", 0.1)
     monkeypatch.setattr(running, "_HOUSEKEEPING", 0.02)
     probes = ProbeSender(UID)
     probes.aim("127.0.0.1", 9)
-    sessions = SimpleNamespace(count=1)
-    task = asyncio.create_task(running._rest_when_forsaken(sessions, probes))
+    sessions = Connected(1)
+    task = asyncio.create_task(running.stop_probes_without_monitor(sessions, probes))
     await asyncio.sleep(0.2)
     assert probes.target is not None
     sessions.count = 0

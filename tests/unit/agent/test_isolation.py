@@ -190,18 +190,18 @@ async def test_it_is_held_while_nobody_answers_and_goes_on_with_the_monitors_wor
         await isolation.renew({"witnesses": []}, peer)
         await eventually(lambda: isolation.since is not None, 25)
         await application.is_held()
-        assert "cut off since" in isolation.reason
+        assert "isolated since" in isolation.reason
         assert not session.aborted
         again = Isolation(application.folder, ["drive"])
         assert again.since is not None, "an agent that is restarted meanwhile knows"
 
         monkeypatch.setattr(names, "PROBE_PORT", closed.getsockname()[1])
         await isolation.renew({"witnesses": []}, peer)
-        await eventually(lambda: "waits for the monitor's word" in isolation.reason, 25)
+        await eventually(lambda: "waits for the monitor's decision" in isolation.reason, 25)
         assert session.aborted == 1, "for a fresh session"
         await application.is_held()
         await isolation.renew({"witnesses": [], "word": "Stay"}, peer)
-        assert "was replaced" in isolation.reason
+        assert "has been replaced" in isolation.reason
         await application.is_held()
         await isolation.renew({"witnesses": [], "word": "Go"}, peer)
         assert (isolation.reason, isolation.since) == ("", None)
@@ -288,7 +288,7 @@ async def test_an_agent_says_that_its_application_is_held(pod: Pod, links) -> No
     links.append(link := pod.link())
     status = await link.wait_for(lambda s: s.cut_off is not None, 25)
     assert not status.ready
-    assert "held: " in status.reason
+    assert "frozen: " in status.reason
     await link.request("lease", {"witnesses": [], "word": "Go"})
     status = await link.wait_for(lambda s: s.cut_off is None, 25)
     assert not (pod.volume / script.HELD_NAME).exists()

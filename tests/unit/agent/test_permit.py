@@ -14,7 +14,7 @@ NOW = 1000.0
 
 def permit_in(state: State) -> Permit:
     """In a state, with somebody's last answer just now."""
-    return Permit(state=state, answered_at=NOW, looked_at=NOW)
+    return Permit(state=state, answered_at=NOW, evaluated_at=NOW)
 
 
 def pass_time(
@@ -24,7 +24,7 @@ def pass_time(
     now = since
     while now < since + seconds:
         now += found.wait
-        found.look(now)
+        found.evaluate(now)
         if found.ask(now) != "Nobody" and answer is not None and answer(now):
             found.answered(now)
     return now
@@ -39,11 +39,11 @@ def answer(found: Permit) -> None:
 
 
 def go(found: Permit) -> None:
-    found.word("Go", NOW + 1)
+    found.instruct("Go", NOW + 1)
 
 
 def stay(found: Permit) -> None:
-    found.word("Stay", NOW + 1)
+    found.instruct("Stay", NOW + 1)
 
 
 def apiserver_alone(found: Permit) -> None:
@@ -59,9 +59,9 @@ def apiserver_alone(found: Permit) -> None:
 TABLE: dict[State, tuple[State, State, State, State, State]] = {
     #           silence     answer     go         stay        API server alone
     "Idle": ("Idle", "Running", "Idle", "Idle", "Running"),
-    "Running": ("Away", "Running", "Running", "Running", "Running"),
-    "Away": ("Away", "Back", "Running", "Replaced", "Running"),
-    "Back": ("Away", "Back", "Running", "Replaced", "Running"),
+    "Running": ("Isolated", "Running", "Running", "Running", "Running"),
+    "Isolated": ("Isolated", "Reconnected", "Running", "Replaced", "Running"),
+    "Reconnected": ("Isolated", "Reconnected", "Running", "Replaced", "Running"),
     "Replaced": ("Replaced", "Replaced", "Running", "Replaced", "Replaced"),
 }
 EVENTS = [silence, answer, go, stay, apiserver_alone]
@@ -73,7 +73,7 @@ def test_every_event_in_every_state(state: State, event: Callable[[Permit], None
     found = permit_in(state)
     event(found)
     assert found.state == TABLE[state][EVENTS.index(event)]
-    assert found.held is (found.state in FROZEN)
+    assert found.frozen is (found.state in FROZEN)
 
 
 def test_the_table_has_every_state() -> None:
@@ -84,9 +84,9 @@ def test_the_table_has_every_state() -> None:
 def test_silence_is_acted_upon_within_half_a_second_whenever_it_begins(phase: float) -> None:
     found, cut = permit_in("Running"), NOW + 5 + phase
     now = NOW
-    while not found.held:
+    while not found.frozen:
         now += found.wait
-        found.look(now)
+        found.evaluate(now)
         if found.ask(now) != "Nobody" and now < cut:
             found.answered(now)
         assert now < cut + 2
@@ -113,13 +113,13 @@ def test_a_process_that_was_stalled_asks_anew_before_it_judges() -> None:
     found.ask(NOW)
     found.ask(NOW + 0.1)
     found.ask(NOW + 0.2)
-    found.look(NOW + 8)
+    found.evaluate(NOW + 8)
     assert found.state == "Running"
     assert found.ask(NOW + 8) == "One"
     pass_time(found, 0.2, since=NOW + 8)
     assert found.state == "Running"
     pass_time(found, 0.5, since=NOW + 8.3)
-    assert found.state == "Away"
+    assert found.state == "Isolated"
 
 
 def test_nobody_is_asked_for_one_that_was_replaced() -> None:
@@ -127,29 +127,29 @@ def test_nobody_is_asked_for_one_that_was_replaced() -> None:
 
 
 def test_the_api_server_must_be_reached_all_the_time() -> None:
-    found = permit_in("Back")
+    found = permit_in("Reconnected")
 
     def now_and_then(now: float) -> bool:
         found.apiserver(now, (now - NOW) % 20 > 1)
         return True
 
     pass_time(found, 10 * permit.WITHOUT_MONITOR, answer=now_and_then)
-    assert found.state == "Back"
+    assert found.state == "Reconnected"
 
 
 def test_one_that_is_cut_off_again_waits_for_another_word() -> None:
     found = permit_in("Running")
     silence(found)
     found.answered(NOW + 4)
-    found.word("Go", NOW + 4)
-    assert not found.held
+    found.instruct("Go", NOW + 4)
+    assert not found.frozen
     pass_time(found, 2, since=NOW + 4)
-    assert found.state == "Away"
+    assert found.state == "Isolated"
 
 
 def test_the_monitors_last_word_counts() -> None:
-    found = permit_in("Back")
-    found.word("Stay", NOW)
+    found = permit_in("Reconnected")
+    found.instruct("Stay", NOW)
     assert found.state == "Replaced"
-    found.word("Go", NOW)
+    found.instruct("Go", NOW)
     assert found.state == "Running"

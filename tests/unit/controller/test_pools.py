@@ -361,7 +361,7 @@ class TestBadInput:
                     "readinessCheck": {"yaml": {"resend_goals": {}}},
                 },
                 "TreeInvalid",
-                "spec.readinessCheck.yaml.resend_goals: a check only looks",
+                "spec.readinessCheck.yaml.resend_goals: a check takes no action",
             ),
             ({"replicas": -1}, "SpecInvalid", "spec.replicas"),
         ],

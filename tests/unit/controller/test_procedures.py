@@ -188,7 +188,7 @@ def test_a_mistake_in_another_language_is_told_with_its_place() -> None:
     refused = pool_reader.problem(pool)
     assert refused is not None
     assert refused.message == (
-        "spec.readinessCheck.xml, line 3, column 1: <SetLifecycle>: isn't for checks: a check only looks; it belongs into a procedure"
+        "spec.readinessCheck.xml, line 3, column 1: <SetLifecycle>: is not for checks: a check takes no action; it belongs in a procedure"
     )
 
 

@@ -153,7 +153,9 @@ async def test_odometry_is_watched_during_a_recovery(monitor: Monitor, robot: Ro
             assert time.monotonic() < end
             robot.say(Odometry)
             await asyncio.sleep(0.05)
-    assert found.missing == "it can't be carried by /odom: it began anew since: it comes from another publisher"
+    assert (
+        found.missing == "it cannot be propagated by /odom: odometry began again since: it comes from another publisher"
+    )
 
 
 async def test_it_outlasts_the_monitor(monitor: Monitor, robot: Robot, graph: Graph, tmp_path: Path) -> None:
@@ -183,7 +185,7 @@ async def test_a_pose_that_can_not_be_carried_is_told(
     )
     status, _, message = monitor.told.conditions["StateKept"]
     assert status == "False"
-    assert "/amcl_pose: it can't be carried by /odom: nothing has come on it" in message
+    assert "/amcl_pose: it cannot be propagated by /odom: nothing has come on it" in message
     await monitor.until(lambda: monitor.told.conditions["StateKept"][0] == "True", each=robot.say)
 
 
@@ -204,17 +206,21 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
         "Restored",
         "w-2 was given /amcl_pose (0.8 s old, carried by 0.43 m).",
     )
-    uncertain = given.model_copy(update={"message": "/odom was not watched for 4.0 s of what it was carried over"})
+    uncertain = given.model_copy(
+        update={"message": "/odom was not watched for 4.0 s of the time over which it was propagated"}
+    )
     monitor.keeping.tell(recovery.model_copy(update={"state": [uncertain]}))
     assert monitor.told.conditions["StateRestored"] == (
         "True",
         "Restored",
         "w-2 was given /amcl_pose (0.8 s old, carried by 0.43 m). "
-        "/amcl_pose: /odom was not watched for 4.0 s of what it was carried over.",
+        "/amcl_pose: /odom was not watched for 4.0 s of the time over which it was propagated.",
     )
     assert not monitor.told.events
-    missing = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75, message="it can't be carried by /odom")
+    missing = RestoredState(
+        name="/amcl_pose", restored=True, age_seconds=0.75, message="it cannot be propagated by /odom"
+    )
     monitor.keeping.tell(recovery.model_copy(update={"state": [missing]}))
-    text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: it can't be carried by /odom."
+    text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: it cannot be propagated by /odom."
     assert monitor.told.conditions["StateRestored"] == ("False", "NotCarried", text)
     assert monitor.told.events == [("Warning", "StateNotCarried", text)]

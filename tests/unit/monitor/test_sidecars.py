@@ -42,7 +42,7 @@ class Agent:
             answer = wire.decode(await reader.readline())
             if answer["mac"] != wire.mac(self.token, "n", "w", ""):
                 self.refused += 1
-                writer.write(wire.encode({"error": "wrong mac: the token is another"}))
+                writer.write(wire.encode({"error": "wrong mac: the tokens differ"}))
                 writer.close()
                 return
             while True:

@@ -391,6 +391,6 @@ def test_a_leaf_of_one_s_own_that_fails_by_itself_is_told_of_and_no_failure(
         sight.drain([], "")
         verdict = sight.verdict(now=time.time(), since=since)
     assert sight.problems == [
-        "acme_leaf can't judge /beat, AttributeError: 'String' object has no attribute 'percentage'."
+        "acme_leaf cannot judge /beat, AttributeError: 'String' object has no attribute 'percentage'."
     ]
     assert verdict.state == "Healthy"

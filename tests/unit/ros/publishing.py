@@ -8,7 +8,8 @@ import time
 import rclpy
 from std_msgs.msg import String
 
-from understudy.ros.actions.instance_calls import CallFailed, GraphLocation, InstanceCaller
+from understudy.ros.actions.calling_node import GraphLocation
+from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
 from understudy.ros.dds.sample_sources import HOST
 from understudy.ros.runtime.graph_node import Graph
 

@@ -72,7 +72,7 @@ def test_a_robot_that_stands_while_it_is_commanded_is_found_and_one_that_is_not_
     driving.seen = 0.0
     eventually(lambda: judged.now().state == "Failed")
     assert judged.now().reason == (
-        "the robot doesn't move as /cmd_vel says by /seen: forward it was seen at 0.00 m/s, commanded at 0.30 m/s"
+        "the robot does not move as /cmd_vel says by /seen: forward it was seen at 0.00 m/s, commanded at 0.30 m/s"
     )
     own = _OwnOutputs(watching, [], b"")
     there = judged.tree.evaluate(own, now=time.time(), since=judged.since)

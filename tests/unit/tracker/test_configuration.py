@@ -106,12 +106,12 @@ def test_the_command_says_what_is_wrong_with_its_file(tmp_path: Path, capsys: py
     file = tmp_path / "tracker.yaml"
     assert main([str(file), "--check"]) == 2
     assert (
-        f"{file} can't be read: No such file or directory; give a file that says which camera"
+        f"{file} cannot be read: No such file or directory; give a file that says which camera"
         in capsys.readouterr().err
     )
     file.write_bytes(b"\xff\xfe")
     assert main([str(file), "--check"]) == 2
-    assert capsys.readouterr().err == f"{file} can't be read: it isn't UTF-8; save it as UTF-8 text\n"
+    assert capsys.readouterr().err == f"{file} cannot be read: it is not UTF-8; save it as UTF-8 text\n"
     file.write_text(with_("markers.0.height", ""))
     assert main([str(file)]) == 2
     assert capsys.readouterr().err == f"{file}: markers[0].height: missing\n"

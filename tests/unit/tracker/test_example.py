@@ -121,7 +121,7 @@ def test_a_robot_that_stands_by_a_wrong_remapping_is_seen_from_outside_only(
     eventually(lambda: judged.now().state == "Failed", "the robot is seen to stand")
     verdict = judged.now()
     assert re.fullmatch(
-        r"the robot doesn't move as /cmd_vel_nav says by /tracker/robot/odometry: (forward|turning) it was seen at .*",
+        r"the robot does not move as /cmd_vel_nav says by /tracker/robot/odometry: (forward|turning) it was seen at .*",
         verdict.reason,
     ), "what is inside is well"
     end = log().motions[-1]

@@ -1,4 +1,4 @@
-"""What the tracker's node makes of images and calibrations that can't be used: it says so, once, and goes on."""
+"""What the tracker's node makes of images and calibrations that cannot be used: it says so, once, and goes on."""
 
 from __future__ import annotations
 
@@ -59,44 +59,44 @@ def said(caplog: pytest.LogCaptureFixture) -> list[str]:
 
 def test_each_problem_is_said_once_and_what_comes_after_it_is_used(tracker: Any, caplog: pytest.LogCaptureFixture):
     for _ in range(3):
-        tracker._on_image(image())
+        tracker.on_image(image())
     assert said(caplog) == [
-        "an image on /camera/image_raw can't be used: nothing was received on /camera/camera_info yet"
+        "an image on /camera/image_raw cannot be used: nothing was received on /camera/camera_info yet"
     ]
     caplog.clear()
     broken = info()
     broken.k = [0.0] * 9
-    tracker._on_calibration(broken)
-    assert "the camera isn't calibrated" in said(caplog)[0]
-    tracker._on_calibration(info())
+    tracker.on_calibration(broken)
+    assert "the camera is not calibrated" in said(caplog)[0]
+    tracker.on_calibration(info())
     caplog.clear()
-    tracker._on_image(image("16UC1"))
-    tracker._on_image(image(width=32))
+    tracker.on_image(image("16UC1"))
+    tracker.on_image(image(width=32))
     assert said(caplog) == [
-        "an image on /camera/image_raw can't be used: its encoding is '16UC1'; mono8, rgb8, bgr8, rgba8, bgra8 can be read",
-        "an image on /camera/image_raw can't be used: it has 32 x 48 pixels, but /camera/camera_info is for 64 x 48",
+        "an image on /camera/image_raw cannot be used: its encoding is '16UC1'; mono8, rgb8, bgr8, rgba8, bgra8 can be read",
+        "an image on /camera/image_raw cannot be used: it has 32 x 48 pixels, but /camera/camera_info is for 64 x 48",
     ]
     caplog.clear()
-    tracker._on_image(image())
+    tracker.on_image(image())
     assert said(caplog) == []
 
 
 def test_images_without_a_stamp_are_taken_to_be_of_now(tracker: Any, caplog: pytest.LogCaptureFixture):
-    tracker._on_calibration(info())
+    tracker.on_calibration(info())
     message = image()
     message.header.stamp.sec = 0
-    tracker._on_image(message)
+    tracker.on_image(message)
     assert said(caplog) == ["the images on /camera/image_raw have no stamp: the time of their receipt is taken"]
 
 
 def test_it_says_where_calibrations_come_and_images_dont(tracker: Any, caplog: pytest.LogCaptureFixture):
     for _ in range(19):
-        tracker._on_calibration(info())
-    tracker._on_image(image())
+        tracker.on_calibration(info())
+    tracker.on_image(image())
     for _ in range(19):
-        tracker._on_calibration(info())
+        tracker.on_calibration(info())
     assert said(caplog) == []
-    tracker._on_calibration(info())
+    tracker.on_calibration(info())
     assert said(caplog) == [
         "calibrations come on /camera/camera_info, and no image on /camera/image_raw: nobody publishes there, or images are "
         "lost on the way, as large ones may be: set camera.reliable to true"
@@ -110,7 +110,7 @@ def test_a_publisher_that_offers_less_than_is_asked_for_is_named(
     node = made(", reliable: true")
     try:
         for _ in range(20):
-            node._on_calibration(info())
+            node.on_calibration(info())
     finally:
         node.close()
-    assert said(caplog)[-1].endswith("or what is published can't be asked for: set camera.reliable to false")
+    assert said(caplog)[-1].endswith("or what is published cannot be asked for: set camera.reliable to false")

@@ -69,7 +69,7 @@ def test_a_robot_that_stands_while_it_is_commanded_to_drive_is_found_within_a_se
     late, verdict = stop(seed)
     assert late is not None
     assert 0 < late <= 1.0
-    assert verdict.reason.startswith("the robot doesn't move as /cmd_vel says by /tracker/robot/odometry: forward")
+    assert verdict.reason.startswith("the robot does not move as /cmd_vel says by /tracker/robot/odometry: forward")
     assert verdict.leaf == "tracker/robot.motion"
 
 
@@ -116,7 +116,7 @@ def test_the_camera_is_found_by_markers_on_the_floor():
     try:
         hidden = np.full((480, 640), 128, np.uint8)
         assert locator.see(hidden, 0.0) == []
-        assert locator.problems == ["the markers 20, 21, 22, 23 of camera.references aren't seen yet"]
+        assert locator.problems == ["the markers 20, 21, 22, 23 of camera.references are not seen yet"]
         found = []
         for tick in range(REFERENCE_IMAGES + 1):
             found = locator.see(cv2.cvtColor(scene.image(), cv2.COLOR_RGB2GRAY), 1.0 + tick / 10)

@@ -95,7 +95,7 @@ class Log:
 
 @dataclass
 class Heard:
-    """A received message; what isn't one can't be read."""
+    """A received message; what isn't one cannot be read."""
 
     received: float
     said: object = None

@@ -10,7 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.messages import Battery, Header, Pack, fields
-from understudy.trees.source.expressions import MOST_ELEMENTS, Expression, ExpressionError, Undefined
+from understudy.trees.source.expression_values import MOST_ELEMENTS, Undefined
+from understudy.trees.source.expressions import Expression, ExpressionError
 
 NAN, INF = math.nan, math.inf
 
@@ -115,19 +116,19 @@ def test_what_decides_alone_decides_beside_what_cannot_be_told(text, expected):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("", "'' can't be read; write a condition such as percentage > 0.15"),
-        ("percentage >", "'percentage >' can't be read; write a condition such as percentage > 0.15"),
-        ("percentage > > 1", "can't be read at character 14"),
+        ("", "'' cannot be read; write a condition such as percentage > 0.15"),
+        ("percentage >", "'percentage >' cannot be read; write a condition such as percentage > 0.15"),
+        ("percentage > > 1", "cannot be read at character 14"),
         ("percentage", "percentage is a number, not true or false; compare it with something"),
         ("percentge > 1", "t/msg/Battery has no field 'percentge', did you mean 'percentage'?"),
         ("zz > 1", "t/msg/Battery has no field 'zz'; known are header, percentage, charging"),
         ("packs[0].temp > 1", "t/msg/Pack has no field 'temp'"),
         ("any(p.heat > 1 for p in packs)", "t/msg/Pack has no field 'heat'; known are name, temperature"),
         ("name > 3", "name is a string, not a number; compare it by == or !="),
-        ("name == 3", "name is a string and 3 is a number; compare what is of one kind"),
+        ("name == 3", "name is a string and 3 is a number; compare values of one type"),
         ("charging + 1 > 3", "charging is true or false, not a number; calculate with numbers"),
-        ("cells > 3", "cells is an array, which can't be compared; name a field or an element of it"),
-        ("header == header", "header is a std_msgs/msg/Header, which can't be compared"),
+        ("cells > 3", "cells is an array, which cannot be compared; name a field or an element of it"),
+        ("header == header", "header is a std_msgs/msg/Header, which cannot be compared"),
         ("percentage[0] > 3", "percentage is a number, not an array; leave [0] out"),
         ("cells[percentage] > 3", "percentage is no element; write its number, such as cells[0]"),
         ("cells[0:1] == 3", "0:1 is no element"),
@@ -155,9 +156,9 @@ def test_what_decides_alone_decides_beside_what_cannot_be_told(text, expected):
         ("max(cells, key=abs) > 3", "not allowed"),
         ("len(percentage) > 3", "percentage is a number; len is given an array or a string"),
         ("min(packs) > 3", "packs has elements that are a t/msg/Pack; min is of numbers"),
-        ("any(cells)", "cells can't be gone through; write any(r < 0.2 for r in ranges)"),
-        ("all([c > 1 for c in cells])", "can't be gone through"),
-        ("any(c > d for c in cells for d in cells)", "can't be gone through"),
+        ("any(cells)", "cells cannot be iterated; write any(r < 0.2 for r in ranges)"),
+        ("all([c > 1 for c in cells])", "cannot be iterated"),
+        ("any(c > d for c in cells for d in cells)", "cannot be iterated"),
         ("any(any(c > d for d in cells) for c in cells)", "any inside of any or all is not allowed"),
         ("any(c > 1 for c in percentage)", "percentage is a number, not an array"),
         ("any(c > 1 for c in range(9))", "range(9) has no fields"),
@@ -175,13 +176,13 @@ def test_what_decides_alone_decides_beside_what_cannot_be_told(text, expected):
         ("name.__class__ == 1", "'__class__' is no field of a message"),
         ("header.__init__.__globals__ == 1", "'__init__' is no field of a message"),
         ("().__class__ == 1", "() has no fields"),
-        ("percentage > 1; charging", "can't be read"),
-        ("import os", "can't be read"),
+        ("percentage > 1; charging", "cannot be read"),
+        ("import os", "cannot be read"),
         ("1 < " + " + ".join(["level"] * 24), "it is more than 24 levels deep"),
         ("charging or " * 34 + "charging", None),
         (" or ".join(["level<9"] * 45), "it has more than 100 names, numbers and operations"),
         ("percentage > 0" + " " * 490 + "1", "it has 505 characters; 500 are allowed"),
-        ("(" * 240 + "1" + ")" * 240, "can't be read"),
+        ("(" * 240 + "1" + ")" * 240, "cannot be read"),
         ("-" * 400 + "1 > 2", "it has more than 100 names"),
         ("not " * 40 + "charging", "it is more than 24 levels deep"),
     ],

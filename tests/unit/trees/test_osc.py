@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.unit.trees.garbled import garbled, loads_or_is_refused
 from tests.unit.trees.scenarios import ScenarioWriter
-from tests.unit.trees.test_xml import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
+from tests.unit.trees.test_btcpp import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
 from understudy.api.base import LONGEST_TEXT
 from understudy.trees.languages.osc import tokens
 from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS
@@ -151,7 +151,7 @@ FRONT = 'topic("/a", gap: '
         (
             'run_process("reboot")',
             1,
-            "run_process(): isn't for health trees: a health tree starts no processes and reads no files; "
+            "run_process(): is not for health trees: a health tree starts no processes and reads no files; "
             "write what must hold, such as topic() or value()",
         ),
         (
@@ -163,7 +163,7 @@ FRONT = 'topic("/a", gap: '
         (
             f"{LEAF} with:\n            retry(3)",
             13,
-            "retry(): isn't for health trees: a health tree is asked again and again anyway; leave it out, and give the leaf in it "
+            "retry(): is not for health trees: a health tree is evaluated continuously; leave it out, and give the leaf in it "
             "a longer gap or window",
         ),
         (
@@ -205,7 +205,7 @@ FRONT = 'topic("/a", gap: '
             18,
             "topic() gap: there is no parameter 'longest'; the scenario has none; give it, or a time, such as 500ms or 2s",
         ),
-        (f"{FRONT}1s + 1s)", 21, "'+' isn't for health trees: nothing is calculated; write the value"),
+        (f"{FRONT}1s + 1s)", 21, "'+' is not for health trees: nothing is calculated; write the value"),
         (
             'topic("/a", rate_min: 1Hz, rate_below: 5Hz)',
             40,
@@ -231,7 +231,7 @@ FRONT = 'topic("/a", gap: '
         (
             "wait elapsed(3s)",
             1,
-            "'wait' isn't for health trees: a health tree only judges, all the time, and neither waits nor sends events; leave it "
+            "'wait' is not for health trees: a health tree takes no action, and neither waits nor sends events; leave it "
             "out. How long something may be missing is said by gap",
         ),
         (
@@ -248,15 +248,15 @@ FRONT = 'topic("/a", gap: '
         (
             "topic(",
             7,
-            "this isn't OpenSCENARIO 2: found the end of the line; there should be '(', ')', a text in quotes, a number or a name",
+            "this is not OpenSCENARIO 2: found the end of the line; there should be '(', ')', a text in quotes, a number or a name",
         ),
-        ('topic("/a)', 7, "this isn't OpenSCENARIO 2: "
-                          "a text that is begun here isn't closed in its line; close the quotes, and write \\ before quotes in it"),
-        ('topic(gap = 1s)', 11, "this isn't OpenSCENARIO 2: found '='; write ':' between the name of an argument and its value"),
-        ("topic() $", 9, "this isn't OpenSCENARIO 2: found '$', which nothing in the language begins with; leave it out"),
-        ("topic())", 8, "closes a bracket that isn't open; leave it out"),
-        ("serial", 7, "this isn't OpenSCENARIO 2: found the end of the line; there should be ':' or '('"),
-        ("serial:", 8, "this isn't OpenSCENARIO 2: found the end of the line; there should be an indented line"),
+        ('topic("/a)', 7, "this is not OpenSCENARIO 2: "
+                          "the string that begins here is not closed on its line; close the quotes, and write \\ before quotes in it"),
+        ('topic(gap = 1s)', 11, "this is not OpenSCENARIO 2: found '='; write ':' between the name of an argument and its value"),
+        ("topic() $", 9, "this is not OpenSCENARIO 2: found '$', which nothing in the language begins with; leave it out"),
+        ("topic())", 8, "closes a bracket that is not open; leave it out"),
+        ("serial", 7, "this is not OpenSCENARIO 2: found the end of the line; there should be ':' or '('"),
+        ("serial:", 8, "this is not OpenSCENARIO 2: found the end of the line; there should be an indented line"),
         ('topic("a\\x")', 7, "topic() topic_name: found '\\\\x' in a text; known are \\\\, \\\", \\', \\n and \\t"),
     ],
 )  # fmt: skip
@@ -274,7 +274,7 @@ HEAD = "import osc.understudy\n"
     [
         (
             f"scenario a:\n    do {LEAF}\n",
-            "line 1, column 1: the text: doesn't import what it is made of; begin it with: import osc.understudy",
+            "line 1, column 1: the text: does not import its library; begin it with: import osc.understudy",
         ),
         (
             HEAD,
@@ -286,7 +286,7 @@ HEAD = "import osc.understudy\n"
         ),
         (
             f"import osc.helpers\nscenario a:\n    do {LEAF}\n",
-            "line 1, column 8: import osc.helpers: has behaviours that a health tree can't have; import osc.understudy, "
+            "line 1, column 8: import osc.helpers: has behaviours that a health tree cannot have; import osc.understudy, "
             "which has what it can",
         ),
         (
@@ -311,7 +311,7 @@ HEAD = "import osc.understudy\n"
         ),
         (
             f"{HEAD}scenario a:\n    long: time\n    do {LEAF}\n",
-            "line 3, column 5: parameter long: nobody gives it a value; write one behind it, with = and a time, such as 500ms or 2s",
+            "line 3, column 5: parameter long: it has no value; write one after it, with = and a time, such as 500ms or 2s",
         ),
         (
             f"{HEAD}scenario a:\n    long: tim = 3s\n    do {LEAF}\n",
@@ -328,12 +328,12 @@ HEAD = "import osc.understudy\n"
         ),
         (
             f"{HEAD}action reboot:\n    now: bool\n",
-            "line 2, column 1: 'action' isn't for health trees: a policy declares nothing but one scenario and its parameters; "
+            "line 2, column 1: 'action' is not for health trees: a policy declares nothing but one scenario and its parameters; "
             "what there is comes with import osc.understudy",
         ),
         (
             f"{HEAD}scenario a:\n    def f() -> string is external os.system()\n    do {LEAF}\n",
-            "line 3, column 5: 'def' isn't for health trees: a health tree only judges and calls no functions; leave it out",
+            "line 3, column 5: 'def' is not for health trees: a health tree takes no action and calls no functions; leave it out",
         ),
         (
             "  import osc.understudy\n",
@@ -341,7 +341,7 @@ HEAD = "import osc.understudy\n"
         ),
         (
             scenario("serial:", f"    {LEAF}", f"  {LEAF}"),
-            "line 6, column 11: is indented like no block around it; begin the lines of a block in the same column",
+            "line 6, column 11: is indented like none of the blocks around it; begin the lines of a block in the same column",
         ),
         (
             scenario(LEAF, LEAF),
@@ -394,14 +394,14 @@ def test_places_are_those_of_the_file_in_which_the_text_begins() -> None:
     [
         (" " * (LONGEST_TEXT + 1), f"the text has {LONGEST_TEXT + 1} characters; it may have {LONGEST_TEXT}"),
         ("a " * 32_000, f"the text has more than {tokens.MOST} words and signs"),
-        (scenario("topic(" + "(" * 9_000), f"more than {tokens.DEEPEST_BRACKETS} brackets in each other"),
-        (scenario("topic(a: f" + "()" * 9_000 + ")"), "'(' isn't for health trees: nothing is calculated; write the value"),
+        (scenario("topic(" + "(" * 9_000), f"more than {tokens.DEEPEST_BRACKETS} nested brackets"),
+        (scenario("topic(a: f" + "()" * 9_000 + ")"), "'(' is not for health trees: nothing is calculated; write the value"),
         (scenario("topic(a: a" + ".a" * 9_000 + ")"), "there are no actors in a health tree, and nothing has fields; "
                                                       "leave out the dot and what is before it"),
-        (f"import osc{'.a' * 9_900}\n", "what is in each other is too deep"),
+        (f"import osc{'.a' * 9_900}\n", "the nesting is too deep"),
         (
             scenario(*(f"{'  ' * level}serial:" for level in range(40))),
-            f"more than {tokens.DEEPEST_BLOCK} blocks in each other",
+            f"more than {tokens.DEEPEST_BLOCK} nested blocks",
         ),
         (scenario(f"{LEAF} with:", *["    inverter()"] * 2_000), "inverter(): the tree is more than 32 levels deep"),
         (scenario(*(f'l{i}: topic("/scan", gap: 1s)' for i in range(600))), "topic(): the tree has more than 512 nodes"),

@@ -19,6 +19,7 @@ from tests.unit.trees.garbled import garbled, loaded_or_refused
 from tests.unit.trees.steps_written import as_scenario, as_xml
 from tests.unit.trees.test_procedures import LONG, Instance
 from understudy.api.kinds.procedure_spec import Check, Procedure
+from understudy.trees.core.procedure_steps import ProcedureFailed
 from understudy.trees.languages.btcpp import library
 from understudy.trees.languages.btcpp import steps as xml
 from understudy.trees.languages.osc import steps as scenarios
@@ -27,7 +28,7 @@ from understudy.trees.languages.osc.library import WORDS
 from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.procedure_notations import LoadedProcedure, compose, composed
 from understudy.trees.languages.short import procedure_loader
-from understudy.trees.languages.short.procedure_loader import CONDITIONS, DECORATORS, STEPS, ProcedureFailed
+from understudy.trees.languages.short.procedure_loader import CONDITIONS, DECORATORS, STEPS
 from understudy.trees.leaves import procedure_steps
 from understudy.trees.leaves.registry import LEAVES
 from understudy.trees.source.positions import TextOffset
@@ -192,7 +193,7 @@ def test_a_spec_is_composed_once_by_its_form() -> None:
     assert composed(procedure, path=PATH) is found
     check = Check(osc=scenario('node_present("/a")'))
     assert composed(check, path=PATH).node == {"sequence": [{"node_present": {"node": "/a"}}]}
-    with pytest.raises(TreeError, match="a check only looks"):
+    with pytest.raises(TreeError, match="a check takes no action"):
         composed(Check(osc=scenario(ACTIVE_OSC)), path=PATH)
 
 
@@ -364,7 +365,7 @@ def test_the_procedures_of_the_examples_are_the_same_in_all_languages(tree: dict
         ),
         (
             "<CallService service='/a' type='b/srv/C' request='json:{\"x\": }'/>",
-            "<CallService> request: found '{\"x\": }', which isn't JSON: Expecting value at character 7; "
+            "<CallService> request: found '{\"x\": }', which is not JSON: Expecting value at character 7; "
             'write it as in json:{"data": "hello"}',
         ),
         (
@@ -404,25 +405,23 @@ def test_the_procedures_of_the_examples_are_the_same_in_all_languages(tree: dict
         ),
         (
             f"<ReactiveSequence>{ACTIVE_XML}</ReactiveSequence>",
-            "<ReactiveSequence>: isn't for procedures: each node is done once, in order, and what is so already is left alone; "
-            "write <Sequence>",
+            "<ReactiveSequence>: is not for procedures: a procedure does each node once, in order; write <Sequence>",
         ),
         (
             f"<ForceSuccess>{ACTIVE_XML}</ForceSuccess>",
-            "<ForceSuccess>: isn't for procedures: what is done where a node fails is written behind it, in a <Fallback>",
+            "<ForceSuccess>: is not for procedures: write what to do after a failure as the next node, in a <Fallback>",
         ),
         (
             f'<Delay delay_msec="100">{ACTIVE_XML}</Delay>',
-            "<Delay>: isn't for procedures: what must be waited for is said by <WaitFor>, or by a condition such as <Topic>; "
-            "leave it out",
+            "<Delay>: is not for procedures: <WaitFor>, or a condition such as <Topic>, says what to wait for; leave it out",
         ),
         (
             '<Motion topic="/a"/>',
-            "<Motion>: isn't for procedures: it says something of the instance that drives, which this one doesn't yet; leave it out",
+            "<Motion>: is not for procedures: it judges the active instance only, and this one is not active yet; leave it out",
         ),
         (
             '<SetLifecycle node="/amcl" state="active" _skipIf="idle"/>',
-            "<SetLifecycle> _skipIf: scripts aren't run; write what must hold before a node in front of it, in a <Sequence>",
+            "<SetLifecycle> _skipIf: scripts are not run; write what must hold before a node in front of it, in a <Sequence>",
         ),
         (
             f"<SetLifecycle>{ACTIVE_XML}</SetLifecycle>",
@@ -443,7 +442,7 @@ def test_a_mistake_in_xml_is_named_with_its_place_and_what_would_be_right(node: 
         (
             'call_service("/a", "b/srv/C", "{x: ")',
             31,
-            "call_service() request: found '{x:', which isn't YAML: while parsing a flow node, expected the "
+            "call_service() request: found '{x:', which is not YAML: while parsing a flow node, expected the "
             "node content, but found '<stream end>'; write it as in {data: hello}",
         ),
         (
@@ -457,19 +456,19 @@ def test_a_mistake_in_xml_is_named_with_its_place_and_what_would_be_right(node: 
         (
             "motion()",
             1,
-            "motion(): isn't for procedures: it says something of the instance that drives, which this one doesn't yet; leave it out",
+            "motion(): is not for procedures: it judges the active instance only, and this one is not active yet; leave it out",
         ),
         (
             'run_process("reboot")',
             1,
-            "run_process(): isn't for procedures: no processes are started and no files read; write what is done to the instance, "
+            "run_process(): is not for procedures: no processes are started and no files read; write what is done to the instance, "
             "such as call_service()",
         ),
         (
             "wait elapsed(3s)",
             1,
-            "'wait' isn't for procedures: what must be waited for is said by wait_for(), and for how long by timeout() in the with: "
-            "of a node; leave it out",
+            "'wait' is not for procedures: wait_for() says what to wait for, and timeout() in the with: of a node for how "
+            "long; leave it out",
         ),
     ],
 )  # fmt: skip
@@ -479,7 +478,7 @@ def test_a_mistake_in_openscenario_is_named_with_its_place_and_what_would_be_rig
     assert problems("osc", scenario(node)) == [f"line 4, column {column + 8}: {expected}"]
 
 
-ONLY = ": isn't for checks: a check only looks; it belongs into a procedure"
+ONLY = ": is not for checks: a check takes no action; it belongs in a procedure"
 
 
 @pytest.mark.parametrize(
@@ -504,7 +503,7 @@ def test_a_check_only_looks_in_either_language(form: str, text: str, expected: s
 
 
 def test_what_procedures_do_is_not_for_health_trees() -> None:
-    with pytest.raises(TreeError, match=r"set_lifecycle\(\): isn't for health trees: a health tree only judges"):
+    with pytest.raises(TreeError, match=r"set_lifecycle\(\): is not for health trees: a health tree takes no action"):
         load_osc(scenario(ACTIVE_OSC))
 
 

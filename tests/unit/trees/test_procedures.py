@@ -11,7 +11,8 @@ import pytest
 from tests.unit.trees.messages import Battery, Heard
 from understudy.trees.core.health_tree import HealthTree, Verdict
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
-from understudy.trees.languages.short.procedure_loader import ProcedureFailed, load_check, load_procedure
+from understudy.trees.core.procedure_steps import ProcedureFailed
+from understudy.trees.languages.short.procedure_loader import load_check, load_procedure
 from understudy.trees.source.problems import TreeError
 
 LONG = 20.0
@@ -140,7 +141,7 @@ async def test_a_failed_leaf_is_named_with_its_place_and_ends_the_sequence() -> 
         await tree.run(instance, LONG)
 
     assert str(failure.value) == (
-        "bringUp.sequence[0].call_service: service /go answered otherwise: success is False, expected True"
+        "bringUp.sequence[0].call_service: service /go gave another answer: success is False, expected True"
     )
     assert instance.done == ["call /go"]
 
@@ -331,7 +332,7 @@ async def test_a_parameter_is_compared() -> None:
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
-        ({}, "p: the node says nothing; give one of sequence"),
+        ({}, "p: the node is empty; give one of sequence"),
         ("x", "p: found 'x'; a node is a mapping with one of sequence"),
         ({"sequence": []}, "p.sequence: the list is empty"),
         ({"sequense": []}, "p.sequense: unknown key 'sequense', did you mean 'sequence'?"),
@@ -374,7 +375,9 @@ def test_mistakes_are_named_with_what_would_be_right(tree: object, message: str)
 def test_a_check_only_looks() -> None:
     with pytest.raises(TreeError) as error:
         load_check({"sequence": [{"set_lifecycle": {"node": "/amcl", "state": "active"}}]}, path="p")
-    assert "p.sequence[0].set_lifecycle: a check only looks; set_lifecycle belongs into a procedure" in str(error.value)
+    assert "p.sequence[0].set_lifecycle: a check takes no action; set_lifecycle belongs in a procedure" in str(
+        error.value
+    )
 
 
 def test_all_mistakes_are_told_at_once() -> None:

@@ -8,11 +8,10 @@ may answer after its own restart.
 
 from __future__ import annotations
 
-import asyncio
 import logging
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from understudy.ros.runtime.interface_types import interface_class
@@ -26,6 +25,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from unique_identifier_msgs.msg import UUID
 
 from understudy.ros.runtime.served_node import ServedNode
+from understudy.ros.runtime.service_client import ServiceClient
 from understudy.ros.runtime.service_exchange import RequestId, ServiceExchangeError, request_writer
 
 _logger = logging.getLogger(__name__)
@@ -39,7 +39,7 @@ CANCEL_OK, CANCEL_REJECTED, CANCEL_UNKNOWN, CANCEL_ENDED = range(4)
 """action_msgs/srv/CancelGoal: ERROR_NONE, ERROR_REJECTED, ERROR_UNKNOWN_GOAL_ID, ERROR_GOAL_TERMINATED."""
 
 UNANSWERED = 0.2
-"""Seconds until an answer is sent again whose client wasn't matched, as after a restart of this process."""
+"""Seconds until an answer is sent again whose client was not matched, as after a restart of this process."""
 
 MATCHED = 0.5
 """Seconds after the discovery of a client at which it can be answered that asked an earlier process."""
@@ -94,9 +94,9 @@ class CancelRequest(NamedTuple):
     """What a client asks to cancel: a goal, those up to a time, or both; neither means all (see CancelGoal)."""
 
     goal: str
-    """Its id in hex; empty where none is named."""
+    """Its id in hex; empty if none is named."""
     until: int
-    """Unix nanoseconds; 0 where no time is given."""
+    """Unix nanoseconds; 0 if no time is given."""
 
 
 class KnownGoal(NamedTuple):
@@ -131,7 +131,7 @@ def _nanoseconds(moment: Time) -> int:
 
 @dataclass(frozen=True)
 class RequestHandlers:
-    """What a server tells of its clients' requests; called in the loop."""
+    """What a server reports its clients' requests; called in the loop."""
 
     goal: Callable[[RequestId, str, bytes], None]
     """Accept this goal (its id, and it serialized)?"""
@@ -249,7 +249,7 @@ class ActionServer:
         self._served.do(send)
 
     def _written_by(self, name: str, request: RequestId) -> RequestId | None:
-        """A request of an earlier process's client, as one that can be answered; None while the client isn't seen."""
+        """A request of an earlier process's client, as one that can be answered; None while the client is not seen."""
         topic = f"{self.action}/_action/{name}"
         node = self._served.node
         readers = node.get_subscriptions_info_by_topic(f"rr{topic}Reply", no_mangle=True)
@@ -268,15 +268,6 @@ def _never_called(request: object, response: Any) -> Any:
     return response
 
 
-@dataclass
-class _Calls:
-    """A service's client and the calls that wait for an answer."""
-
-    client: Any
-    response: Any
-    waiting: dict[int, asyncio.Future[Any]] = field(default_factory=dict)
-
-
 class ActionClient:
     """Uses an action. Its methods wait for as long as the server takes: callers give them a bound."""
 
@@ -292,7 +283,7 @@ class ActionClient:
         """``on_feedback`` is given a goal's id and the whole serialized message, both are called in the loop."""
         self.action, self.type = action, type_
         self._served, self._on_feedback, self._on_status = served, on_feedback, on_status
-        self._calls: dict[str, _Calls] = {}
+        self._clients: dict[str, ServiceClient] = {}
         self._subscriptions: list[Any] = []
 
     async def open(self) -> None:
@@ -302,9 +293,8 @@ class ActionClient:
     async def close(self) -> None:
         """Let go of the server. Calls under way are cancelled."""
         await self._served.get(self._close)
-        for calls in self._calls.values():
-            for future in calls.waiting.values():
-                future.cancel()
+        for client in self._clients.values():
+            client.cancel()
 
     async def ready(self) -> bool:
         """Whether a server is there with all that makes an action."""
@@ -314,17 +304,17 @@ class ActionClient:
         """Send a goal, serialized, under an id; whether it was accepted, and when (Unix nanoseconds)."""
         message = deserialize_message(data, self.type.goal)
         request = self.type.send_goal.Request(goal_id=_uuid(goal), goal=message)
-        response = await self._call("send_goal", request)
+        response = await self._clients["send_goal"].call(request)
         return bool(response.accepted), _nanoseconds(response.stamp)
 
     async def cancel(self, goal: str) -> int:
         """Ask to cancel a goal; the server's return code."""
         request = CancelGoal.Request(goal_info=GoalInfo(goal_id=_uuid(goal)))
-        return int((await self._call("cancel_goal", request)).return_code)
+        return int((await self._clients["cancel_goal"].call(request)).return_code)
 
     async def result(self, goal: str) -> tuple[int, bytes]:
-        """The status and the serialized result of a goal, when it has ended; UNKNOWN at once where it isn't known."""
-        response = await self._call("get_result", self.type.get_result.Request(goal_id=_uuid(goal)))
+        """The status and the serialized result of a goal, when it has ended; UNKNOWN at once if it is not known."""
+        response = await self._clients["get_result"].call(self.type.get_result.Request(goal_id=_uuid(goal)))
         return int(response.status), serialize_message(response.result)
 
     def _open(self) -> None:
@@ -334,9 +324,7 @@ class ActionClient:
             ("cancel_goal", CancelGoal),
             ("get_result", self.type.get_result),
         ):
-            client = node.create_client(type_, f"{hidden}/{name}", qos_profile=qos_profile_services_default)
-            calls = self._calls[name] = _Calls(client, type_.Response)
-            self._served.add("client", client, self._answered(calls))
+            self._clients[name] = ServiceClient(self._served, type_, f"{hidden}/{name}")
         for name, type_, qos, taken in (
             ("feedback", self.type.feedback, _DRAINED, self._feedback_came),
             ("status", GoalStatusArray, _STATUS, self._status_came),
@@ -348,47 +336,17 @@ class ActionClient:
             self._served.add("subscription", subscription, self._received(subscription, taken))
 
     def _close(self) -> None:
-        for calls in self._calls.values():
-            self._served.remove("client", calls.client)
+        for client in self._clients.values():
+            client.close()
         for subscription in self._subscriptions:
             self._served.remove("subscription", subscription)
 
     def _ready(self) -> bool:
-        if not all(calls.client.service_is_ready() for calls in self._calls.values()):
+        if not all(client.ready() for client in self._clients.values()):
             return False
         return all(
             self._served.node.count_publishers(f"{self.action}/_action/{name}") for name in ("feedback", "status")
         )
-
-    async def _call(self, name: str, request: Any) -> Any:
-        calls = self._calls[name]
-        future: asyncio.Future[Any] = asyncio.get_running_loop().create_future()
-
-        def send() -> int:
-            # rclpy's own call_async would want its executor.
-            with calls.client.handle:
-                number: int = calls.client.handle.send_request(request)
-            calls.waiting[number] = future
-            return number
-
-        number = await self._served.get(send)
-        try:
-            return await future
-        finally:
-            calls.waiting.pop(number, None)
-
-    def _answered(self, calls: _Calls) -> Callable[[], None]:
-        def take() -> None:
-            while True:
-                with calls.client.handle:
-                    info, response = calls.client.handle.take_response(calls.response)
-                if info is None:
-                    return
-                future = calls.waiting.get(info.request_id.sequence_number)
-                if future is not None:
-                    self._served.tell(_settle, future, response)
-
-        return take
 
     def _received(self, subscription: Any, taken: Callable[[bytes], None]) -> Callable[[], None]:
         def take() -> None:
@@ -413,8 +371,3 @@ class ActionClient:
 
 def _never_told(message: object) -> None:
     """Stands where rclpy wants a callback."""
-
-
-def _settle(future: asyncio.Future[Any], response: Any) -> None:
-    if not future.done():
-        future.set_result(response)

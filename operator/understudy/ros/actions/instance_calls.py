@@ -1,24 +1,18 @@
-"""Calls of services, lifecycle transitions, parameters and publications, for one instance and from inside its pod.
+"""Calls services, lifecycle transitions and parameters of one instance, and publishes to it, from inside its pod.
 
-A service call needs an executor, which a drained graph (graph_node.py) has none of: here is a second node in the same
-participant, spun by a thread of its own, that exists only while it is used. Every call has a bound in seconds and
-fails in plain words that name the node, service or topic.
-
-Where the host is known, only what runs on this host counts as there: behind a discovery server an agent learns of the
-other instances' servers too, which policies keep it from reaching.
+The calls go through a node of their own in the process's participant (calling_node.py), which exists only while it is used.
+Every call has a bound in seconds, and fails with a message that names the node, service or topic.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
-import threading
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from understudy.ros.actions.calling_node import CallingNode, GraphLocation
 from understudy.ros.dds.sample_sources import HOST
 from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_class
 from understudy.ros.runtime.lean_imports import rclpy_imported
@@ -26,8 +20,6 @@ from understudy.ros.runtime.message_values import MessageError, to_mapping, to_m
 
 if TYPE_CHECKING:
     from understudy.ros.runtime.sample_taking import Sample
-
-_logger = logging.getLogger(__name__)
 
 IDLE = 60.0
 """Seconds without a call after which the node is closed."""
@@ -42,7 +34,7 @@ ASK_AGAIN = 0.5
 """Seconds between two questions for a lifecycle state while a transition is under way, since its answer may get lost."""
 
 REPEAT = 1.0
-"""Seconds without an answer after which what can be asked twice is asked again: a server that hasn't found a new client yet
+"""Seconds without an answer after which what can be asked twice is asked again: a server that has not found a new client yet
 drops its answer (rmw_fastrtps waits 100 ms for it).
 """
 
@@ -51,12 +43,6 @@ MOST_REPEATS = 20
 
 ANSWER_LOST = 3.0
 """Seconds at rest in the old state after which a transition without an answer counts as refused."""
-
-MOST_CLIENTS = 64
-"""Service clients kept for further calls; a new one costs a round of discovery."""
-
-QUEUE = 100
-"""Samples that may wait between two looks at a queue."""
 
 TRANSITIONS: Mapping[tuple[str, str], tuple[str, int, str]] = {
     ("unconfigured", "inactive"): ("configure", 1, "inactive"),
@@ -76,17 +62,7 @@ STATES = ("unconfigured", "inactive", "active", "finalized")
 
 
 class CallFailed(Exception):
-    """A call that didn't succeed, in plain words."""
-
-
-@dataclass(frozen=True)
-class GraphLocation:
-    """Where in ROS this process already is."""
-
-    context: Any
-    """The rclpy context of its graph; another would be another participant, that has to be discovered anew."""
-    host: bytes | None = None
-    """The HOST part of the GIDs of this host's endpoints (sample_sources.py); None where anyone's count."""
+    """A call that did not succeed, in plain words."""
 
 
 class _CallProgress:
@@ -128,14 +104,13 @@ class InstanceCaller:
     """One instance's services, parameters, lifecycle and topics. For one event loop."""
 
     def __init__(self, name: str, *, place: Callable[[], GraphLocation | None] | None = None) -> None:
-        """``name`` of the node that is made at the first call. ``place`` says where, and None while that isn't known yet;
+        """``name`` of the node that is made at the first call. ``place`` says where, and None while that is not known yet;
         without it the node joins the graph that the process's environment names.
         """
         self._name, self._place = name, place
-        self._opened: _CallingNode | None = None
+        self._opened: CallingNode | None = None
         self._users = 0
         self._idle: asyncio.TimerHandle | None = None
-        self._pinned = False
 
     # -- services ---------------------------------------------------------------------------------------------------
 
@@ -170,7 +145,7 @@ class InstanceCaller:
             return await _state(opened, bound, node)
 
     async def bring_to(self, node: str, state: str, within: float) -> None:
-        """Bring a managed node to a state in which it can rest, by the shortest transitions. Nothing is done where it is
+        """Bring a managed node to a state in which it can rest, by the shortest transitions. Nothing is done if it is
         there already. Raises CallFailed.
         """
         if state not in STATES:
@@ -181,7 +156,7 @@ class InstanceCaller:
                 if step is not None:
                     await _transition(opened, bound, node, present, *step)
                 elif present in STATES:
-                    raise CallFailed(f"node {node} is {present}, from where it can't become {state}")
+                    raise CallFailed(f"node {node} is {present}, from where it cannot become {state}")
                 else:
                     bound.missing = f"node {node} is still {present}, not yet {state}"
                     await asyncio.sleep(LOOK)
@@ -189,7 +164,7 @@ class InstanceCaller:
     # -- parameters -------------------------------------------------------------------------------------------------
 
     async def get_parameters(self, node: str, names: Sequence[str], within: float) -> dict[str, Any]:
-        """Values of parameters of a node. Raises CallFailed, also where it doesn't have one of them."""
+        """Values of parameters of a node. Raises CallFailed, also if it does not have one of them."""
         async with self._bound(f"node {node}", within) as (opened, bound):
             return await _parameters(opened, bound, node, names)
 
@@ -207,7 +182,7 @@ class InstanceCaller:
             try:
                 parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in wanted.items()]
             except (AssertionError, TypeError) as error:
-                raise CallFailed(f"node {node}: {dict(values)!r:.200} can't be parameters: {error}") from error
+                raise CallFailed(f"node {node}: {dict(values)!r:.200} cannot be parameters: {error}") from error
             answer = await _asked(
                 opened,
                 bound,
@@ -234,10 +209,10 @@ class InstanceCaller:
         within: float,
         count: int = 1,
     ) -> None:
-        """Publish a message (bytes are CDR with its header; a function is asked for them at the last moment) so often, once
+        """Publish a message (bytes are CDR with its header; a function is asked for them at the last moment) that often, once
         somebody here subscribes to the topic, and wait until the subscribers have it. Raises CallFailed.
 
-        Instances of one workload match each other's subscribers and can't reach them, and the middleware doesn't tell whose
+        Instances of one workload match each other's subscribers and cannot reach them, and the middleware does not tell whose
         acknowledgement is missing: with subscribers elsewhere the message is sent on for a while instead, and not waited for.
         """
         async with self._bound(f"topic {topic}", within) as (opened, bound):
@@ -284,7 +259,7 @@ class InstanceCaller:
 
             cls, taker, host = message_class(type_name), SampleTaker(), opened.host if own else None
             bound.missing = f"nothing {'of this instance ' if host else ''}came on {topic} ({type_name})"
-            # A reader of latched messages doesn't match a writer that keeps none, and the other doesn't get them.
+            # A reader of latched messages does not match a writer that keeps none, and the other does not get them.
             subscriptions = [opened.subscription(cls, topic, latched=latched) for latched in (False, True)]
             try:
                 while True:
@@ -319,31 +294,25 @@ class InstanceCaller:
     # -- the node ---------------------------------------------------------------------------------------------------
 
     @property
-    def node(self) -> Any:
-        """The rclpy node, made where there is none; it then stays until :meth:`close`. Raises CallFailed."""
-        self._pinned = True
-        self._stay()
-        found = self._open()
-        if found is None:
-            raise CallFailed("this process hasn't joined the ROS graph yet")
-        return found.node
+    def is_open(self) -> bool:
+        """Whether there is a node now."""
+        return self._opened is not None
 
     def close(self) -> None:
         """End the node, if there is one. The next call makes another."""
         self._stay()
-        self._pinned = False
         if self._opened is not None:
             self._opened.close()
             self._opened = None
 
     def _stay(self) -> None:
-        """Don't close for being idle."""
+        """Do not close for being idle."""
         if self._idle is not None:
             self._idle.cancel()
             self._idle = None
 
-    def _open(self) -> _CallingNode | None:
-        """The node in the present place; None where that isn't known yet."""
+    def _open(self) -> CallingNode | None:
+        """The node in the present place; None if that is not known yet."""
         place = self._place() if self._place is not None else None
         if self._place is not None and place is None:
             return None
@@ -351,13 +320,13 @@ class InstanceCaller:
             self._opened.close()
             self._opened = None
         if self._opened is None:
-            self._opened = _CallingNode(self._name, place)
+            self._opened = CallingNode(self._name, place)
         return self._opened
 
     @contextlib.asynccontextmanager
-    async def _bound(self, what: str, within: float) -> AsyncIterator[tuple[_CallingNode, _CallProgress]]:
+    async def _bound(self, what: str, within: float) -> AsyncIterator[tuple[CallingNode, _CallProgress]]:
         """The node, for at most so many seconds. ``what`` names the other side in messages."""
-        bound = _CallProgress("this process hasn't joined the ROS graph")
+        bound = _CallProgress("this process has not joined the ROS graph")
         self._users += 1
         self._stay()
         try:
@@ -376,148 +345,8 @@ class InstanceCaller:
     def _left(self) -> None:
         """One user less; after the last one it closes in a while."""
         self._users -= 1
-        if not self._users and not self._pinned and self._opened is not None:
+        if not self._users and self._opened is not None:
             self._idle = asyncio.get_running_loop().call_later(IDLE, self.close)
-
-
-class _CallingNode:
-    """A node and the thread that spins it."""
-
-    def __init__(self, name: str, place: GraphLocation | None) -> None:
-        from rclpy.callback_groups import CallbackGroup
-        from rclpy.executors import SingleThreadedExecutor
-
-        from understudy.ros.runtime.node_options import own_context, plain_node
-
-        class Drained(CallbackGroup):  # type: ignore[misc]
-            """Keeps what is in it out of the executor's hands."""
-
-            def can_execute(self, entity: object) -> bool:
-                return False
-
-        self.host = place.host if place is not None else None
-        self._own_context = place is None
-        self._context = place.context if place is not None else own_context()
-        self.node = plain_node(name, self._context)
-        self._drained = Drained()
-        self._clients: dict[tuple[str, str], Any] = {}
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._closing = False
-        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
-        self._thread.start()
-
-    def is_at(self, place: GraphLocation | None) -> bool:
-        """Whether it was made there, and still stands."""
-        if not self._context.ok():
-            return False
-        return self._own_context if place is None else place.context is self._context and place.host == self.host
-
-    def _spin(self) -> None:
-        while not self._closing and self._context.ok():
-            try:
-                self._executor.spin_once(timeout_sec=1.0)
-            except Exception:
-                if not self._closing and self._context.ok():
-                    _logger.exception("calling")
-                    time.sleep(0.1)  # not as fast as it can where it can't at all
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._closing = True
-        self._executor.shutdown(timeout_sec=5.0)
-        self._thread.join(5.0)
-        if self._context.ok() or self._own_context:
-            self.node.destroy_node()
-        if self._own_context:
-            self._context.try_shutdown()
-
-    # -- what is there ----------------------------------------------------------------------------------------------
-
-    def serves(self, service: str) -> bool:
-        """Whether a service has a server here: what takes its requests, and what answers them."""
-        readers = self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True)
-        if not any(self._here(reader) for reader in readers):
-            return False
-        return any(map(self._here, self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)))
-
-    def has_node(self, name: str) -> bool:
-        """Whether a node is here; on one known host it is told by its parameter events, which nearly every node has."""
-        if self.host is None:
-            known = self.node.get_node_names_and_namespaces()
-            return any(f"{namespace.rstrip('/')}/{node}" == name for node, namespace in known)
-        writers = self.node.get_publishers_info_by_topic("/parameter_events")
-        return any(self._here(w) and f"{w.node_namespace.rstrip('/')}/{w.node_name}" == name for w in writers)
-
-    def is_read(self, publisher: Any, topic: str, type_name: str) -> bool:
-        """Whether all readers of a topic of that type are matched, one of them here."""
-        readers = [
-            reader for reader in self.node.get_subscriptions_info_by_topic(topic) if reader.topic_type == type_name
-        ]
-        return any(map(self._here, readers)) and bool(publisher.get_subscription_count() >= len(readers))
-
-    def is_read_elsewhere(self, topic: str, type_name: str) -> bool:
-        """Whether somebody on another host subscribes to a topic."""
-        readers = self.node.get_subscriptions_info_by_topic(topic)
-        return any(e.topic_type == type_name and not self._here(e) for e in readers)
-
-    def published_types(self, topic: str) -> set[str]:
-        """The types of a topic's publishers that are here."""
-        return {e.topic_type for e in self.node.get_publishers_info_by_topic(topic) if self._here(e)}
-
-    def _here(self, endpoint: Any) -> bool:
-        return self.host is None or bytes(endpoint.endpoint_gid)[HOST] == self.host
-
-    # -- entities ---------------------------------------------------------------------------------------------------
-
-    def client(self, service: str, type_name: str) -> Any:
-        """A client of a service. Raises TypeNotInstalled, ValueError."""
-        if "/srv/" not in type_name:
-            raise ValueError(
-                f"{type_name!r} is not a service type: write package/srv/Name, such as std_srvs/srv/Trigger"
-            )
-        found = self._clients.pop((service, type_name), None)
-        if found is None:
-            found = self.node.create_client(interface_class(type_name), service)
-        self._clients[service, type_name] = found
-        while len(self._clients) > MOST_CLIENTS:
-            self.node.destroy_client(self._clients.pop(next(iter(self._clients))))
-        return found
-
-    def publisher(self, cls: Any, topic: str, count: int) -> Any:
-        """A publisher that every subscriber matches, whatever it asks for."""
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-        qos = QoSProfile(
-            depth=max(1, count),
-            reliability=ReliabilityPolicy.RELIABLE,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        )
-        return self.node.create_publisher(cls, topic, qos)
-
-    def subscription(self, cls: Any, topic: str, *, latched: bool) -> Any:
-        """A subscription that is drained: of every writer, or of those that keep messages for late readers."""
-        from rclpy.event_handler import SubscriptionEventCallbacks
-        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-
-        qos = QoSProfile(
-            depth=QUEUE,
-            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
-        return self.node.create_subscription(
-            cls,
-            topic,
-            _never_called,
-            qos,
-            raw=True,
-            callback_group=self._drained,
-            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-        )
-
-
-def _never_called(message: object) -> None:
-    """Stands where rclpy wants a callback; the queue is drained instead."""
 
 
 def _acknowledged(publisher: Any) -> bool:
@@ -533,7 +362,7 @@ async def _until(holds: Callable[[], bool]) -> None:
 
 
 async def _asked(
-    opened: _CallingNode,
+    opened: CallingNode,
     bound: _CallProgress,
     service: str,
     type_name: str,
@@ -541,23 +370,23 @@ async def _asked(
     *,
     repeat: float | None = None,
 ) -> Any:
-    """The answer of a service, as a message; a request that may be carried out twice is repeated so often (seconds).
+    """The answer of a service, as a message; a request that may be carried out twice is repeated that often (seconds).
 
-    That both sides of the service match its client is waited for; that the server has matched the client can't be seen from
-    here, and a server that hasn't drops its answer.
+    That both sides of the service match its client is waited for; that the server has matched the client cannot be seen from
+    here, and a server that has not drops its answer.
     """
-    client = opened.client(service, type_name)
-    message = to_message(client.srv_type.Request, request)
+    client = await opened.client(service, type_name)
+    message = to_message(interface_class(type_name).Request, request)
     bound.missing = f"service {service} ({type_name}) is not there"
-    await _until(lambda: opened.serves(service) and client.service_is_ready())
+    await _until(lambda: opened.serves(service) and client.ready())
     bound.missing, bound.sent = f"service {service} has not answered", True
     if repeat is None:
-        return await _answer(client, message)
+        return await client.call(message)
     asked: set[asyncio.Task[Any]] = set()
     try:
         while True:
             if len(asked) < MOST_REPEATS:
-                asked.add(asyncio.create_task(_answer(client, message)))
+                asked.add(asyncio.create_task(client.call(message)))
             done, _ = await asyncio.wait(asked, timeout=repeat, return_when=asyncio.FIRST_COMPLETED)
             if done:
                 return done.pop().result()
@@ -567,46 +396,20 @@ async def _asked(
         await asyncio.gather(*asked, return_exceptions=True)
 
 
-async def _answer(client: Any, request: Any) -> Any:
-    """The answer to one request. The executor's thread has it first."""
-    loop = asyncio.get_running_loop()
-    answered = loop.create_future()
-
-    def settle(future: Any) -> None:
-        if answered.done():
-            return
-        if (error := future.exception()) is not None:
-            answered.set_exception(CallFailed(f"service {client.srv_name}: {error}"))
-        else:
-            answered.set_result(future.result())
-
-    def tell(future: Any) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop may have ended before the answer
-            loop.call_soon_threadsafe(settle, future)
-
-    future = client.call_async(request)
-    future.add_done_callback(tell)
-    try:
-        return await answered
-    finally:
-        if not future.done():
-            client.remove_pending_request(future)
-
-
 # -- lifecycle ------------------------------------------------------------------------------------------------------
 
 
-async def _state(opened: _CallingNode, bound: _CallProgress, node: str) -> str:
+async def _state(opened: CallingNode, bound: _CallProgress, node: str) -> str:
     answer = await _asked(opened, bound, f"{node}/get_state", "lifecycle_msgs/srv/GetState", {}, repeat=REPEAT)
     return str(answer.current_state.label)
 
 
 async def _transition(
-    opened: _CallingNode, bound: _CallProgress, node: str, present: str, transition: str, number: int, goal: str
+    opened: CallingNode, bound: _CallProgress, node: str, present: str, transition: str, number: int, goal: str
 ) -> None:
     """One transition. Its answer may come late or get lost, so the state itself is asked for meanwhile.
 
-    Raises CallFailed where the node didn't go there.
+    Raises CallFailed if the node did not go there.
     """
     request = {"transition": {"id": number, "label": transition}}
     asking = _CallProgress("")
@@ -638,7 +441,7 @@ async def _transition(
 # -- parameters -----------------------------------------------------------------------------------------------------
 
 
-async def _parameters(opened: _CallingNode, bound: _CallProgress, node: str, names: Sequence[str]) -> dict[str, Any]:
+async def _parameters(opened: CallingNode, bound: _CallProgress, node: str, names: Sequence[str]) -> dict[str, Any]:
     from rclpy.parameter import parameter_value_to_python
 
     service, type_name = f"{node}/get_parameters", "rcl_interfaces/srv/GetParameters"

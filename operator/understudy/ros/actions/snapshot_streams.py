@@ -1,6 +1,6 @@
 """Streams of snapshots of a tree, as py_trees_ros offers them (its SnapshotStream), for its watcher and its viewers.
 
-``NAMESPACE/snapshots`` is always there. A tool that isn't told of a topic looks for ``NAMESPACE/snapshot_streams/open`` by
+``NAMESPACE/snapshots`` is always there. A tool without a topic looks for ``NAMESPACE/snapshot_streams/open`` by
 its type instead, and is given a stream of its own with a period of its own, until it closes that.
 
 Nothing here waits but the answers, which a thread gives: the middleware may take a tenth of a second for a client that
@@ -130,7 +130,7 @@ class Streams:
         return any(stream.readers for stream in self._streams.values())
 
     def show(self, listed: Sequence[Behaviour]) -> int:
-        """Publish how the tree is where that is due, and read; on how many streams."""
+        """Publish how the tree is if that is due, and read; on how many streams."""
         now, found = time.monotonic(), statuses(listed)
         message = None
         published = 0

@@ -1,4 +1,4 @@
-"""The states of managed nodes of the instance in control: by what they tell of their transitions, and by what they answer."""
+"""The states of managed nodes of the active instance, from their transition events and their answers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class LifecycleStates(Inquiries[str, str, NodeState]):
     absent = ""
 
     def topic(self, subject: str) -> str:
-        """Where a node tells of its transitions."""
+        """Where a node reports its transitions."""
         return f"{subject}{EVENTS}"
 
     def told(self, subject: str, content: Content) -> str | None:
@@ -42,10 +42,10 @@ class LifecycleStates(Inquiries[str, str, NodeState]):
         return fact
 
     def blind(self, subject: str, nodes: int, found: str) -> str:
-        """Why its state can't be told."""
+        """Why its state cannot be told."""
         return (
-            f"the state of {subject} can't be told: of {nodes} nodes of that name, in different pods, {found}, "
-            "and that of the instance in control has told of no transition since it is watched"
+            f"the state of {subject} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "
+            "and the one of the active instance has reported no transition since it has been watched"
         )
 
     def evidence(self, received: float, fact: str | None) -> NodeState:

@@ -29,7 +29,7 @@ def ours(data: bytes) -> bool:
 
 
 def begins_with_header(message: Any) -> bool:
-    """Whether messages of a class begin with a std_msgs/Header, as by convention they do where they have one."""
+    """Whether messages of a class begin with a std_msgs/Header, as by convention they do if they have one."""
     return next(iter(message.get_fields_and_field_types().values()), None) == "std_msgs/Header"
 
 
@@ -43,7 +43,7 @@ class Received:
     ) -> None:
         """``received`` is when it was, ``taken`` the same by the clock at that time, ``data`` CDR with its header, of a
         message of this class, which is ``stamped`` if it begins with a header. ``sent`` is when its writer wrote it, by the
-        clock there; 0 where that isn't known. Times are Unix seconds.
+        clock there; 0 if that is not known. Times are Unix seconds.
         """
         self.received = received
         self._taken, self._data, self._class, self._stamped = taken, data, message, stamped
@@ -58,7 +58,7 @@ class Received:
 
             try:
                 self._message = deserialize_message(self._data, self._class)
-            except Exception as error:  # what the middleware raises for bytes of another type isn't said
+            except Exception as error:  # what the middleware raises for bytes of another type is not said
                 self._failure = f"it is no {self._class.__name__}: {error}"
         if self._failure:
             raise Unreadable(self._failure)
@@ -84,5 +84,5 @@ class Received:
         return text.encode() in self._data
 
     def byte(self, place: int) -> int | None:
-        """One of its bytes; None where it hasn't so many."""
+        """One of its bytes; None if it has not so many."""
         return self._data[place] if place < len(self._data) else None

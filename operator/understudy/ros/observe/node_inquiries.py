@@ -1,4 +1,4 @@
-"""What nodes of the instance in control say of themselves: by what they tell of changes, and asked for now and then.
+"""What nodes of the active instance report about themselves: changes as they happen, and the present at intervals.
 
 What a node tells has its sender. An answer has none, and a request reaches every node of that name, also a standby's: it
 counts where all that could have answered did so and say the same. Nothing here waits: requests are sent, and answers taken,
@@ -18,13 +18,13 @@ from understudy.ros.runtime.interface_types import interface_class
 from understudy.trees.core.observations import Content, Evidence, TopicRecord, Unreadable
 
 PERIOD = 2.0
-"""Seconds between questions. A change is told of at once; what is asked for is what came before, or got lost."""
+"""Seconds between questions. A change is reported at once; what is asked for is what came before, or got lost."""
 
 RETRY = 0.5
-"""Seconds between questions while nothing is known: a server that hasn't found its client yet drops its answer."""
+"""Seconds between questions while nothing is known: a server that has not found its client yet drops its answer."""
 
 LOOK = 0.1
-"""Seconds after which what is known is said anew: it is as true of an instance that has just taken control."""
+"""Seconds after which what is known is said again: it is as true of an instance that has just taken control."""
 
 Subject = TypeVar("Subject", bound=Hashable)
 """What is asked about, such as a node."""
@@ -44,7 +44,7 @@ class _Question(Generic[Fact]):
     servers: int
     """How many were there, and can be reached."""
     own: bool
-    """Whether all of them are of the instance in control."""
+    """Whether all of them are of the active instance."""
     answers: list[Fact] = field(default_factory=list)
 
 
@@ -56,18 +56,18 @@ class _Inquiry(Generic[Fact, Said]):
     response: Any = None
     """The class of the answers."""
     fact: Fact | None = None
-    """What is so; None where that isn't known."""
+    """What is so; None if that is not known."""
     blind: str = ""
-    """Why it can't be told."""
+    """Why it cannot be told."""
     said: Said | None = None
     of: Fact | None = None
     """The fact that was said."""
     event: object = None
     """The message that was looked into last."""
     servers: frozenset[bytes] | None = None
-    """Those of the instance in control when they were last looked for, by GID: others are of another process."""
+    """Those of the active instance when they were last looked for, by GID: others are of another process."""
     moved: bool = False
-    """Whether it has told of a change since they were."""
+    """Whether it has reported a change since they were."""
     question: _Question[Fact] | None = None
     next: float = 0.0
 
@@ -87,15 +87,15 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
     # -- what is asked about ----------------------------------------------------------------------------------------
 
     absent: Fact
-    """What is so where the instance in control has no server of the name."""
+    """What is so where the active instance has no server of the name."""
 
     @abstractmethod
     def topic(self, subject: Subject) -> str:
-        """Where a node tells of changes."""
+        """Where a node reports changes."""
 
     @abstractmethod
     def told(self, subject: Subject, content: Content) -> Fact | None:
-        """What a message there says of it; None where it says nothing of it. Raises Unreadable."""
+        """What a message there says of it; None if it says nothing of it. Raises Unreadable."""
 
     @abstractmethod
     def service(self, subject: Subject) -> tuple[str, str]:
@@ -115,17 +115,17 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
 
     @abstractmethod
     def blind(self, subject: Subject, nodes: int, found: str) -> str:
-        """Why it can't be told of so many nodes in different pods, of which this was found."""
+        """Why the fact cannot be determined, with the number of nodes in different pods and what they answered."""
 
     @abstractmethod
     def evidence(self, received: float, fact: Fact | None) -> Said:
-        """What was so at a time, for a health tree; None where it can't be told."""
+        """What was so at a time, for a health tree; None if it cannot be told."""
 
     # -- what is known ----------------------------------------------------------------------------------------------
 
     @property
     def problems(self) -> list[str]:
-        """What can't be told, in plain words."""
+        """What cannot be told, in plain words."""
         return [inquiry.blind for inquiry in self._inquiries.values() if inquiry.blind]
 
     def follow(self, subjects: Iterable[Subject]) -> None:
@@ -142,7 +142,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
             self._inquiries[subject] = _Inquiry(inquiry.client, inquiry.response)
 
     def look(self) -> None:
-        """Take in what has been received, and ask where it is time to."""
+        """Take in what has been received, and ask if it is time to."""
         now = time.monotonic()
         for subject, inquiry in self._inquiries.items():
             self._follow_events(subject, inquiry)
@@ -231,7 +231,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         if whole and len(words) == 1:
             inquiry.fact, inquiry.blind = question.answers[0], ""
         elif question.own:
-            return  # one that doesn't answer is where it was, for all that is known
+            return  # one that does not answer counts as unchanged
         elif inquiry.fact is None or (whole and self.words(inquiry.fact) not in words):
             inquiry.fact = None
             found = f"some are {' and some '.join(words)}" if whole else f"{len(question.answers)} answered"

@@ -1,6 +1,6 @@
-"""Looks now and then at which nodes the instance in control has, by the ROS graph.
+"""Looks now and then at which nodes the active instance has, by the ROS graph.
 
-The graph's list of nodes doesn't say where a node is, and instances of one workload have nodes of the same names. Its
+The graph's list of nodes does not say where a node is, and instances of one workload have nodes of the same names. Its
 endpoints do: each has a GID that tells its host (sample_sources.py), and the name of its node. Every node of rclcpp and rclpy
 has a publisher of ``/parameter_events``, unless it was told not to; then another of its endpoints is looked for.
 """
@@ -45,7 +45,7 @@ class NodePresenceWatch:
         self._next = self._again = 0.0
 
     def look(self) -> None:
-        """Look, where it is time to."""
+        """Look, if it is time to."""
         now = time.monotonic()
         if not self._seen or now < self._next:
             return

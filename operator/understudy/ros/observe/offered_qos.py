@@ -1,7 +1,7 @@
 """What publishers offer of the delivery of a topic's messages (their QoS), as rosbag2 writes it with the topic.
 
 `ros2 bag play` offers the same again: without it a topic that latches its last message would reach nobody who asks for that.
-Policies are named as by rosbag2 of Jazzy and later; where a file doesn't say the version of its metadata, these take it for their own.
+Policies are named as by rosbag2 of Jazzy and later; if a file does not say the version of its metadata, these take it for their own.
 """
 
 from __future__ import annotations

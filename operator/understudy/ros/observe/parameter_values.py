@@ -1,4 +1,4 @@
-"""Parameters of nodes of the instance in control: by the changes that they tell of, and by what they answer."""
+"""Parameters of nodes of the active instance, from their parameter events and their answers."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
     absent = Setting(None, "there is no such node that would say it")
 
     def topic(self, subject: tuple[str, str]) -> str:
-        """Where all nodes tell of their parameters."""
+        """Where all nodes report their parameters."""
         return EVENTS
 
     def told(self, subject: tuple[str, str], content: Content) -> Setting | None:
-        """What a node says of the parameter. A message that lacks its name, or that of the node, isn't read."""
+        """What a node says of the parameter. A message that lacks its name, or that of the node, is not read."""
         node, name = subject
         if not (content.mentions(name) and content.mentions(node)):
             return None
@@ -47,7 +47,7 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         return f"{subject[0]}/get_parameters", GET_PARAMETERS
 
     def request(self, subject: tuple[str, str], type_: Any) -> Any:
-        """A node that lacks one of several parameters says nothing of the others either: each is asked for by itself."""
+        """A node that lacks one of several parameters says nothing of the others either: each is asked for on its own."""
         return type_.Request(names=[subject[1]])
 
     def answered(self, answer: Any) -> Setting:
@@ -59,11 +59,11 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         return repr(fact.value) if fact.value is not None else fact.lacks.removeprefix("it is ")
 
     def blind(self, subject: tuple[str, str], nodes: int, found: str) -> str:
-        """Why it can't be told."""
+        """Why it cannot be told."""
         node, name = subject
         return (
-            f"parameter {name} of {node} can't be told: of {nodes} nodes of that name, in different pods, {found}, "
-            "and that of the instance in control has told of no change since it is watched"
+            f"parameter {name} of {node} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "
+            "and the one of the active instance has reported no change since it has been watched"
         )
 
     def evidence(self, received: float, fact: Setting | None) -> ParameterState:

@@ -32,7 +32,7 @@ class PublisherPresence:
         self._next = 0.0
 
     def look(self) -> None:
-        """Look, where it is time to."""
+        """Look, if it is time to."""
         now = time.monotonic()
         if not self._seen or now < self._next:
             return

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 Message = tuple[float, float, int, bytes]
-"""When it was received and when it was sent (Unix seconds, 0 where that isn't known), its number in its writer's sequence, and CDR
+"""When it was received and when it was sent (Unix seconds, 0 if that is not known), its number in its writer's sequence, and CDR
 with its header."""
 
 OVERHEAD = 200
@@ -40,7 +40,7 @@ class SampleTrack:
         self.size = 0
         """Bytes that it takes."""
         self.wanted = True
-        """Whether it is kept; its bytes need not be copied where it isn't."""
+        """Whether it is kept; its bytes need not be copied if it is not."""
 
     def add(self, received: float, sent: float, sequence: int, data: bytes) -> None:
         """Keep a message, and forget what is too old by now."""
@@ -103,7 +103,7 @@ class SampleRing:
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        """The topics that aren't kept, and why, in plain words."""
+        """The topics that are not kept, and why, in plain words."""
         why = f"in {self.seconds:g} s it takes more than all topics may together"
         return {name: why for name, track in sorted(self._tracks.items()) if not track.wanted}
 

@@ -1,4 +1,4 @@
-"""The last messages of topics whose state is kept, as serialized bytes, of the instance in control or the robot.
+"""The last messages of topics whose state is kept, as serialized bytes, of the active instance or the robot.
 
 Drained like what is watched (topic_watch.py), and never deserialized. A publisher that gives its last message to late
 joiners is asked for that too, so that a pose said once before the monitor started is known; such a message is told
@@ -29,7 +29,7 @@ LOOK_UP = 1.0
 """Seconds between looks at the graph for a topic that nobody publishes yet, and at the number of its publishers."""
 
 LOOK_AGAIN = 10.0
-"""Seconds between looks at whether publishers are still what they were, where their number hasn't changed."""
+"""Seconds between looks at whether publishers are still what they were, where their number has not changed."""
 
 LARGEST_WAITING = 1024 * 1024
 """Bytes of a standby's message that is remembered for when it takes over; what is larger is a map, and the same."""
@@ -43,7 +43,7 @@ class Captured(NamedTuple):
     data: bytes
     """CDR with its 4-byte header."""
     taken_at: float
-    """When it was received, or written where that was before it was asked for."""
+    """When it was received, or written if that was before it was asked for."""
     received_at: float
     standing: Literal["", "instance", "robot"]
     """By whom it is held for late joiners, if it is: it holds until the next one."""
@@ -67,7 +67,7 @@ class _Topic:
     problem: str = ""
     waiting: str = ""
     standing: dict[bytes, Captured] = field(default_factory=dict)
-    """The last message of each instance, by the HOST part of its GIDs, where that is given to late joiners."""
+    """The last message of each instance, by the HOST part of its GIDs, if that is given to late joiners."""
 
 
 class Capturing:
@@ -82,7 +82,7 @@ class Capturing:
         self._again: list[Captured] = []
 
     def follow(self, topics: Mapping[str, str | None]) -> None:
-        """Take these topics, each with its type where that is known, and no others. Cheap where nothing changed."""
+        """Take these topics, each with its type if that is known, and no others. Cheap where nothing changed."""
         for name in [name for name, topic in self._topics.items() if topics.get(name, "") != topic.type]:
             self._end(self._topics.pop(name))
         for name, type_name in topics.items():
@@ -91,7 +91,7 @@ class Capturing:
                 self._look(topic)
 
     def attribute(self, instances: Mapping[str, str], active: str) -> bool:
-        """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
+        """Set the instances (IP by pod name) and the active one (empty for none).
 
         Returns whether another is in control than before. Cheap where nothing changed.
         """
@@ -108,12 +108,12 @@ class Capturing:
 
     @property
     def problems(self) -> dict[str, str]:
-        """Why a topic can't be kept, in plain words that say what to do, by topic."""
+        """Why a topic cannot be kept, in plain words that say what to do, by topic."""
         return {name: topic.problem for name, topic in self._topics.items() if topic.problem}
 
     @property
     def waiting(self) -> dict[str, str]:
-        """Why a topic can't be kept yet, by topic."""
+        """Why a topic cannot be kept yet, by topic."""
         return {name: topic.waiting for name, topic in self._topics.items() if topic.waiting}
 
     def _counts(self, host: bytes) -> bool:
@@ -135,7 +135,7 @@ class Capturing:
                 names = ", ".join(sorted(types))
                 topic.problem = f"its publishers disagree about its type ({names}): give the type in state.keep"
             else:
-                topic.waiting = "nobody publishes it, so that its type isn't known"
+                topic.waiting = "nobody publishes it, so its type is not known"
             return
         if topic.type is not None and types and topic.type not in types:
             topic.problem = f"it is published as {', '.join(sorted(types))}, not as {topic.type}: correct state.keep"

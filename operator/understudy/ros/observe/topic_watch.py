@@ -1,4 +1,4 @@
-"""Watches topics by draining their queues instead of being called for each message.
+"""Watches topics by draining their queues, without a callback for each message.
 
 Fast DDS keeps what arrives in a subscription's history and stamps it with the time of receipt, so nothing is lost in
 exactness by looking only now and then, and a look costs a few microseconds a message instead of an executor's round.
@@ -46,7 +46,7 @@ STALL = 0.25
 """Seconds between two drains that a queue must be able to bridge: several ticks, since a busy node stalls us."""
 
 USUAL_RATE = 50.0
-"""Messages per second that a queue is made for where the tree doesn't say."""
+"""Messages per second that a queue is made for where the tree does not say."""
 
 LEAST_DEPTH, MOST_DEPTH = 10, 1000
 
@@ -80,7 +80,7 @@ class SourceRecord(TopicRecord):
     def __init__(self, window: float, contents: int = 0) -> None:
         super().__init__(window, contents)
         self.accepted = True
-        """Whether it counts for the instance in control."""
+        """Whether it counts for the active instance."""
         self.lost = 0
         """Messages that were sent after the first one received and never came, by their sequence numbers."""
         self.sequences: dict[bytes, int] = {}
@@ -117,22 +117,22 @@ class _Topic:
     waiting: str = ""
     sources: dict[bytes, SourceRecord] = field(default_factory=dict)
     counted: TopicRecord = field(default_factory=TopicRecord)
-    """Samples that count for the instance in control."""
+    """Samples that count for the active instance."""
     active: dict[bytes, float] = field(default_factory=dict)
     """Of an action's status: when each server with an active goal got it, by the GID of its writer."""
 
 
 class TopicWatch:
-    """The topics of a health tree, as received here, and from which pod.
+    """The topics of a health tree, as this process receives them, attributed to pods.
 
     An Observations of the samples that are not from another instance of the workload than the one in control: the
     robot's own topics, and the instance's. All times are Unix seconds by this machine's clock; when that is set, they
-    are moved with it, so that a step of the clock doesn't look like a gap.
+    are moved with it, so that a step of the clock does not look like a gap.
     """
 
     def __init__(self, graph: Graph, own: bytes | None = None, arrivals: ArrivalWakeups | None = None) -> None:
-        """``own`` is the HOST part of GIDs of the instance that is judged, where that is the one this process is in;
-        ``arrivals`` is to tell of messages that should be looked at as they come.
+        """``own`` is the HOST part of GIDs of the instance that is judged, if that is the one this process is in;
+        ``arrivals`` wakes the process for messages that must be evaluated on arrival.
         """
         self._graph = graph
         self._own = own
@@ -141,7 +141,7 @@ class TopicWatch:
         self._lifecycles = LifecycleStates(graph, self._in_control, self.own, alone=own is not None)
         self._parameters = ParameterValues(graph, self._in_control, self.own, alone=own is not None)
         self.pod_state: PodState | None = None
-        """What the cluster says of the pod of the instance in control, where somebody says it here."""
+        """What the cluster says of the pod of the active instance, where somebody says it here."""
         self._taker = SampleTaker()
         self._arrivals = arrivals
         self._ring: SampleRing | None = None
@@ -195,7 +195,7 @@ class TopicWatch:
 
     @property
     def waiting(self) -> list[str]:
-        """Topics that can't be watched before somebody publishes them, in plain words."""
+        """Topics that cannot be watched before somebody publishes them, in plain words."""
         return [topic.waiting for topic in self._topics.values() if topic.waiting]
 
     def _change(self, topic: _Topic, want: WatchedTopic) -> None:
@@ -249,7 +249,7 @@ class TopicWatch:
             self._be_told(topic)
 
     def _be_told(self, topic: _Topic) -> None:
-        """Be told of messages as they come, or no longer."""
+        """Be woken by messages on arrival, or no longer."""
         if self._arrivals is None or topic.subscription is None:
             return
         tell = self._arrivals.tell_of if topic.want.prompt else self._arrivals.forget
@@ -270,7 +270,7 @@ class TopicWatch:
                 self._subscribe(topic)
 
     def _forget_servers(self) -> None:
-        """A server that is gone has no goal any more; it couldn't say so."""
+        """A server that is gone has no goal any more; it could not say so."""
         for topic in self._topics.values():
             if topic.active:
                 there = {endpoint.gid for endpoint in self._graph.publishers(topic.want.name)}
@@ -281,13 +281,13 @@ class TopicWatch:
 
     @property
     def in_control(self) -> bool:
-        """It is the one in control that is judged by all that is received."""
+        """Every received sample counts as evidence about the active instance."""
         return True
 
     def attribute(self, instances: Mapping[str, str], active: str) -> None:
-        """Say which instances there are (IP by pod name) and which of them is in control (empty for none).
+        """Set the instances (IP by pod name) and the active one (empty for none).
 
-        What was received so far is judged anew. Cheap where nothing changed.
+        What was received so far is judged again. Cheap where nothing changed.
         """
         if active == self._active and instances == self._sources.instances:
             return
@@ -305,19 +305,19 @@ class TopicWatch:
 
     @property
     def sources(self) -> Sources:
-        """The instances that samples are attributed to, and which of them can't be told apart."""
+        """The instances that samples are attributed to, and which of them cannot be told apart."""
         return self._sources
 
     def _accepted(self, host: bytes) -> bool:
-        """Whether a host's samples count: it's no instance at all, or it is (or may be) the one in control.
+        """Whether a host's samples count: it is no instance at all, or it is (or may be) the one in control.
 
-        Where two instances can't be told apart, what comes through the gate is taken to be from the one that may.
+        Where two instances cannot be told apart, what comes through the gate is taken to be from the one that may.
         """
         candidates = self._sources.candidates(host)
         return not candidates or self._active in candidates
 
     def _in_control(self, gid: bytes) -> bool:
-        """Whether an endpoint is (or may be) of the instance in control; where no address tells that one, whether it is of no other."""
+        """Whether an endpoint is (or may be) of the active instance; if no address tells that one, whether it is of no other."""
         if self._own is not None:
             return gid[HOST] == self._own
         candidates = self._sources.candidates(gid)
@@ -325,7 +325,7 @@ class TopicWatch:
         return self._active in candidates if told else not candidates
 
     def _count_again(self, topic: _Topic) -> None:
-        """Put together what counts: the record of the only source that does, where there is just one, as it is."""
+        """Put together what counts: the record of the only source that does, if there is just one, as it is."""
         accepted = [source for source in topic.sources.values() if source.accepted]
         if len(accepted) == 1:
             topic.counted = accepted[0]
@@ -429,12 +429,12 @@ class TopicWatch:
     # -- what was received ------------------------------------------------------------------------------------------
 
     def topic(self, name: str) -> TopicRecord | None:
-        """What counts for the instance in control; None where the topic isn't watched."""
+        """What counts for the active instance; None if the topic is not watched."""
         topic = self._topics.get(name)
         return topic.counted if topic is not None else None
 
     def own(self, name: str) -> TopicRecord | None:
-        """What the instance in control itself sent on a topic; None where that is nothing (yet)."""
+        """What the active instance itself sent on a topic; None if that is nothing (yet)."""
         found = [source for host, source in self.records(name).items() if self._in_control(host)]
         if len(found) < 2:
             return found[0] if found else None
@@ -450,7 +450,7 @@ class TopicWatch:
         return topic.active if topic is not None else {}
 
     def task(self, name: str) -> float | None:
-        """Since when the instance in control (or what is no instance, such as a proxy) has had an active goal."""
+        """Since when the active instance (or what is no instance, such as a proxy) has had an active goal."""
         topic = self._topics.get(name)
         if topic is None:
             return None
@@ -458,23 +458,23 @@ class TopicWatch:
         return min(times, default=None)
 
     def publishers(self, name: str) -> Publishers | None:
-        """Who publishes a topic, of the instance in control; None where nobody has looked (yet)."""
+        """Who publishes a topic, of the active instance; None if nobody has looked (yet)."""
         return self._presence.of(name)
 
     def node(self, name: str) -> NodePresence | None:
-        """Whether the instance in control has a node; None where nobody has looked (yet)."""
+        """Whether the active instance has a node; None if nobody has looked (yet)."""
         return self._inhabitants.of(name)
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """The state of a managed node of the instance in control; None where nothing is known (yet)."""
+        """The state of a managed node of the active instance; None if nothing is known (yet)."""
         return self._lifecycles.of(name)
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """The value of a parameter of a node of the instance in control; None where nothing is known (yet)."""
+        """The value of a parameter of a node of the active instance; None if nothing is known (yet)."""
         return self._parameters.of((node, name))
 
     def pod(self) -> PodState | None:
-        """The pod of the instance in control; None where nobody says anything of it (yet)."""
+        """The pod of the active instance; None if nobody says anything of it (yet)."""
         return self.pod_state
 
     def records(self, name: str) -> dict[bytes, SourceRecord]:
@@ -483,12 +483,12 @@ class TopicWatch:
         return topic.sources if topic is not None else {}
 
     def last_from(self, name: str, pod: str) -> float | None:
-        """When a topic was last received from a pod; None for never, or where the pod can't be told from another."""
+        """When a topic was last received from a pod; None for never, or where the pod cannot be told from another."""
         record = self._record_of(name, pod)
         return record.last if record is not None else None
 
     def arrivals(self, name: str, pod: str) -> Sequence[float]:
-        """When a topic was received from a pod, of late (HISTORY); empty where the pod can't be told from another."""
+        """When a topic was received from a pod, of late (HISTORY); empty if the pod cannot be told from another."""
         record = self._record_of(name, pod)
         return record.arrivals if record is not None else ()
 

@@ -1,4 +1,4 @@
-"""Being woken when something arrives on some of the subscriptions that are drained.
+"""Wakes an event loop when messages arrive on drained subscriptions.
 
 The middleware calls a C function for each message, in a thread of its own. Here that function is the C library's
 ``eventfd_write``, whose two arguments are just what is handed over: a word of ours, and how many messages came. So no
@@ -19,12 +19,12 @@ _logger = logging.getLogger(__name__)
 
 
 class ArrivalWakeups:
-    """A file descriptor that is readable once something has arrived since it was cleared last."""
+    """A file descriptor that becomes readable when a message has arrived since it was last cleared."""
 
     def __init__(self) -> None:
         self.descriptor = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self.asked = False
-        """Whether it has been asked to tell of any subscription."""
+        """Whether any subscription was added."""
         self._write = ctypes.cast(ctypes.CDLL(None).eventfd_write, ctypes.c_void_p)
         self._set = loaded("librcl").rcl_subscription_set_on_new_message_callback
         self._set.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
@@ -37,7 +37,7 @@ class ArrivalWakeups:
         if result != 0:
             self._reset_error()
             _logger.warning(
-                "the middleware doesn't say when messages come (rcl's code %d): they are seen later", result
+                "the middleware does not report new messages (rcl's code %d): they are noticed later", result
             )
             return
         self.asked = True
@@ -54,5 +54,5 @@ class ArrivalWakeups:
             os.eventfd_read(self.descriptor)
 
     def close(self) -> None:
-        """Close the descriptor, when no subscription is told of any more."""
+        """Close the descriptor. All subscriptions must have been removed."""
         os.close(self.descriptor)

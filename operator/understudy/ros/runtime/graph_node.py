@@ -19,7 +19,7 @@ from understudy.ros.runtime.node_options import own_context, plain_node
 
 
 class NotReceivable(RuntimeError):
-    """A topic can't be received as a type, by its name or by what else this process has of that topic; the text says why."""
+    """A topic cannot be received as a type, by its name or by what else this process has of that topic; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class Graph:
     """One node and what it can see."""
 
     def __init__(self, name: str, *, domain_id: int | None = None) -> None:
-        """Join the graph as node ``name``; ``domain_id`` is ROS_DOMAIN_ID where it isn't given."""
-        # A client of a discovery server is told of matching endpoints only: it could never learn a topic's type.
+        """Join the graph as node ``name``; ``domain_id`` is ROS_DOMAIN_ID where it is not given."""
+        # A client of a discovery server is reported matching endpoints only: it could never learn a topic's type.
         os.environ.setdefault("ROS_SUPER_CLIENT", "TRUE")
         self._context = own_context(domain_id=domain_id)
         self.node = plain_node(name, self._context)
@@ -72,7 +72,7 @@ class Graph:
         try:
             message = message_class(type_name)
         except ValueError as error:  # whoever publishes by DDS alone calls its types as it likes
-            raise NotReceivable(f"{topic} can't be received: {error}") from error
+            raise NotReceivable(f"{topic} cannot be received: {error}") from error
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
             depth=depth,
@@ -90,7 +90,7 @@ class Graph:
             )
         except RuntimeError as error:  # of rclpy; one process has a topic as one type
             raise NotReceivable(
-                f"{topic} can't be received as {type_name}: what is watched, kept and commanded of one topic must have one type ({error})"
+                f"{topic} cannot be received as {type_name}: everything that uses the topic in this process must use one type ({error})"
             ) from error
 
     def unsubscribe(self, subscription: Any) -> None:
@@ -129,7 +129,7 @@ class Graph:
         return _endpoints(self.node.get_subscriptions_info_by_topic(topic))
 
     def type_of(self, topic: str) -> str | None:
-        """The type that a topic's publishers announce; None where there are none, or where they disagree."""
+        """The type that a topic's publishers announce; None if there are none, or where they disagree."""
         types = {endpoint.type for endpoint in self.publishers(topic)}
         return types.pop() if len(types) == 1 else None
 

@@ -1,6 +1,6 @@
 """Message, service and action types by name.
 
-The monitor can only watch what its image has the types of. Where one is missing, the error says what to do; it is what
+The monitor can only watch what its image has the types of. If one is missing, the error says what to do; it is what
 the workload's condition shows.
 """
 
@@ -17,7 +17,7 @@ leave_out_generator()
 
 
 class TypeNotInstalled(LookupError):
-    """A ROS type that this image doesn't have."""
+    """A ROS type that this image does not have."""
 
     def __init__(self, type_name: str, found: str) -> None:
         self.type_name = type_name
@@ -30,7 +30,7 @@ class TypeNotInstalled(LookupError):
 def interface_class(type_name: str) -> Any:
     """The Python class of ``package/msg/Name``, ``package/srv/Name`` or ``package/action/Name``, ready for use.
 
-    Raises ValueError when the name isn't one, TypeNotInstalled when the image doesn't have it.
+    Raises ValueError when the name is not one, TypeNotInstalled when the image does not have it.
     """
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] not in ("msg", "srv", "action") or not all(part.isidentifier() for part in parts):
@@ -55,10 +55,10 @@ def interface_class(type_name: str) -> Any:
         raise TypeNotInstalled(type_name, f"{package}.{kind}.{name} is not a ROS type")
     try:
         meta.__import_type_support__()
-    except Exception as error:  # whatever a broken package's libraries raise, the type can't be used
-        raise TypeNotInstalled(type_name, f"its libraries don't load: {error}") from error
+    except Exception as error:  # whatever a broken package's libraries raise, the type cannot be used
+        raise TypeNotInstalled(type_name, f"its libraries do not load: {error}") from error
     if meta._TYPE_SUPPORT is None:  # rosidl notes a failed import in its debug log only
-        raise TypeNotInstalled(type_name, "its libraries don't load")
+        raise TypeNotInstalled(type_name, "its libraries do not load")
     return found
 
 
@@ -84,7 +84,7 @@ def message_class(type_name: str) -> Any:
 def message_fields(type_name: str) -> Mapping[str, str] | None:
     """The fields of ``package/msg/Name``, or of an action's feedback, with their types, as rosidl names them.
 
-    None where the image doesn't have it.
+    None if the image does not have it.
     """
     try:
         found: Mapping[str, str] = message_class(type_name).get_fields_and_field_types()

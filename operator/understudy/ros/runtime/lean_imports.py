@@ -23,7 +23,7 @@ _NEEDED = f"{_GENERATOR}.import_type_support_impl"
 def leave_out_generator() -> bool:
     """Import of ``rosidl_generator_py`` only what types need at run time; whether that was possible.
 
-    Call it before any type is used. Where the package is loaded already, or is made otherwise, nothing is changed.
+    Call it before any type is used. If the package is loaded already, or is made otherwise, nothing is changed.
     """
     if _GENERATOR in sys.modules:
         return _NEEDED in sys.modules and not hasattr(sys.modules[_GENERATOR], "generate_py")
@@ -45,7 +45,7 @@ def leave_out_generator() -> bool:
 def import_rclpy() -> None:
     """Import rclpy, from whichever thread comes first.
 
-    Its modules import each other in a circle, which two threads can't walk at the same time: one finds half of a module.
+    Its modules import each other in a circle, which two threads cannot walk at the same time: one finds half of a module.
     So whatever may run before this process has joined the ROS graph calls this, or in an event loop awaits
     :func:`rclpy_imported`, before it imports anything of rclpy.
     """

@@ -23,7 +23,7 @@ _REAL = ("float", "double")
 
 
 class MessageError(ValueError):
-    """A mapping that doesn't fit its type; names the field, what was found and what would be right."""
+    """A mapping that does not fit its type; names the field, what was found and what would be right."""
 
 
 def to_message(cls: Any, values: Mapping[str, Any], *, path: str = "") -> Any:

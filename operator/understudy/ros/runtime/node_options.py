@@ -8,7 +8,7 @@ from rclpy.parameter import Parameter
 
 
 def own_context(*, domain_id: int | None = None) -> Context:
-    """A context of this process's own; ``domain_id`` is ROS_DOMAIN_ID where it isn't given.
+    """A context of this process's own; ``domain_id`` is ROS_DOMAIN_ID where it is not given.
 
     Unlike ``rclpy.init``, a context alone leaves the signals to the process's own loop. Without rcl's logging, which insists on a
     directory to write to, nothing of value is lost.

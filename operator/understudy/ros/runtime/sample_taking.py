@@ -33,7 +33,7 @@ class Sample(NamedTuple):
     sequence: int
     """Number of the message in its writer's sequence, from 1."""
     data: bytes
-    """CDR with its 4-byte header; empty where it wasn't asked for."""
+    """CDR with its 4-byte header; empty if it was not asked for."""
 
 
 class TakeError(RuntimeError):
@@ -101,7 +101,7 @@ class SampleTaker:
         """The oldest sample in the queue, None when there is none.
 
         ``pointer`` is that of an rclpy subscription's handle; the caller has entered the handle (``with
-        subscription.handle``), so that it can't be destroyed meanwhile. Raises TakeError.
+        subscription.handle``), so that it cannot be destroyed meanwhile. Raises TakeError.
         """
         result = self._take(pointer, *self._into)
         if result == _TAKE_FAILED:

@@ -91,12 +91,23 @@ class ServedNode:
         """Seconds since the thread last came round: at most one longer than its longest piece of work, unless it hangs."""
         return time.monotonic() - self._turned
 
+    @property
+    def alive(self) -> bool:
+        """Whether its context is still valid. One that others shut down ends the thread."""
+        return bool(self._context.ok())
+
     async def close(self) -> None:
         """Leave the graph."""
+        await asyncio.to_thread(self.shut_down)
+
+    def shut_down(self) -> None:
+        """Leave the graph, and wait for the thread to end."""
         self._stopped = True
-        self.do(lambda: None)
-        await asyncio.to_thread(self._thread.join)
-        self.node.destroy_node()
+        if self.alive:
+            self.do(lambda: None)
+        self._thread.join()
+        if self.alive or self._own_context:
+            self.node.destroy_node()
         if self._own_context:
             self._context.try_shutdown()
 
@@ -121,10 +132,12 @@ class ServedNode:
         self._later.append((time.monotonic() + seconds, work))
 
     def _run(self) -> None:
-        while not self._stopped:
+        while not self._stopped and self._context.ok():
             try:
                 self._serve()
             except Exception:
+                if self._stopped or not self._context.ok():
+                    return
                 _logger.exception("serving %s", self.node.get_name())
                 time.sleep(0.1)
 

@@ -23,7 +23,7 @@ _READER = 0x04
 """In the last byte of a GUID: the kind of a reader without a key; a writer's is 3."""
 
 _OK = 0
-_TIMEOUT = 2  # RCL_RET_TIMEOUT: the client isn't matched (yet)
+_TIMEOUT = 2  # RCL_RET_TIMEOUT: the client is not matched (yet)
 _TAKE_FAILED = 601  # RCL_RET_SERVICE_TAKE_FAILED: the queue is empty
 
 _INFO = struct.Struct("@qq16sq")
@@ -127,7 +127,7 @@ class ServiceExchange:
             converter.destroy(message)
 
     def answer(self, service: Any, response: Any, request: RequestId) -> bool:
-        """Send the answer of a request; False while the client isn't matched, so that it has to be tried again.
+        """Send the answer of a request; False while the client is not matched, so that it has to be tried again.
 
         Blocks for up to 100 ms then. An answer to a client that is gone is sent for all that is known of it.
         Raises ExchangeError.
@@ -137,7 +137,7 @@ class ServiceExchange:
         message = converter.create()
         try:
             if not converter.from_python(response, message):
-                raise ServiceExchangeError(f"{service.srv_name}: the answer can't be converted")
+                raise ServiceExchangeError(f"{service.srv_name}: the answer cannot be converted")
             identity = ctypes.create_string_buffer(_ID.pack(bytes.fromhex(request.client), request.sequence), _ID.size)
             with service.handle:
                 result = self._send(service.handle.pointer, identity, message)

@@ -1,6 +1,6 @@
 """Definitions of message types as they stand in recordings: the text of the type, and of all that it is made of.
 
-It is what the package's own message file says, with its comments and constants; where that isn't installed, and for what is sent
+It is what the package's own message file says, with its comments and constants; if that is not installed, and for what is sent
 on an action's topics, the fields are written out.
 """
 
@@ -57,7 +57,7 @@ def _installed(type_name: str) -> str:
 
 
 def _made_of(type_name: str) -> Iterator[str]:
-    """The types of its fields that aren't basic ones."""
+    """The types of its fields that are not basic ones."""
     slots: Sequence[Any] = message_class(type_name).SLOT_TYPES
     for slot in slots:
         item = getattr(slot, "value_type", slot)

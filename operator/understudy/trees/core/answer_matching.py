@@ -1,4 +1,4 @@
-"""Compares what was answered with what a tree expects of it."""
+"""Compares an answer with the fields that a tree expects."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def mismatch(found: Mapping[str, Any], expected: Mapping[str, Any], *, path: str = "") -> str | None:
-    """What of the expected fields isn't so, in plain words; None where all are. Fields that aren't named may be anything."""
+    """Return the first expected field that differs, in words; None if all match. Fields that are not named may have any value."""
     for field, value in expected.items():
         place = f"{path}.{field}" if path else str(field)
         if field not in found:

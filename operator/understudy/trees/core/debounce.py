@@ -1,14 +1,14 @@
-"""When a failed tree counts: only after it has been failed for a while without a break."""
+"""Debounces failures: a failed tree counts only after it has been failed for a while without a break."""
 
 from __future__ import annotations
 
 
 class Debounce:
-    """Remembers since when a tree has been failed. Times are Unix seconds."""
+    """Records since when a tree has been failed. Times are Unix seconds."""
 
     def __init__(self) -> None:
         self.failing_since: float | None = None
-        """When it was seen to be failed first; None while it isn't."""
+        """When it was seen to be failed first; None while it is not."""
 
     def failed(self, now: float, length: float) -> float:
         """Note that it is failed now; the moment from which on that counts, with a debounce of ``length`` seconds."""
@@ -17,5 +17,5 @@ class Debounce:
         return self.failing_since + length
 
     def clear(self) -> None:
-        """Note that it isn't failed, or that another instance is judged."""
+        """Note that it is not failed, or that another instance is judged."""
         self.failing_since = None

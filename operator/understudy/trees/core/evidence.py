@@ -1,4 +1,4 @@
-"""Leaves that are told again and again whether a condition holds, and remember since when it does or doesn't."""
+"""Leaves over a stream of evidence, which record since when their condition holds or does not."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ EvidenceT = TypeVar("EvidenceT", bound=Evidence)
 
 
 class Finding(NamedTuple):
-    """What a message, or other evidence, says of a condition."""
+    """What one piece of evidence, such as a message, says about the condition of a leaf."""
 
     holds: bool
-    """False too where it can't be told: what must hold has to be seen to."""
+    """False too if it cannot be determined: what must hold has to be seen to."""
     why: str
-    """Why it doesn't hold, in plain words with figures; empty where it does."""
+    """Why it does not hold, in plain words with figures; empty if it does."""
     starting: bool = False
-    """Whether it doesn't because of something that is still starting, in which it has never held."""
+    """Whether it does not because of something that is still starting, in which it has never held."""
 
 
 @dataclass
 class EvidenceTrack(Generic[EvidenceT]):
-    """What the messages (or other evidence) of one instance have said. Times are Unix seconds."""
+    """The evidence about one instance so far. Times are Unix seconds."""
 
     since: float = math.nan
     """Which instance: when it took control."""
@@ -43,9 +43,9 @@ class EvidenceTrack(Generic[EvidenceT]):
     good: float | None = None
     """When the last message with which it held was received."""
     bad: float | None = None
-    """When the first of the messages was received since which it doesn't hold; None while it holds."""
+    """When the first of the messages was received since which it does not hold; None while it holds."""
     why: str = ""
-    """Why it doesn't, by that message: a text that stays while the failure does."""
+    """Why it does not, by that message: a text that stays while the failure does."""
 
     def note(self, said: Finding, content: EvidenceT) -> None:
         """Note what a message says."""
@@ -70,7 +70,7 @@ class EvidenceTrack(Generic[EvidenceT]):
 
 
 class EvidenceLeaf(Leaf, Generic[EvidenceT]):
-    """Holds while what is received says so: failed once they have said otherwise for ``hold_off`` seconds.
+    """Holds while the evidence says so: fails when it has said otherwise for ``hold_off`` seconds.
 
     That moment is exact, whether more comes until then or not. Before the first evidence, and until the condition
     has held for the first time, it is starting for as long as the grace lasts.
@@ -85,11 +85,11 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
 
     @abstractmethod
     def fresh(self, track: EvidenceTrack[EvidenceT]) -> list[EvidenceT]:
-        """What the instance has given that hasn't been looked into, oldest first."""
+        """What the instance has given that has not been looked into, oldest first."""
 
     @abstractmethod
     def said(self, content: EvidenceT, failed: bool) -> Finding | None:
-        """What it says of the condition, which has ``failed`` before or not; None where it says nothing of it."""
+        """What it says of the condition, which has ``failed`` before or not; None if it says nothing of it."""
 
     @abstractmethod
     def condition(self) -> str:
@@ -142,7 +142,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
             return math.inf, math.inf
         lost = self.lost(track)
         healthy = max(found.settled, lost) if track.held or lost < math.inf else found.settled
-        # Grace is for an instance with which it hasn't held yet.
+        # Grace is for an instance with which it has not held yet.
         return healthy, healthy if track.held else max(healthy, evaluation.in_time)
 
     def state(self) -> State:
@@ -153,7 +153,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         return "Starting" if self._evaluation.now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None where it isn't healthy."""
+        """When it is no longer healthy; None if it is not healthy."""
         healthy, _ = self._limits(self.followed())
         return healthy if self._evaluation.now < healthy else None
 
@@ -170,7 +170,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         if track.good is None and track.bad is None:
             return self._unheard(state, self.awaited())
         if state == "Healthy":
-            return f"{condition} holds" if track.held else f"{condition} isn't asked for yet"
+            return f"{condition} holds" if track.held else f"{condition} is not required yet"
         why = f" ({track.why})" if track.why else ""
         if state == "Starting":
             return f"{condition} has not held yet{why}"

@@ -1,7 +1,7 @@
-"""A health tree: its verdict now, and the exact moment at which that can get worse by itself.
+"""A health tree: its verdict now, and the exact time at which that gets worse if nothing more arrives.
 
-Detection is not bound to a tick. After each look at the topics, ask :meth:`HealthTree.deadline` and wake up then: a
-500 ms gap is found 500 ms after the last message's receipt, however slow the ticks are.
+Detection is not bound to a tick. After each evaluation, ask :meth:`HealthTree.deadline` and wake up then: a
+500 ms gap is detected 500 ms after the last message was received, however slow the ticks are.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from understudy.trees.core.observations import Evaluation, Observations
 from understudy.trees.core.task_activity import While
 
 Build = Callable[[Collection[str]], Behaviour | None]
-"""Builds the behaviours of a node without the leaves of some topics; None where nothing is left."""
+"""Builds the behaviours of a node without the leaves of some topics; None if nothing is left."""
 
 SEVERITY: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
 """How bad a state is; a verdict gets worse when this grows."""
@@ -29,15 +29,15 @@ SEVERITY: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
 
 @dataclass(frozen=True)
 class WatchedTopic:
-    """A topic that a tree needs, with what its subscription must be able to hold."""
+    """A topic that a tree needs, with what is needed of it."""
 
     name: str
     type: str | None
-    """``package/msg/Name``; None where the tree leaves it to the ROS graph."""
+    """``package/msg/Name``; None if the tree leaves it to the ROS graph."""
     window: float
-    """Seconds of arrivals that are looked at; 0 where only the last one is."""
+    """Seconds of arrivals that are looked at; 0 if only the last one is."""
     rate: float | None
-    """Messages per second to be ready for; None where the tree doesn't say."""
+    """Messages per second to be ready for; None if the tree does not say."""
     task: bool = False
     """Whether it is the status of an action, of which it matters whether a goal is active."""
     contents: int = 0
@@ -49,16 +49,16 @@ class WatchedTopic:
     publishers: bool = False
     """Whether it is looked at who publishes it."""
     managed: bool = False
-    """Whether a managed node tells of its transitions there, whose state is to be known."""
+    """Whether a managed node reports its transitions there, whose state is to be known."""
     node: bool = False
     """Whether it is looked at if there is a node of this name."""
     prompt: bool = False
     """Whether a message can be a failure as it comes, so that it is looked at then. A silence, or a condition that must not
     hold for a while, is foretold."""
     parameters: frozenset[tuple[str, str]] = frozenset()
-    """The parameters whose changes are told of there and whose values are to be known, each by its node and its own name."""
+    """The parameters whose changes are reported there and whose values are to be known, each by its node and its own name."""
     pod: bool = False
-    """Whether it isn't a topic at all, but stands for the pod of the instance in control, at which is looked."""
+    """Whether it is not a topic at all, but stands for the pod of the active instance, at which is looked."""
     usage: bool = False
     """Whether it is asked for what that pod takes of its node."""
 
@@ -91,7 +91,7 @@ class WatchedTopic:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the tree says of an instance."""
+    """The tree's verdict on an instance."""
 
     state: State
     """Starting, Healthy or Failed."""
@@ -100,14 +100,14 @@ class Verdict:
     leaf: str
     """Path of the leaf that decided it, such as ``sensors/scan``; empty while healthy."""
     onset: float | None
-    """When the last good sample was received (Unix seconds), of a failure; None where there never was one."""
+    """When the last good sample was received (Unix seconds), of a failure; None if there never was one."""
 
 
 _HEALTHY = Verdict("Healthy", "", "", None)
 
 
 class HealthTree:
-    """What healthy means, over py_trees behaviours.
+    """The definition of a healthy instance, as py_trees behaviours.
 
     One tree judges one instance at a time: it remembers, for the present ``since``, which rates have held once.
     All times are Unix seconds.
@@ -123,16 +123,16 @@ class HealthTree:
         self._foretold: tuple[Observations, float, float, dict[str, float]] | None = None
         """What the last evaluation found where all was healthy: of what, when, since when, and until when by path of leaf."""
         self.root: Behaviour | None = None
-        """The behaviours, with the states of the last evaluation; None where nothing can be judged."""
+        """The behaviours, with the states of the last evaluation; None if nothing can be judged."""
         self.leave_out(())
 
     def begin(self, now: float) -> None:
-        """Judge from now on (Unix seconds): what the tree names anew has the grace to come, though the instance isn't new."""
+        """Judge from now on (Unix seconds): what the tree names again has the grace to come, though the instance is not new."""
         self._evaluation.begun = now
         self._foretold = None
 
     def leave_out(self, topics: Collection[str]) -> None:
-        """Judge without the leaves of these topics, since they can't be watched: being blind is no failure.
+        """Judge without the leaves of these topics, since they cannot be watched: being blind is no failure.
 
         A leaf's own path, such as ``sensors/scan``, stands for that one alone. Composites are judged by what is left in
         them. Cheap where nothing changed.
@@ -154,7 +154,7 @@ class HealthTree:
         return [topic for topic in self.topics if topic.name not in (self._left_out or ())]
 
     def counting(self, observations: Observations, *, now: float, since: float) -> set[str]:
-        """The topics whose messages count now: all that are judged but those that are only for a task that isn't active."""
+        """The topics whose messages count now: all that are judged but those that are only for a task that is not active."""
         self._look(observations, now, since, real=False)
         return {leaf.topic for leaf in self._leaves if leaf.hears and leaf.counts()}
 
@@ -165,7 +165,7 @@ class HealthTree:
 
     @property
     def blind(self) -> list[str]:
-        """Why leaves that are judged can't judge, in words."""
+        """Why leaves that are judged cannot judge, in words."""
         return [leaf.blind for leaf in self._leaves if leaf.blind]
 
     @property
@@ -176,7 +176,7 @@ class HealthTree:
     def evaluate(self, observations: Observations, *, now: float, since: float) -> Verdict:
         """The verdict at ``now`` on the instance that has been in control since ``since`` (or was first seen then).
 
-        Look at the topics first, then take ``now``: what has arrived but wasn't noted counts as missing.
+        Look at the topics first, then take ``now``: what has arrived but was not noted counts as missing.
         """
         if self.root is None:
             return Verdict(
@@ -272,7 +272,7 @@ def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[Leaf, st
         reason = node.reason(STATE[node.status])
         return [(node, f"{reason}, which must not be" if inverted and node.status != Status.RUNNING else reason)]
     if isinstance(node, While) and not node.counts():
-        # It holds by itself, whatever is in it, so that matters only under an inverter.
+        # It holds on its own, whatever is in it, so that matters only under an inverter.
         leaf = next(inner for inner in node.iterate() if isinstance(inner, Leaf))
         return [(leaf, f"no goal of {node.task.action} is active, which must not be")]
     if isinstance(node, Inverter):

@@ -1,4 +1,4 @@
-"""The leaves of a health tree: what must hold of one topic."""
+"""The base class of leaves: one condition about one topic."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ STATE: dict[Status, State] = {status: state for state, status in STATUS.items()}
 
 
 class Leaf(Behaviour, ABC):
-    """What must hold of one topic, of the instance that is evaluated.
+    """One condition about one topic of the instance that is evaluated.
 
-    One that is for a task isn't judged while that isn't active. Its clocks begin when it becomes active at the earliest,
+    One that is for a task is not judged while that is not active. Its clocks begin when it becomes active at the earliest,
     and it has some time to start then.
     """
 
@@ -33,9 +33,9 @@ class Leaf(Behaviour, ABC):
     kind = ""
     """Its key in the short form; the loader sets it."""
     blind = ""
-    """Why it holds though it can't judge, which is no failure: a mistake in itself, in words. Empty where it can."""
+    """Why it holds though it cannot judge, which is no failure: a mistake in itself, in words. Empty if it can."""
     of_cluster = False
-    """Whether only who watches the cluster can tell it, and the ROS graph doesn't."""
+    """Whether only who watches the cluster can tell it, and the ROS graph does not."""
 
     def __init__(self, path: str, topic: str, evaluation: Evaluation, tasks: Sequence[TaskActive]) -> None:
         super().__init__(path)
@@ -54,13 +54,13 @@ class Leaf(Behaviour, ABC):
         return STATUS[state]
 
     def counts(self) -> bool:
-        """Whether it is judged at the time of the evaluation: unless it is for a task that isn't active."""
+        """Whether it is judged at the time of the evaluation: unless it is for a task that is not active."""
         return not self.tasks or task_timing(self.tasks, self._evaluation) is not None
 
     @property
     def unrecorded(self) -> str:
-        """Why a recording of messages doesn't tell it, in words; empty where one does."""
-        return "" if self.hears else "it is told by the live ROS graph, which a bag doesn't have"
+        """Why a recording of messages does not tell it, in words; empty if one does."""
+        return "" if self.hears else "it needs the live ROS graph, which a bag does not contain"
 
     def reason(self, state: State) -> str:
         """Why it is in this state, in plain words. Says the same for as long as nothing changes."""
@@ -78,7 +78,7 @@ class Leaf(Behaviour, ABC):
 
     @abstractmethod
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy if nothing more arrives; None where it isn't healthy at the time of the evaluation.
+        """When it is no longer healthy if nothing more arrives; None if it is not healthy at the time of the evaluation.
 
         The same as :meth:`state` says, by less work: this is what is asked of every leaf at every tick.
         """
@@ -103,7 +103,7 @@ class Leaf(Behaviour, ABC):
         return max(known, default=None)
 
     def _unheard(self, state: State, what: str) -> str:
-        """The reason where the instance hasn't sent what is waited for, such as the topic."""
+        """The reason where the instance has not sent what is waited for, such as the topic."""
         if state == "Starting":
             return f"waiting for the first {what}, for up to {duration(self._evaluation.grace)}"
         if state == "Failed" and self.tasks:

@@ -1,4 +1,4 @@
-"""What a health tree looks at: which topics were received when, and what they said last.
+"""What a health tree evaluates: when messages of which topics were received, and their last contents.
 
 The tree knows the protocol only. :class:`TopicRecord` and :class:`RecordedObservations` are the plain implementation that the
 drained subscriptions of ``understudy.ros`` fill, and that tests fill by hand.
@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 
 
 class Evidence(Protocol):
-    """Something that was received, or seen."""
+    """Something that was received or observed, with its time."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
@@ -29,11 +29,11 @@ class Content(Evidence, Protocol):
         ...
 
     def age(self) -> float | None:
-        """How old its header's stamp was when it was received, in seconds; None where it has none."""
+        """How old its header's stamp was when it was received, in seconds; None if it has none."""
         ...
 
     def under_way(self) -> float | None:
-        """How long it was under way, in seconds: from when its writer's middleware says it was written to its receipt; None where
+        """How long it was under way, in seconds: from when its writer's middleware says it was written to its receipt; None if
         that says nothing.
         """
         ...
@@ -43,50 +43,50 @@ class Content(Evidence, Protocol):
         ...
 
     def mentions(self, text: str) -> bool:
-        """Whether it may have this text in it: what hasn't need not be read."""
+        """Whether it may have this text in it: what has not need not be read."""
         ...
 
     def byte(self, place: int) -> int | None:
-        """A byte of it, serialized (CDR with its header of 4 bytes); None where that isn't known."""
+        """A byte of it, serialized (CDR with its header of 4 bytes); None if that is not known."""
         ...
 
 
 class Unreadable(ValueError):
-    """A message that isn't of the type that it should be of; the text says why."""
+    """A message is not of the expected type; the text says why."""
 
 
 @dataclass(eq=False)
 class Publishers:
-    """Who published a topic when the ROS graph was looked at."""
+    """The publishers of a topic, as observed in the ROS graph."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
     nodes: Sequence[str]
-    """The node of each publisher of the instance in control, fully qualified; empty where it isn't known yet."""
+    """The node of each publisher of the active instance, fully qualified; empty if it is not known yet."""
 
 
 @dataclass(eq=False)
 class NodePresence:
-    """Whether a node was there when the ROS graph was looked at."""
+    """Whether a node exists, as observed in the ROS graph."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
     node: str
     """Its name, fully qualified."""
     there: bool
-    """Whether the instance in control had it."""
+    """Whether the active instance had it."""
     elsewhere: bool = False
     """Whether anybody had one of that name."""
 
 
 @dataclass(eq=False)
 class NodeState:
-    """What is known of a managed node of the instance in control."""
+    """The known state of a managed node of the active instance."""
 
     received: float
     """When it was so, in Unix seconds; moved where the clock was set."""
     state: str | None
-    """Its state; empty where it isn't there, None where it can't be told."""
+    """Its state; empty if it is not there, None if it cannot be told."""
 
 
 class PodCondition(NamedTuple):
@@ -96,11 +96,11 @@ class PodCondition(NamedTuple):
     status: str
     """True, False or Unknown."""
     reason: str = ""
-    """Why, as one word; empty where it isn't said."""
+    """Why, as one word; empty if it is not said."""
 
 
 class PodUsage(NamedTuple):
-    """What the containers of a pod take, all together, but for the agent."""
+    """The CPU and memory that the containers of a pod use together, without the agent."""
 
     cpu: float
     """Cores, on the average of some time."""
@@ -110,7 +110,7 @@ class PodUsage(NamedTuple):
 
 @dataclass(eq=False)
 class PodState:
-    """What the cluster said of the pod of the instance in control when it was looked at."""
+    """The last observed state of the active instance's pod."""
 
     received: float
     """When it was, in Unix seconds; moved where the clock was set."""
@@ -118,7 +118,7 @@ class PodState:
     restarts: int = 0
     """How often its containers were started again, all together."""
     usage: PodUsage | None = None
-    """What it takes; None where that can't be told, or nobody asked for it."""
+    """What it takes; None if that cannot be told, or nobody asked for it."""
 
 
 ParameterValue = bool | int | float | str
@@ -127,12 +127,12 @@ ParameterValue = bool | int | float | str
 
 @dataclass(eq=False)
 class ParameterState:
-    """What is known of a parameter of a node of the instance in control."""
+    """The known value of a parameter of a node of the active instance."""
 
     received: float
     """When it was so, in Unix seconds; moved where the clock was set."""
     value: ParameterValue | None
-    """Its value; None where it has none, or where that can't be told."""
+    """Its value; None if it has none, or if that cannot be told."""
     lacks: str = ""
     """Why it has no value, in words."""
     told: bool = True
@@ -151,7 +151,7 @@ class TopicRecord:
     def __init__(self, window: float = 0.0, contents: int = 0) -> None:
         """``contents`` is how many of the last messages are kept to be looked into."""
         self.window = window
-        """How far back arrivals are needed, in seconds; 0 where only the last one is."""
+        """How far back arrivals are needed, in seconds; 0 if only the last one is."""
         self.last: float | None = None
         """When the last sample was received."""
         self.count = 0
@@ -206,11 +206,11 @@ class Observations(Protocol):
         ...
 
     def topic(self, name: str) -> TopicRecord | None:
-        """The record of a topic, None where it isn't watched (yet)."""
+        """The record of a topic, None if it is not watched (yet)."""
         ...
 
     def own(self, name: str) -> TopicRecord | None:
-        """The record of what the instance in control sent on a topic, and nobody else; None where it sent nothing (yet)."""
+        """The record of what the active instance sent on a topic, and nobody else; None if it sent nothing (yet)."""
         ...
 
     def task(self, name: str) -> float | None:
@@ -218,28 +218,28 @@ class Observations(Protocol):
         ...
 
     def publishers(self, name: str) -> Publishers | None:
-        """Who published a topic at the last look; None where nobody has looked (yet)."""
+        """Who published a topic at the last look; None if nobody has looked (yet)."""
         ...
 
     def node(self, name: str) -> NodePresence | None:
-        """Whether a node was there at the last look; None where nobody has looked (yet)."""
+        """Whether a node was there at the last look; None if nobody has looked (yet)."""
         ...
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """The state of a managed node; None where nothing is known (yet)."""
+        """The state of a managed node; None if nothing is known (yet)."""
         ...
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """The value of a node's parameter; None where nothing is known (yet)."""
+        """The value of a node's parameter; None if nothing is known (yet)."""
         ...
 
     def pod(self) -> PodState | None:
-        """The pod of the instance in control at the last look; None where nobody has looked (yet), or can."""
+        """The pod of the active instance at the last look; None if nobody has looked (yet), or can."""
         ...
 
 
 class RecordedObservations:
-    """Observations out of a mapping of records."""
+    """Observations from mappings of records."""
 
     in_control = True
 
@@ -263,7 +263,7 @@ class RecordedObservations:
         self._pod = pod
 
     def topic(self, name: str) -> TopicRecord | None:
-        """The record of a topic, None where there is none."""
+        """The record of a topic, None if there is none."""
         return self._topics.get(name)
 
     def own(self, name: str) -> TopicRecord | None:
@@ -271,33 +271,33 @@ class RecordedObservations:
         return self._topics.get(name)
 
     def task(self, name: str) -> float | None:
-        """When the action became active, None while it isn't."""
+        """When the action became active, None while it is not."""
         return self._tasks.get(name)
 
     def publishers(self, name: str) -> Publishers | None:
-        """Who published the topic, None where nobody has looked."""
+        """Who published the topic, None if nobody has looked."""
         return self._publishers.get(name)
 
     def node(self, name: str) -> NodePresence | None:
-        """Whether the node was there, None where nobody has looked."""
+        """Whether the node was there, None if nobody has looked."""
         return self._nodes.get(name)
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """The state of the node, None where nothing is known."""
+        """The state of the node, None if nothing is known."""
         return self._states.get(name)
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """The value of the parameter, None where nothing is known."""
+        """The value of the parameter, None if nothing is known."""
         return self._parameters.get((node, name))
 
     def pod(self) -> PodState | None:
-        """The pod, None where nobody has looked."""
+        """The pod, None if nobody has looked."""
         return self._pod
 
 
 @dataclass
 class Evaluation:
-    """The moment a tree is judged for; one object shared by all its leaves, changed before each tick."""
+    """The instant and the observations of an evaluation; all leaves of a tree share one, which is changed before each tick."""
 
     grace: float
     """Seconds that an instance has to become healthy for the first time."""
@@ -305,9 +305,9 @@ class Evaluation:
     now: float = 0.0
     """Unix seconds."""
     since: float = 0.0
-    """Unix seconds: when the instance that is judged took control. What was received earlier isn't its own."""
+    """Unix seconds: when the instance that is judged took control. What was received earlier is not its own."""
     begun: float = -math.inf
-    """Unix seconds: since when the tree is judged by. What it names anew may not have been watched before."""
+    """Unix seconds: since when the tree is judged by. What it names again may not have been watched before."""
     real: bool = True
     """False while a later moment is tried out, which must leave no trace."""
 

@@ -1,7 +1,7 @@
 """What a procedure does to an instance: its leaves as py_trees behaviours over asynchronous actions.
 
-A leaf starts its action when it is first ticked and is told of its end by the next tick; one that is no longer wanted
-is cancelled. Every action knows how much time is left for it, so that it can say by itself what it was waiting for.
+A leaf starts its action at its first tick and sees its end at a later one; an action that is no longer wanted is
+cancelled. Every action knows how much time is left for it, so that it can say on its own what it was waiting for.
 """
 
 from __future__ import annotations
@@ -17,17 +17,21 @@ from py_trees.decorators import Decorator
 from understudy.trees.core.health_tree import HealthTree, Verdict
 
 MARGIN = 0.1
-"""Seconds before the end of its time at which an action gives up by itself, with better words than who cuts it short."""
+"""Seconds before the end of its time at which an action gives up on its own, with better words than who cuts it short."""
 
 
 OVERTIME = 0.5
-"""Seconds after the end of its time at which an action is cut short that should have given up by itself: on a busy node it
+"""Seconds after the end of its time at which an action is cut short that should have given up on its own: on a busy node it
 may come to that late.
 """
 
 
+class ProcedureFailed(Exception):
+    """A procedure failed; the text names the leaf and says why."""
+
+
 class Actions(Protocol):
-    """What can be done to one instance. Each raises, in plain words, what it failed by; times are bounds in seconds."""
+    """The actions on one instance. Each raises an exception that says why it failed; times are bounds in seconds."""
 
     async def call(
         self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
@@ -73,7 +77,7 @@ Work = Callable[[Actions, float], Awaitable[None]]
 
 
 class TimeLimit:
-    """An end of time that leaves share."""
+    """A deadline that leaves share."""
 
     def __init__(self) -> None:
         self.until = float("inf")
@@ -133,7 +137,7 @@ class Step(Behaviour):
 
 
 class Timeout(Decorator):
-    """Fails when its node isn't done in its time."""
+    """Fails when its node is not done in its time."""
 
     def __init__(
         self,
@@ -146,7 +150,7 @@ class Timeout(Decorator):
     ) -> None:
         super().__init__(path, child)
         self.error = ""
-        """What wasn't done, the last time it wasn't."""
+        """What was not done, the last time it was not."""
         self._run, self._within, self._limit, self._above = run, within, limit, above
 
     def initialise(self) -> None:
@@ -183,7 +187,7 @@ class Retry(Decorator):
             yield from super().tick()
 
     def update(self) -> Status:
-        """The node's own, but for a failure that isn't the last."""
+        """The node's own, but for a failure that is not the last."""
         if self.decorated.status != Status.FAILURE or self._tries >= self._times:
             return self.decorated.status
         self._tries += 1

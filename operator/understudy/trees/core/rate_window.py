@@ -35,7 +35,7 @@ class Band:
     def parse(cls, text: str) -> Band:
         """The band that ``> 8 Hz`` or ``9 to 11 Hz`` stands for.
 
-        Raises ValueError, with the forms that would be right, when it is none or can't hold any rate.
+        Raises ValueError, with the forms that would be right, when it is none or cannot hold any rate.
         """
         text = text.strip()
         if match := _BOUND.fullmatch(text):
@@ -78,7 +78,7 @@ class Band:
         return float(2 / width)
 
     def default_window(self) -> float:
-        """The window in seconds where none is given: 2 s, or longer where ten samples or the band need it."""
+        """The window in seconds if none is given: 2 s, or longer where ten samples or the band need it."""
         slowest = self.low if self.low else self.high
         assert slowest, "a band has a bound above 0"
         return max(2.0, float(10 / slowest), self.shortest_window())
@@ -90,7 +90,7 @@ def hertz(rate: Fraction | float) -> str:
 
 
 class Window:
-    """Counts the samples of one topic in a sliding window and foretells when the count leaves a band."""
+    """Counts the samples of one topic in a sliding window, and computes in advance when the count leaves a band."""
 
     def __init__(self, band: Band, window: float) -> None:
         """The band, and the window's length in seconds."""
@@ -101,7 +101,7 @@ class Window:
         self.least = 0
         """The least count inside the band."""
         self.most: int | None = None
-        """The greatest count inside the band, None where it is unbounded."""
+        """The greatest count inside the band, None if it is unbounded."""
         if band.low is not None:
             samples = band.low * exact
             self.least = math.floor(samples) + 1 if band.strict else math.ceil(samples)

@@ -1,7 +1,7 @@
-"""A snapshot of a health tree as the tools of py_trees_ros take it: a list of behaviours that name each other by ids.
+"""A snapshot of a health tree in the form of py_trees_ros: a list of behaviours that refer to each other by id.
 
 Plain values; the numbers are those of py_trees_ros_interfaces/msg/Behaviour 2.1. A tool builds its own tree from them, and
-fails on a type or a status that it doesn't know, on a decorator without a child and on a list without a root: none of them
+fails on a type or a status that it does not know, on a decorator without a child and on a list without a root: none of them
 is ever given.
 """
 
@@ -75,7 +75,7 @@ def behaviours(tree: Snapshot | None, workload: str) -> list[Behaviour]:
 
 
 def statuses(listed: Sequence[Behaviour]) -> tuple[tuple[bytes, int, bool], ...]:
-    """What makes a change: that nodes come or go, or are in another state. Their messages don't."""
+    """What makes a change: that nodes come or go, or are in another state. Their messages do not."""
     return tuple((node.id, node.status, node.active) for node in listed)
 
 
@@ -89,7 +89,7 @@ def _list(node: Snapshot, place: str, parent: bytes, idle: bool, found: list[Beh
     current = below[_deciding(kind, below)] if below else None
     status, message = _STATUSES.get(state, RUNNING), node["reason"]
     if waits:
-        # It holds by itself, and what is in it isn't asked.
+        # It holds on its own, and what is in it is not asked.
         status, message = SUCCESS, f"no goal of {node['task']} is active"
     if idle:
         status, message = INVALID, ""

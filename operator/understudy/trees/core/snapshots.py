@@ -1,4 +1,4 @@
-"""How a health tree is at this moment, as plain values: for a terminal, for a page and for tools."""
+"""Snapshots of a health tree as plain values, for terminals, web pages and tools."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from understudy.trees.core.observations import Observations
 from understudy.trees.core.task_activity import While
 
 Shown = State | Literal["Idle", "Unasked"]
-"""How a node is. Idle: the task that it is for isn't active. Unasked: what comes before it in a sequence doesn't hold."""
+"""How a node is. Idle: the task that it is for is not active. Unasked: what comes before it in a sequence does not hold."""
 
 Snapshot = dict[str, Any]
 """A node: ``name``, ``kind``, ``state`` and ``reason``; of a leaf also ``topic``, where its messages are received the number
@@ -31,7 +31,7 @@ _KINDS: tuple[tuple[type[Behaviour], str], ...] = (
 
 
 def snapshot(tree: HealthTree, observations: Observations, now: float) -> Snapshot | None:
-    """The tree as it was at its last evaluation; None where nothing of it can be judged. ``now`` in Unix seconds."""
+    """Return the tree with the states of its last evaluation; None if nothing of it can be evaluated. ``now`` in Unix seconds."""
     return _node(tree.root, observations, now) if tree.root is not None else None
 
 

@@ -1,4 +1,4 @@
-"""What makes a part of a health tree count: a task that is being worked on."""
+"""Tasks that decide whether a part of a health tree is evaluated."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
 ACTIVE_STATUSES = (2, 3)
 """Statuses of a goal that make a task active (action_msgs/msg/GoalStatus): executing and canceling. One that is only accepted
-isn't: nobody works on it (yet), as on a goal of the task proxy between two instances."""
+is not: nobody works on it (yet), as on a goal of the task proxy between two instances."""
 
 SETTLE = 2.0
-"""Seconds after a task has become active in which what it needs may start, where the tree doesn't say."""
+"""Seconds after a task has become active in which what it needs may start, if the tree does not say."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class TaskActive:
         return f"{self.action}/_action/status"
 
     def since(self, evaluation: Evaluation) -> float | None:
-        """When it became active, in Unix seconds; None while it isn't."""
+        """When it became active, in Unix seconds; None while it is not."""
         return evaluation.observations.task(self.topic)
 
 
 @dataclass(frozen=True)
 class TaskTiming:
-    """Times that a leaf is judged by, in Unix seconds."""
+    """The times from which a leaf is evaluated, in Unix seconds."""
 
     active: float
     """When the last of the tasks that it is for became active: its clock begins there at the earliest."""
@@ -50,7 +50,7 @@ class TaskTiming:
 
 
 def task_timing(tasks: Sequence[TaskActive], evaluation: Evaluation) -> TaskTiming | None:
-    """The situation of a leaf that is for some tasks; None while one of them isn't active, so that it isn't judged."""
+    """Return the times of a leaf that is for some tasks; None while one of them is not active."""
     active = settled = float("-inf")
     for task in tasks:
         since = task.since(evaluation)
@@ -73,5 +73,5 @@ class While(Decorator):
         return self.task.since(self._evaluation) is not None
 
     def update(self) -> Status:
-        """The node's own, where it counts."""
+        """The node's own, if it counts."""
         return self.decorated.status if self.counts() else Status.SUCCESS

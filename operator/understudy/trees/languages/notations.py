@@ -37,8 +37,8 @@ def load_health(
     begins: TextOffset = WHOLE_FILE,
 ) -> HealthTree:
     """A health tree of a form, which is the field of ``spec.monitoring`` that it stands in. ``grace`` in seconds; ``path``
-    is what problems are named by where that isn't the field.
-    Conditions over messages are checked by their types' ``fields``, where these are known. The lines and columns of
+    names the place in problems if it is not the field.
+    Conditions over messages are checked by their types' ``fields``, if these are known. The lines and columns of
     problems with a text are those of the file in which it ``begins``.
 
     Raises TreeError with all problems.

@@ -31,13 +31,13 @@ _CHECKS = {"xml": (btcpp.reader(xml.CHECKS), btcpp.CALLED), "osc": (osc.reader(s
 
 @dataclass(frozen=True)
 class LoadedProcedure:
-    """A procedure or check, whatever it was written in."""
+    """A procedure or check in the short form, with the tree that it loads into."""
 
     node: Mapping[str, Any]
     """In the short form."""
     tree: ProcedureTree
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where in its text each of its nodes is, by path in the short form; empty where it was written in that."""
+    """Where in its text each of its nodes is, by path in the short form; empty if it was written in that."""
 
 
 def compose(form: str, tree: Any, *, check: bool, path: str, begins: TextOffset = WHOLE_FILE) -> LoadedProcedure:
@@ -59,7 +59,7 @@ def compose(form: str, tree: Any, *, check: bool, path: str, begins: TextOffset 
 
 
 def composed(procedure: Procedure | Check, *, path: str) -> LoadedProcedure:
-    """That of a spec, composed once; ``path`` as of :func:`compose`. Raises TreeError with all problems."""
+    """Return the procedure of a spec, loaded once; ``path`` as of :func:`compose`. Raises TreeError with all problems."""
     return _composed(procedure.form, json.dumps(procedure.tree), isinstance(procedure, Check), path)
 
 

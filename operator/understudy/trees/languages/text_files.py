@@ -1,4 +1,4 @@
-"""Loads a health tree that is a text by itself, such as a key of a ConfigMap; problems name their line and column."""
+"""Loads a health tree that is a text on its own, such as a key of a ConfigMap; problems name their line and column."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ class _Read:
             mark = error.problem_mark or error.context_mark
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
             said = ", ".join(part for part in (error.context, error.problem) if part)
-            raise TreeError([self._problem_at(place, "", f"this isn't YAML: {said}; correct it here")]) from error
+            raise TreeError([self._problem_at(place, "", f"this is not YAML: {said}; correct it here")]) from error
         except yaml.reader.ReaderError as error:
             before = text[: error.position]
             place = self._at(before.count("\n"), len(before) - before.rfind("\n") - 1)
-            message = f"found the character {chr(error.character)!a}, which YAML doesn't take; leave it out"
+            message = f"found the character {chr(error.character)!a}, which YAML does not take; leave it out"
             raise TreeError([self._problem_at(place, "", message)]) from error
         except RecursionError as error:
             raise TreeError([Problem(self._path, f"is nested too deeply; it may be {DEEPEST} deep")]) from error
@@ -117,7 +117,7 @@ class _Read:
         for key_node, value_node in node.value:
             key = plain(key_node) if isinstance(key_node, ScalarNode) else None
             if not isinstance(key, str) or key_node.tag == f"{TAG}merge":
-                self._refuse(key_node, inner, "has a key that isn't a text; write a text before the ':'")
+                self._refuse(key_node, inner, "has a key that is not a text; write a text before the ':'")
                 continue
             if key in first:
                 self._refuse(key_node, f"{inner}.{key}", "is given twice; leave one of them out")

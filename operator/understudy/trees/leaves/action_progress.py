@@ -1,4 +1,4 @@
-"""The leaf ``progress``: whether an action that has a goal gets on with it, by its feedback."""
+"""The leaf ``progress``: whether an action makes progress with its goal, by its feedback."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from understudy.trees.core.observations import Content, Evaluation, TopicRecord,
 from understudy.trees.core.task_activity import SETTLE, TaskActive
 from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, time_key
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import ExpressionError, Fields, Quantity, Undefined
+from understudy.trees.source.expression_values import Undefined
+from understudy.trees.source.expressions import ExpressionError, Fields, Quantity
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 MOST_GOALS = 16
@@ -24,7 +25,7 @@ MOST_GOALS = 16
 
 @dataclass(frozen=True)
 class Aim:
-    """What a goal must get on by."""
+    """The progress that a goal must make."""
 
     quantity: Quantity
     sign: int
@@ -38,9 +39,9 @@ class Aim:
 
 
 class ProgressLeaf(ContentLeaf):
-    """Holds while no goal is active, or the active one gets on: feedback comes, and a quantity in it gets better.
+    """Holds while no goal is active, or the active one makes progress: feedback arrives, and a quantity in it improves.
 
-    Better than it ever was with this goal: a robot that backs up and tries again the same way hasn't got on.
+    Better than it ever was with this goal: a robot that backs up and tries again the same way has not got on.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class ProgressLeaf(ContentLeaf):
         self._why = ""
 
     def said(self, content: Content, failed: bool) -> Finding | None:
-        """What the feedback says; None where it is no better than what was there before."""
+        """What the feedback says; None if it is no better than what was there before."""
         if self._aim is None:
             return Finding(True, "")
         try:
@@ -73,10 +74,10 @@ class ProgressLeaf(ContentLeaf):
             goal = bytes(message.goal_id.uuid)
             value = self._aim.quantity.value(message.feedback)
         except (Unreadable, Undefined) as error:
-            self._why = f"it can't be told: {error}"
+            self._why = f"it cannot be determined: {error}"
             return None
         except AttributeError:
-            self._why = f"it can't be told: found a {type(content.message()).__name__}, no feedback"
+            self._why = f"it cannot be determined: found a {type(content.message()).__name__}, no feedback"
             return None
         best = self._best.pop(goal, None)  # so that the one that was fed back longest ago is the first
         better = best is None or (value - best) * self._aim.sign >= self._aim.by
@@ -102,7 +103,7 @@ class ProgressLeaf(ContentLeaf):
         )
 
     def _stalled(self, track: EvidenceTrack[Content]) -> float:
-        """When it hasn't got on for too long if nothing more arrives."""
+        """When it has not got on for too long if nothing more arrives."""
         if self._aim is None:
             return math.inf
         return max(track.good if track.good is not None else -math.inf, self.begun()) + self._aim.within
@@ -136,7 +137,7 @@ class ProgressLeaf(ContentLeaf):
 
 
 def feedback_of(action: str) -> str:
-    """Where an action's server tells how its goals get on (ROS 2 design: actions)."""
+    """Return the feedback topic of an action (ROS 2 design: actions)."""
     return f"{action}/_action/feedback"
 
 
@@ -176,18 +177,16 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
 def _aim(reader: Reader, value: Mapping[str, Any], path: str, type_: str, fields: Fields | None) -> Aim | None:
     given = [key for key in _MEASURES if key in value]
     if len(given) > 1:
-        reader.problem(f"{path}.grows", "found falls and grows; give the one that the goal gets on by")
+        reader.problem(f"{path}.grows", "found falls and grows; give the one that shows progress")
     if not given:
         for key in ("by", "within"):
             if key in value:
-                reader.problem(
-                    f"{path}.{key}", "it is only for what falls or grows; give one of these, or leave it out"
-                )
+                reader.problem(f"{path}.{key}", "it is only for falls or grows; give one of these, or leave it out")
         return None
     if "type" not in value:
         reader.problem(f"{path}.type", "missing; give the action's type, such as nav2_msgs/action/NavigateToPose")
     if "by" not in value:
-        reader.problem(f"{path}.by", "missing; give by how much it must get better, such as 0.2")
+        reader.problem(f"{path}.by", "missing; give by how much it must improve, such as 0.2")
     if "within" not in value:
         reader.problem(f"{path}.within", "missing; give the time in which it must, such as 20s")
 

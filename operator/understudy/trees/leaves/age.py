@@ -38,7 +38,7 @@ CLOCKS = (STAMP, SOURCE)
 
 
 class AgeLeaf(ContentLeaf):
-    """Holds while the newest message's stamp was at most so old when the message was received."""
+    """Holds while the newest message was not too old when it was received."""
 
     def __init__(
         self,
@@ -58,14 +58,16 @@ class AgeLeaf(ContentLeaf):
     @property
     def unrecorded(self) -> str:
         """A bag has when messages were received, and their stamps."""
-        return "it is told by when messages were sent, which a bag doesn't have" if self._by == SOURCE else ""
+        return (
+            "it needs the time at which messages were sent, which a bag does not contain" if self._by == SOURCE else ""
+        )
 
     def said(self, content: Content, failed: bool) -> Finding:
         """What the message says by its stamp, or by when it was sent."""
         age = content.under_way() if self._by == SOURCE else content.age()
         if age is None:
-            lacks = "its middleware didn't say when it was sent" if self._by == SOURCE else "there is no stamp"
-            return Finding(False, f"it can't be told: {lacks}")
+            lacks = "the middleware did not report when it was sent" if self._by == SOURCE else "there is no stamp"
+            return Finding(False, f"it cannot be determined: {lacks}")
         return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
 
     def condition(self) -> str:
@@ -91,7 +93,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     if by == STAMP and known is not None and next(iter(known.values()), None) != HEADER:
         reader.problem(
             f"{path}.type",
-            f"found {type_}, which doesn't begin with a header; an age needs one with a stamp, or give by: source",
+            f"found {type_}, which does not begin with a header; an age needs one with a stamp, or give by: source",
         )
     if "most" not in value:
         reader.problem(f"{path}.most", "missing; give how old a message may be when it arrives, such as 300ms")

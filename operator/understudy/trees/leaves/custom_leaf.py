@@ -1,6 +1,6 @@
-"""Leaves of one's own: classes of other packages that judge the messages of a topic (docs/how-to/writing-a-leaf.md).
+"""Custom leaves: classes of other packages that judge the messages of a topic (docs/how-to/writing-a-leaf.md).
 
-Such a class is given messages and says why they aren't well; all else that makes a leaf (its topic, how long it must not
+Such a class is given messages and says why they are not well; all else that makes a leaf (its topic, how long it must not
 hold, the instance that it is for) is done here. A mistake in it costs this one leaf, and never the robot's protection.
 """
 
@@ -53,15 +53,15 @@ LONGEST = 200
 
 
 class Judge(Protocol):
-    """What judges the messages of one instance; it is made anew for each."""
+    """Judges the messages of one instance; each instance gets a new one."""
 
     def judge(self, message: Any) -> str | None:
-        """Why the message isn't well, in plain words; None where it is."""
+        """Why the message is not well, in plain words; None if it is."""
         ...
 
 
 class CustomLeaf(ContentLeaf):
-    """Holds while its judge has nothing against the newest message, and while the judge itself fails."""
+    """Holds while its judge accepts the newest message, and also while the judge itself fails."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class CustomLeaf(ContentLeaf):
         try:
             message = content.message()
         except Unreadable as error:
-            return Finding(False, f"it can't be told: {error}")
+            return Finding(False, f"it cannot be determined: {error}")
         try:
             if self._judge is None:
                 self._judge = self._make()
@@ -97,7 +97,7 @@ class CustomLeaf(ContentLeaf):
             if why is not None and not isinstance(why, str):
                 raise TypeError(f"judge() returned {found_text(why)}, which is neither a text nor None")
         except Exception as error:  # whatever a package of others raises
-            self._note(f"{self.kind} can't judge {self.topic}, {_told(error)}")
+            self._note(f"{self.kind} cannot judge {self.topic}, {_told(error)}")
             return Finding(True, "")  # being blind is no failure
         self.blind = ""
         return Finding(False, why[:LONGEST]) if why else Finding(True, "")
@@ -137,13 +137,15 @@ def _settings(judge: type) -> dict[str, Setting]:
     try:
         parameters = inspect.signature(judge, eval_str=True).parameters.values()
     except Exception as error:  # annotations are evaluated, which may raise anything
-        raise ValueError(f"the parameters of {judge.__name__}() can't be told, {_told(error)}") from error
+        raise ValueError(f"the parameters of {judge.__name__}() cannot be told, {_told(error)}") from error
     found = {}
     for one in parameters:
         if one.kind not in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY):
-            raise ValueError(f"its parameter {one.name} can't be given by name")
+            raise ValueError(f"its parameter {one.name} cannot be given by name")
         if one.name in (*KEYS, "name"):
-            raise ValueError(f"its parameter {one.name} is called as what every leaf has; give it another name")
+            raise ValueError(
+                f"its parameter {one.name} has the name of a key that every leaf has; give it another name"
+            )
         read = next((read for type_, read in _READS.items() if one.annotation is type_), None)
         if read is None:
             known = ", ".join(type_.__name__ for type_ in _READS)
@@ -177,7 +179,7 @@ def _read(
     try:
         make()
     except Exception as error:  # a ValueError is how it refuses a value; with all others the mistake is its own
-        reader.problem(path, str(error) if isinstance(error, ValueError) else f"{name} can't be made, {_told(error)}")
+        reader.problem(path, str(error) if isinstance(error, ValueError) else f"{name} cannot be made, {_told(error)}")
         return None
     return LeafPlan(
         f"{topic.lstrip('/')}.{name}",
@@ -197,7 +199,7 @@ def _told(error: Exception) -> str:
 
 def _text(found: object) -> str:
     if not isinstance(found, str):
-        raise ValueError(f"found {found_text(found)}; give a text, in quotes where it looks like a number")
+        raise ValueError(f"found {found_text(found)}; give a text, in quotes if it looks like a number")
     return found
 
 

@@ -1,4 +1,4 @@
-"""The leaf ``diagnostics``: how bad what is said on ``/diagnostics`` may be (REP 107)."""
+"""The leaf ``diagnostics``: the worst level that statuses on ``/diagnostics`` may have (REP 107)."""
 
 from __future__ import annotations
 
@@ -84,11 +84,11 @@ class DiagnosticsLeaf(ContentLeaf):
         self._levels.clear()
 
     def said(self, content: Content, failed: bool) -> Finding | None:
-        """What all statuses say with this message's; None where none of them is asked for."""
+        """What all statuses say with this message's; None if none of them is asked for."""
         try:
             found = [status for status in _statuses(content.message()) if self._asked(status[0])]
         except Unreadable as error:
-            return Finding(False, f"it can't be told: {error}")
+            return Finding(False, f"it cannot be determined: {error}")
         if not found:
             return None
         for name, level, text in found:
@@ -102,7 +102,7 @@ class DiagnosticsLeaf(ContentLeaf):
             return Finding(True, "")
         name = max(bad, key=lambda name: bad[name].level)
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
-        # Nodes start one after the other: that the first are well doesn't end the grace of the others.
+        # Nodes start one after the other: that the first are well does not end the grace of the others.
         starting = content.received < self._evaluation.in_time and not any(said.well for said in bad.values())
         return Finding(False, _told(name, bad[name].level, bad[name].text) + more, starting)
 
@@ -152,7 +152,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         if text is not None and text.startswith(OWN.rstrip()):
             reader.problem(
                 f"{path}.{key}",
-                f"found {text!r}: what Understudy says itself is no evidence; give a status of the application or of the robot",
+                f"found {text!r}: Understudy's own status is no evidence; give a status of the application or of the robot",
             )
     if "name" in value and "prefix" in value:
         reader.problem(f"{path}.prefix", "found name and prefix; give the whole name, or what the names begin with")

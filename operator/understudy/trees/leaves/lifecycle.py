@@ -18,7 +18,7 @@ from understudy.trees.source.value_reader import Reader, found_text
 TYPE = "lifecycle_msgs/msg/TransitionEvent"
 
 EVENTS = "/transition_event"
-"""Where a managed node tells of its transitions, after its name."""
+"""Where a managed node reports its transitions, after its name."""
 
 STATES = ("unconfigured", "inactive", "active", "finalized")
 """States in which a managed node rests."""
@@ -28,7 +28,7 @@ BURST = 100.0
 
 
 class LifecycleLeaf(EvidenceLeaf[NodeState]):
-    """Holds while a managed node is in a state, or while that can't be told."""
+    """Holds while a managed node is in a state, or while its state cannot be determined."""
 
     hears = False
 

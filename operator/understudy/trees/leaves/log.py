@@ -1,4 +1,4 @@
-"""The leaf ``log``: what nodes of the instance may not log, or not so often (rcl_interfaces/msg/Log on ``/rosout``)."""
+"""The leaf ``log``: what nodes of the instance must not log, or not too often (rcl_interfaces/msg/Log on ``/rosout``)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOST = 1000
 """Messages that may be asked for."""
 
 QUIET = 10.0
-"""Seconds without such a message after which all is well again, where the tree says neither that nor a window."""
+"""Seconds without such a message after which all is well again, if the tree says neither that nor a window."""
 
 _LONGEST = 120
 """Characters of a message that are told."""
@@ -48,14 +48,14 @@ class Pattern:
     """Which messages count."""
 
     level: str | None = None
-    """The least level; any where there is none."""
+    """The least level; any if there is none."""
     node: str | None = None
-    """The node that says it, fully qualified; any where there is none."""
+    """The node that says it, fully qualified; any if there is none."""
     says: str | None = None
     """Text that is in it, in which ``*`` stands for any characters. Found part by part, so that its time is bounded."""
 
     def matched(self, content: Content) -> Any:
-        """The message, where it counts; else None. Raises Unreadable."""
+        """The message, if it counts; else None. Raises Unreadable."""
         if self.level is not None and (content.byte(LEVEL) or 255) < LEVELS[self.level]:
             return None
         parts = [part for part in (self.says or "").split("*") if part]
@@ -94,7 +94,7 @@ class _Heard:
     since: float
     """Which instance: when it took control."""
     active: float = -math.inf
-    """Since when it counts: the task's start, where it is for one."""
+    """Since when it counts: the task's start, if it is for one."""
     seen: Content | None = None
     """The newest message that was looked into."""
     received: float = 0.0
@@ -102,7 +102,7 @@ class _Heard:
     times: deque[float] = field(default_factory=deque)
     """When the last of the messages that count were received."""
     first: float | None = None
-    """When the first of those was received that were too many; None while there weren't."""
+    """When the first of those was received that were too many; None while there were not."""
     last: float = -math.inf
     """When the last message that counts was received."""
     why: str = ""
@@ -156,7 +156,7 @@ class LogLeaf(Leaf):
             heard = self._heard = _Heard(evaluation.since, times=deque(maxlen=self._count))
         heard.shift()
         found = task_timing(self.tasks, evaluation)
-        # What was logged while the task wasn't active doesn't count when it is: its clock begins with it.
+        # What was logged while the task was not active does not count when it is: its clock begins with it.
         active = found.active if found is not None else math.inf
         if abs(heard.active - active) > 1e-3:
             heard.begin(active)
@@ -179,7 +179,7 @@ class LogLeaf(Leaf):
         try:
             message = self._pattern.matched(content)
         except Unreadable:
-            return  # what can't be read says nothing
+            return  # what cannot be read says nothing
         if message is None:
             return
         if heard.first is not None and content.received >= heard.last + self._quiet:
@@ -212,7 +212,7 @@ class LogLeaf(Leaf):
         return "Starting" if now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None where it isn't healthy. Another message can come at any time."""
+        """When it is no longer healthy; None if it is not healthy. Another message can come at any time."""
         begins, _, ends = self._limits()
         now = self._evaluation.now
         if now >= ends:

@@ -1,4 +1,4 @@
-"""Leaves that look into a topic's messages."""
+"""Leaves that evaluate the contents of a topic's messages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class ContentLeaf(EvidenceLeaf[Content]):
     """Whether each message is looked into, and not only the newest at each look."""
 
     def fresh(self, track: EvidenceTrack[Content]) -> list[Content]:
-        """The instance's messages that haven't been looked into, oldest first."""
+        """The instance's messages that have not been looked into, oldest first."""
         record = self._evaluation.observations.topic(self.topic)
         if record is None or not record.contents or record.contents[-1] is track.seen:
             return []

@@ -1,4 +1,4 @@
-"""The leaf ``motion``: whether the robot is seen, from outside, to move as it is commanded to."""
+"""The leaf ``motion``: whether an observer outside the robot sees it move as commanded."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ FASTEST = 100.0
 
 
 class MotionLeaf(Leaf):
-    """Holds unless the velocity that is seen differs from the commanded one by more than can be chance.
+    """Holds unless the observed velocity differs from the commanded one by more than the tolerance and the noise explain.
 
-    Where nothing is seen, or nothing commanded, it can't be told and holds; so it does for an instance that isn't in
-    control: what the robot does isn't its doing.
+    If nothing is seen, or nothing commanded, it cannot be told and holds; so it does for an instance that is not in
+    control: what the robot does is not its doing.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class MotionLeaf(Leaf):
                     self._following.command(received, _commanded(content.message()))
                     self._unreadable = ""
             except (Unreadable, AttributeError, TypeError, ValueError) as error:
-                self._unreadable = f"{self.topic if seen else self._commands} can't be read: {error}"
+                self._unreadable = f"{self.topic if seen else self._commands} cannot be read: {error}"
         return self._following
 
     def _fresh(self, name: str) -> list[Content]:
@@ -103,7 +103,7 @@ class MotionLeaf(Leaf):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def _failing(self) -> tuple[float, float] | None:
-        """From when to when it fails if nothing more arrives; None where it doesn't."""
+        """From when to when it fails if nothing more arrives; None if it does not."""
         if not self._evaluation.observations.in_control or not self.counts():
             return None
         following = self._followed()
@@ -120,7 +120,7 @@ class MotionLeaf(Leaf):
         return "Failed" if failing is not None and failing[0] <= self._evaluation.now else "Healthy"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None where it isn't healthy."""
+        """When it is no longer healthy; None if it is not healthy."""
         failing = self._failing()
         if failing is None:
             return math.inf
@@ -138,11 +138,11 @@ class MotionLeaf(Leaf):
     def _plain_reason(self, state: State) -> str:
         following = self._following
         if state == "Failed" and (found := following.discrepancy(self._evaluation.now)) is not None:
-            return f"the robot doesn't move as {self._commands} says by {self.topic}: {found}"
+            return f"the robot does not move as {self._commands} says by {self.topic}: {found}"
         if self._unreadable:
-            return f"it can't be told whether the robot moves as commanded: {self._unreadable}"
+            return f"it cannot be determined whether the robot moves as commanded: {self._unreadable}"
         if not following.told or following.until is None or self._evaluation.now >= following.until:
-            return f"it can't be told whether the robot moves as {self._commands} says: {self.topic} doesn't see it"
+            return f"it cannot be determined whether the robot moves as {self._commands} says: {self.topic} does not see it"
         return f"the robot moves as {self._commands} says"
 
 
@@ -204,7 +204,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
         reader.problem(f"{path}.type", f"found {type_!r}; commands are of {' or '.join(COMMANDS)}")
     if topic is not None and topic == commands:
         reader.problem(
-            f"{path}.commands", f"found {commands!r}, which is the topic too; give what the robot is told by"
+            f"{path}.commands", f"found {commands!r}, which is the topic too; give the topic of the commands"
         )
     given = {key: reader.given(value, key, path, read) for key, read in _QUANTITIES.items() if key in value}
     if topic is None or commands is None or len(reader.problems) > before:

@@ -1,4 +1,4 @@
-"""The leaf ``node``: whether a node of the instance is there, by the ROS graph."""
+"""The leaf ``node``: whether the instance has a node, by the ROS graph."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
             return super()._plain_reason(state)
         why = f" ({track.why})" if track.why else ""
         if state == "Healthy":
-            return f"{node} is there" if track.held else f"{node} isn't asked for yet"
+            return f"{node} is there" if track.held else f"{node} is not required yet"
         if state == "Starting":
             return f"{node} is not there yet{why}"
         if not track.held and not self.tasks:

@@ -20,10 +20,10 @@ from understudy.trees.source.value_reader import Reader, found_text
 TYPE = "rcl_interfaces/msg/ParameterEvent"
 
 EVENTS = "/parameter_events"
-"""Where every node tells of its parameters when they change."""
+"""Where every node reports its parameters when they change."""
 
 BURST = 4000.0
-"""Messages per second to be ready for: a stack that starts tells of each of its parameters."""
+"""Messages per second to be ready for: a stack that starts reports each of its parameters."""
 
 KEPT = 256
 """Messages that may come between two looks. What is lost is asked for."""
@@ -42,7 +42,7 @@ _BETWEEN = re.compile(rf"({_NUMBER}) to ({_NUMBER})")
 
 
 class Expected(ABC):
-    """What a parameter must be."""
+    """A condition on the value of a parameter."""
 
     @abstractmethod
     def holds(self, value: ParameterValue) -> bool:
@@ -55,7 +55,7 @@ class Expected(ABC):
 
 @dataclass(frozen=True)
 class OneOf(Expected):
-    """One of some values, each as it is written. It is compared as what the parameter is: a number, a text, true or false."""
+    """One of several values, each as it is written. It is compared as the parameter's own type: a number, a string or a boolean."""
 
     texts: tuple[str, ...]
 
@@ -71,7 +71,7 @@ class OneOf(Expected):
 
 @dataclass(frozen=True)
 class Between(Expected):
-    """A number between two, which it may be itself."""
+    """A number in a closed interval."""
 
     least: float
     most: float
@@ -95,7 +95,7 @@ def _equal(value: ParameterValue, text: str) -> bool:
 
 
 class ParameterLeaf(EvidenceLeaf[ParameterState]):
-    """Holds while a parameter of a node is what it must be, or while that can't be told."""
+    """Holds while a parameter of a node has the right value, or while its value cannot be determined."""
 
     hears = False
 

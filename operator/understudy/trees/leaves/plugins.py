@@ -27,13 +27,13 @@ class PluginLeaves:
     leaves: Mapping[str, LeafKind]
     """By their keys in the short form."""
     refused: Mapping[str, str]
-    """Those that can't be used, and why."""
+    """Those that cannot be used, and why."""
 
 
 def load_plugins(taken: Collection[str]) -> PluginLeaves:
     """The leaves of all installed packages; none can have a name that is ``taken``.
 
-    What can't be used is logged, and told where a tree names it: it is no reason not to protect the robots that don't.
+    What cannot be used is logged, and told where a tree names it: it is no reason not to protect the robots that do not.
     """
     leaves: dict[str, LeafKind] = {}
     refused: dict[str, str] = {}
@@ -43,7 +43,7 @@ def load_plugins(taken: Collection[str]) -> PluginLeaves:
         try:
             leaves[name] = _leaf(name, entries, taken)
         except ValueError as error:
-            refused[name] = f"{name} of {' and '.join(map(_package, entries))} can't be used: {error}"
+            refused[name] = f"{name} of {' and '.join(map(_package, entries))} cannot be used: {error}"
             _logger.error("%s", refused[name])
     return PluginLeaves(leaves, refused)
 
@@ -53,16 +53,16 @@ def _leaf(name: str, entries: list[EntryPoint], taken: Collection[str]) -> LeafK
     if not _NAME.fullmatch(name):
         raise ValueError("its name must be two words at least, such as acme_lively: a-z and 0-9, with _ between them")
     if name in taken:
-        raise ValueError("its name is taken, by what comes with Understudy; give it another one")
+        raise ValueError("Understudy uses that name itself; give it another one")
     if len(entries) > 1:
-        raise ValueError("each of them has one of that name; install only one of them")
+        raise ValueError("several packages have a leaf of that name; install only one")
     try:
         judge = entries[0].load()
     except Exception as error:  # whatever a package raises as it is imported
-        raise ValueError(f"{entries[0].value} can't be loaded, {type(error).__name__}: {error!s:.200}") from error
+        raise ValueError(f"{entries[0].value} cannot be loaded, {type(error).__name__}: {error!s:.200}") from error
     return kind_of(name, judge)
 
 
 def _package(entry: EntryPoint) -> str:
-    """Where it is from, such as ``acme-leaves 1.0``."""
+    """If it is from, such as ``acme-leaves 1.0``."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "a package without a name"

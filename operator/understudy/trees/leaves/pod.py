@@ -1,4 +1,4 @@
-"""The leaf ``pod``: what Kubernetes says of the pod of the instance in control.
+"""The leaf ``pod``: what Kubernetes reports about the pod of the active instance.
 
 Only who watches the cluster can tell, which is the workload's monitor. For an instance that waits the leaf holds: it is
 judged by its own agent, and that one by what its pod says would go in a circle.
@@ -34,14 +34,14 @@ MOST_RESTARTS = 1000
 LONGEST = 64
 """Characters of a bound."""
 
-_UNRECORDED = "it is told by the cluster, which a bag doesn't have"
+_UNRECORDED = "it needs the cluster's API, which a bag does not contain"
 
 _CONDITION = re.compile(r"([a-z0-9.-]{1,253}/)?[A-Za-z0-9]([A-Za-z0-9_.-]{0,61}[A-Za-z0-9])?")
 
 
 @dataclass(frozen=True)
 class Bound:
-    """What a figure must be less, or more, than."""
+    """A bound on a resource figure."""
 
     sign: str
     text: str
@@ -109,7 +109,7 @@ class ConditionLeaf(_LookLeaf):
         self._condition, self._status = condition, status
 
     def said(self, content: PodState, failed: bool) -> Finding:
-        """What the look says. A condition that the pod hasn't got is unknown (Kubernetes' API conventions)."""
+        """What the look says. A condition that the pod has not got is unknown (Kubernetes' API conventions)."""
         found = next((one for one in content.conditions if one.type == self._condition), None)
         if (found.status if found is not None else "Unknown") == self._status:
             return Finding(True, "")
@@ -123,7 +123,7 @@ class ConditionLeaf(_LookLeaf):
 
 
 class UsageLeaf(_LookLeaf):
-    """Holds while the pod takes no more of its node, or no less, than it may; also while that can't be told."""
+    """Holds while the pod's use of a resource is within its bound; also while that cannot be determined."""
 
     def __init__(
         self,
@@ -176,7 +176,7 @@ class _Counted:
 
 
 class RestartsLeaf(Leaf):
-    """Holds while the containers of the pod aren't started again more than so many times within a window.
+    """Holds while the containers of the pod are not restarted too often within a window.
 
     It fails with the restart that is one too many, and is well again when the first of these is out of the window.
     """
@@ -202,14 +202,14 @@ class RestartsLeaf(Leaf):
         pod = evaluation.observations.pod()
         if pod is None or pod is counted.seen or pod.received < evaluation.since:
             return counted
-        # How often an instance was restarted before it took control, or before anybody looked, isn't held against it.
+        # How often an instance was restarted before it took control, or before anybody looked, is not held against it.
         new = pod.restarts - counted.total if counted.total is not None else 0
         counted.times.extend([pod.received] * min(max(new, 0), self._most + 1))
         counted.total, counted.seen, counted.received = pod.restarts, pod, pod.received
         return counted
 
     def _failing(self) -> tuple[float, float] | None:
-        """From when to when it fails if there is no further restart; None where it doesn't."""
+        """From when to when it fails if there is no further restart; None if it does not."""
         counted = self._followed()
         if len(counted.times) <= self._most or not self._evaluation.observations.in_control:
             return None
@@ -227,7 +227,7 @@ class RestartsLeaf(Leaf):
         return "Failed" if failing is not None and failing[0] <= self._evaluation.now < failing[1] else "Healthy"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None where it isn't healthy. Another restart can be seen at any time."""
+        """When it is no longer healthy; None if it is not healthy. Another restart can be seen at any time."""
         failing = self._failing()
         if failing is None or self._evaluation.now >= failing[1]:
             return math.inf
@@ -246,8 +246,8 @@ class RestartsLeaf(Leaf):
         count, within = self._most + 1, duration(self._window)
         if state == "Failed":
             times = "once" if count == 1 else f"{count} times"
-            return f"containers of the pod were started again {times} within {within}"
-        return f"containers of the pod are started again less than {count} times within {within}"
+            return f"containers of the pod were restarted {times} within {within}"
+        return f"containers of the pod are restarted less than {count} times within {within}"
 
 
 # -- how it is written ------------------------------------------------------------------------------------------------

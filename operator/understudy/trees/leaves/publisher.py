@@ -1,4 +1,4 @@
-"""The leaf ``publisher``: whether somebody is there who would publish a topic, by the ROS graph."""
+"""The leaf ``publisher``: whether a topic has publishers, by the ROS graph."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST = 1000
 
 
 class PublisherLeaf(EvidenceLeaf[Publishers]):
-    """Holds while a topic has at least so many publishers of the instance, in a node of a name or in any."""
+    """Holds while a topic has enough publishers of the instance, in one node or in any."""
 
     hears = False
 

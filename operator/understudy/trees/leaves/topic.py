@@ -61,7 +61,7 @@ class TopicLeaf(Leaf):
         self._held = self._evaluation.since
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None where it isn't healthy."""
+        """When it is no longer healthy; None if it is not healthy."""
         if self.tasks:
             return self._task_healthy_until()
         record, now, since = (
@@ -138,7 +138,7 @@ class TopicLeaf(Leaf):
             failed.append(not unjudged and not self.window.holds(arrivals, evaluation.now))
         if not any(failed):
             return "Healthy"
-        # Grace is for an instance that hasn't been healthy yet.
+        # Grace is for an instance that has not been healthy yet.
         fresh = record is None or (self.window is not None and failed[-1] and self._held != evaluation.since)
         return "Starting" if in_grace and fresh else "Failed"
 

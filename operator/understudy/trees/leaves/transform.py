@@ -68,7 +68,7 @@ class TransformLeaf(ContentLeaf):
         self._child, self._parent, self._gap, self._most = child, parent, gap, most
 
     def said(self, content: Content, failed: bool) -> Finding | None:
-        """What the message says; None where the transform isn't in it."""
+        """What the message says; None if the transform is not in it."""
         if not content.mentions(self._child):
             return None
         stamps = list(self._stamps(content))
@@ -78,7 +78,7 @@ class TransformLeaf(ContentLeaf):
             return Finding(True, "")
         newest = max(stamps)
         if not newest:
-            return Finding(False, "it can't be told: there is no stamp")
+            return Finding(False, "it cannot be determined: there is no stamp")
         age = content.older(newest)
         return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
 
@@ -87,7 +87,7 @@ class TransformLeaf(ContentLeaf):
         try:
             transforms: Any = getattr(content.message(), "transforms", ())
         except Unreadable:
-            return  # what can't be read has no transform in it that anybody could use
+            return  # what cannot be read has no transform in it that anybody could use
         for one in transforms:
             # tf2 takes a frame that begins with a slash for the one without.
             same = one.child_frame_id.removeprefix("/") == self._child
@@ -131,7 +131,7 @@ def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | 
     topic = topic_of(reader, value, path, TOPIC) if "topic" in value else TOPIC
     if topic is not None and topic.rsplit("/", 1)[-1] == STATIC:
         reader.problem(
-            f"{path}.topic", f"found {topic!r}: what is there is said once and stays, without a gap; give {TOPIC}"
+            f"{path}.topic", f"found {topic!r}: static transforms are published once, without a gap; give {TOPIC}"
         )
     if "child" not in value:
         reader.problem(f"{path}.child", "missing; give the frame that the transform leads to, such as base_link")

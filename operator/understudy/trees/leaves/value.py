@@ -22,12 +22,13 @@ from understudy.trees.leaves.leaf_plan import (
     type_of,
 )
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import Expression, ExpressionError, Fields, Undefined
+from understudy.trees.source.expression_values import Undefined
+from understudy.trees.source.expressions import Expression, ExpressionError, Fields
 from understudy.trees.source.value_reader import Reader, found_text
 
 
 class ValueLeaf(ContentLeaf):
-    """Holds while a condition does of the newest message.
+    """Holds while a condition is true for the newest message.
 
     With ``recovers``, one that has failed holds again only when that does.
     """
@@ -53,14 +54,14 @@ class ValueLeaf(ContentLeaf):
         try:
             message = content.message()
         except Unreadable as error:
-            return Finding(False, f"it can't be told: {error}")
+            return Finding(False, f"it cannot be determined: {error}")
         try:
             if wanted.holds(message):
                 return Finding(True, "")
             values = wanted.values(message).replace(" is ", " was ")
             return Finding(False, values)
         except Undefined as error:
-            return Finding(False, f"it can't be told: {error}")
+            return Finding(False, f"it cannot be determined: {error}")
 
     def condition(self) -> str:
         """The condition in words."""

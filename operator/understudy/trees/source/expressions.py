@@ -4,7 +4,7 @@ Python's grammar is used to read them, and nothing of Python to evaluate them: e
 into a closure of its own, and all else is refused when the expression is read. A name is a field of the message, so
 nothing but the message's own data can be reached. The work that an expression can cause is bounded.
 
-The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison can't be told
+The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison cannot be told
 (:class:`Undefined`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: what one side decides alone is decided.
 """
 
@@ -14,11 +14,31 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import Any
 
+from understudy.trees.source.expression_values import (
+    Evaluate,
+    Undefined,
+    all_of,
+    any_holds,
+    as_array,
+    as_number,
+    as_truth,
+    bounded_elements,
+    compared,
+    comparison_of,
+    extreme_of,
+    field_of,
+    is_finite,
+    length_of,
+    negation_of,
+    plain_value,
+    root_of,
+    shown_value,
+    value_or_undefined,
+)
 from understudy.trees.source.problems import did_you_mean
 
 LONGEST = 500
@@ -33,21 +53,15 @@ DEEPEST = 24
 MOST_LOOPS = 4
 """``any`` and ``all`` that an expression may have."""
 
-MOST_ELEMENTS = 4096
-"""Elements of an array that are gone through; the rays of a laser scan, not the points of a cloud."""
-
 LARGEST = 2.0**64
 """Largest number that may be written, the end of the largest integer field."""
 
 SHOWN = 3
-"""Values that are told with a condition that doesn't hold."""
+"""Values that are told with a condition that does not hold."""
 
 Fields = Callable[[str], Mapping[str, str] | None]
 """The fields of a message type with their types, as rosidl names them (``double``, ``sequence<geometry_msgs/Point>``);
-None where the type is not known here."""
-
-_Evaluate = Callable[[Any, Any], Any]
-"""The value for a message and, inside any and all, an element."""
+None if the type is not known here."""
 
 _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ARRAY = re.compile(r"sequence<(.+?)(?:, \d+)?>|(.+)\[\d+\]")
@@ -55,11 +69,7 @@ _NESTED = re.compile(r"(\w+)/(\w+)")
 
 
 class ExpressionError(ValueError):
-    """An expression that can't be used; says what was found and what would be right."""
-
-
-class Undefined(Exception):
-    """Whether a condition holds can't be told of a message; the text says why."""
+    """An expression cannot be used; the text says what was found and what would be right."""
 
 
 @dataclass(frozen=True)
@@ -92,16 +102,16 @@ def _kind_of(type_name: str) -> _Kind:
 
 
 class Expression:
-    """A condition that was read; holds for a message or doesn't, or can't be told."""
+    """A parsed condition on the fields of a message."""
 
-    def __init__(self, text: str, evaluate: _Evaluate, shown: Sequence[tuple[str, _Evaluate]]) -> None:
+    def __init__(self, text: str, evaluate: Evaluate, shown: Sequence[tuple[str, Evaluate]]) -> None:
         self.text = text
         self._evaluate = evaluate
         self._shown = shown
 
     @classmethod
     def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Expression:
-        """Read a condition over messages of a type, whose fields are checked where they are known.
+        """Read a condition over messages of a type, whose fields are checked if they are known.
 
         Raises ExpressionError.
         """
@@ -112,10 +122,10 @@ class Expression:
 
     def holds(self, message: object) -> bool:
         """Whether it holds for a message. Raises Untold."""
-        return _truth(self._evaluate(message, None), self.text)
+        return as_truth(self._evaluate(message, None), self.text)
 
     def values(self, message: object) -> str:
-        """The first few values that it looks at, such as ``percentage is 0.12``; empty where there are none to show."""
+        """The first few values that it looks at, such as ``percentage is 0.12``; empty if there are none to show."""
         told = []
         for name, evaluate in self._shown:
             try:
@@ -123,20 +133,20 @@ class Expression:
             except Undefined:
                 continue
             if isinstance(value, bool | int | float | str):
-                told.append(f"{name} is {_shown(value)}")
+                told.append(f"{name} is {shown_value(value)}")
         return ", ".join(told)
 
 
 class Quantity:
-    """A number that was asked for by an expression, such as ``distance_remaining``."""
+    """A parsed numeric expression on the fields of a message, such as ``distance_remaining``."""
 
-    def __init__(self, text: str, evaluate: _Evaluate) -> None:
+    def __init__(self, text: str, evaluate: Evaluate) -> None:
         self.text = text
         self._evaluate = evaluate
 
     @classmethod
     def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Quantity:
-        """Read a number over messages of a type, whose fields are checked where they are known. Raises ExpressionError."""
+        """Read a number over messages of a type, whose fields are checked if they are known. Raises ExpressionError."""
         text = text.strip()
         compiler, tree = _read(text, type_name, fields, "a number such as distance_remaining")
         return cls(text, compiler.number(tree, 1))
@@ -162,9 +172,9 @@ def _read(text: str, type_name: str, fields: Fields | None, example: str) -> tup
         tree = ast.parse(text, mode="eval").body
     except SyntaxError as error:
         place = f" at character {error.offset}" if error.offset else ""
-        raise ExpressionError(f"{text!r:.80} can't be read{place}; write {example}") from None
+        raise ExpressionError(f"{text!r:.80} cannot be read{place}; write {example}") from None
     except (ValueError, MemoryError, RecursionError):
-        raise ExpressionError(f"{text!r:.80} can't be read; write {example}") from None
+        raise ExpressionError(f"{text!r:.80} cannot be read; write {example}") from None
     if sum(1 for _ in ast.walk(tree)) > 3 * MOST_NODES:  # operators and contexts are nodes of Python's too
         raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
     return _Compiler(text, _Kind(f"a {type_name}" if type_name else "the message", message=type_name), fields), tree
@@ -194,7 +204,7 @@ class _Compiler:
     """Turns Python's syntax tree into closures, construct by construct."""
 
     def __init__(self, text: str, message: _Kind, fields: Fields | None) -> None:
-        self.shown: list[tuple[str, _Evaluate]] = []
+        self.shown: list[tuple[str, Evaluate]] = []
         """What is worth telling of a message: the fields that are looked at."""
         self._text, self._message, self._fields = text, message, fields
         self._element: tuple[str, _Kind] | None = None
@@ -203,22 +213,22 @@ class _Compiler:
 
     # -- kinds of values --------------------------------------------------------------------------------------------
 
-    def truth(self, node: ast.expr, depth: int) -> _Evaluate:
+    def truth(self, node: ast.expr, depth: int) -> Evaluate:
         """What is true or false."""
         return self._wanted(node, depth, _TRUTH, "compare it with something")
 
-    def number(self, node: ast.expr, depth: int) -> _Evaluate:
+    def number(self, node: ast.expr, depth: int) -> Evaluate:
         """What is a number."""
         evaluate, text = self._wanted(node, depth, _NUMBER, "calculate with numbers"), self._source(node)
-        return lambda message, element: _number(evaluate(message, element), text)
+        return lambda message, element: as_number(evaluate(message, element), text)
 
-    def _wanted(self, node: ast.expr, depth: int, wanted: _Kind, way_out: str) -> _Evaluate:
+    def _wanted(self, node: ast.expr, depth: int, wanted: _Kind, way_out: str) -> Evaluate:
         kind, evaluate = self._value(node, depth)
         if kind not in (wanted, _ANY):
             raise ExpressionError(f"{self._source(node)} is {kind.text}, not {wanted.text}; {way_out}")
         return evaluate
 
-    def _value(self, node: ast.expr, depth: int) -> tuple[_Kind, _Evaluate]:
+    def _value(self, node: ast.expr, depth: int) -> tuple[_Kind, Evaluate]:
         self._nodes += 1
         if self._nodes > MOST_NODES:
             raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
@@ -232,7 +242,7 @@ class _Compiler:
                 self._show(node, found)
                 return found
             case ast.BoolOp():
-                return _TRUTH, _all_of([self.truth(v, depth + 1) for v in node.values], isinstance(node.op, ast.And))
+                return _TRUTH, all_of([self.truth(v, depth + 1) for v in node.values], isinstance(node.op, ast.And))
             case ast.UnaryOp():
                 return self._unary(node, depth)
             case ast.BinOp():
@@ -246,7 +256,7 @@ class _Compiler:
             f"+ - * / % and {', '.join(_FUNCTIONS)}"
         )
 
-    def _constant(self, node: ast.Constant) -> tuple[_Kind, _Evaluate]:
+    def _constant(self, node: ast.Constant) -> tuple[_Kind, Evaluate]:
         value = node.value
         if isinstance(value, bool):
             return _TRUTH, lambda message, element: value
@@ -260,7 +270,7 @@ class _Compiler:
 
     # -- fields -----------------------------------------------------------------------------------------------------
 
-    def _path(self, node: ast.expr, depth: int) -> tuple[_Kind, _Evaluate]:
+    def _path(self, node: ast.expr, depth: int) -> tuple[_Kind, Evaluate]:
         """A field, a field of a field, or an element of an array."""
         if depth > DEEPEST:
             raise ExpressionError(f"it is more than {DEEPEST} levels deep")
@@ -275,7 +285,7 @@ class _Compiler:
             return self._item(node, depth)
         raise ExpressionError(f"{self._source(node)} has no fields; those of messages are looked at")
 
-    def _field(self, kind: _Kind, evaluate: _Evaluate, name: str, of: str = "") -> tuple[_Kind, _Evaluate]:
+    def _field(self, kind: _Kind, evaluate: Evaluate, name: str, of: str = "") -> tuple[_Kind, Evaluate]:
         if not _FIELD.fullmatch(name):
             raise ExpressionError(f"{name!r} is no field of a message; their names begin with a letter")
         found = _ANY
@@ -287,9 +297,9 @@ class _Compiler:
                 found = _kind_of(known[name])
         elif kind not in (_ANY, self._message):
             raise ExpressionError(f"{of} is {kind.text}, which has no field {name!r}")
-        return found, _field_of(evaluate, name)
+        return found, field_of(evaluate, name)
 
-    def _item(self, node: ast.Subscript, depth: int) -> tuple[_Kind, _Evaluate]:
+    def _item(self, node: ast.Subscript, depth: int) -> tuple[_Kind, Evaluate]:
         kind, array = self._path(node.value, depth + 1)
         text = self._source(node.value)
         index = _index(node.slice)
@@ -299,15 +309,15 @@ class _Compiler:
             raise ExpressionError(f"{text} is {kind.text}, not an array; leave [{index}] out")
 
         def evaluate(message: Any, element: Any) -> Any:
-            values = _array(array(message, element), text)
+            values = as_array(array(message, element), text)
             try:
-                return _plain(values[index])
+                return plain_value(values[index])
             except IndexError:
                 raise Undefined(f"{text} has {len(values)} elements, and so no {text}[{index}]") from None
 
         return kind.item or _ANY, evaluate
 
-    def _show(self, node: ast.expr, found: tuple[_Kind, _Evaluate]) -> None:
+    def _show(self, node: ast.expr, found: tuple[_Kind, Evaluate]) -> None:
         """Have a value told, unless it is of an element."""
         kind, evaluate = found
         text = self._source(node)
@@ -316,10 +326,10 @@ class _Compiler:
 
     # -- operations -------------------------------------------------------------------------------------------------
 
-    def _unary(self, node: ast.UnaryOp, depth: int) -> tuple[_Kind, _Evaluate]:
+    def _unary(self, node: ast.UnaryOp, depth: int) -> tuple[_Kind, Evaluate]:
         if isinstance(node.op, ast.Not):
             truth, text = self.truth(node.operand, depth + 1), self._source(node.operand)
-            return _TRUTH, lambda message, element: not _truth(truth(message, element), text)
+            return _TRUTH, lambda message, element: not as_truth(truth(message, element), text)
         if isinstance(node.op, ast.USub | ast.UAdd):
             number = self.number(node.operand, depth + 1)
             if isinstance(node.op, ast.UAdd):
@@ -327,7 +337,7 @@ class _Compiler:
             return _NUMBER, lambda message, element: -number(message, element)
         raise ExpressionError(f"{self._source(node)} is not allowed; there are not and -")
 
-    def _binary(self, node: ast.BinOp, depth: int) -> _Evaluate:
+    def _binary(self, node: ast.BinOp, depth: int) -> Evaluate:
         if type(node.op) not in _OPERATIONS:
             signs = " ".join(sign for sign, _ in _OPERATIONS.values())
             raise ExpressionError(f"{self._source(node)} is not allowed; there are {signs}")
@@ -344,7 +354,7 @@ class _Compiler:
 
         return evaluate
 
-    def _compare(self, node: ast.Compare, depth: int) -> _Evaluate:
+    def _compare(self, node: ast.Compare, depth: int) -> Evaluate:
         places = [node.left, *node.comparators]
         texts = [self._source(place) for place in places]
         kinds, values = zip(*(self._value(place, depth + 1) for place in places), strict=True)
@@ -357,14 +367,14 @@ class _Compiler:
             self._comparable(kinds[index : index + 2], texts[index : index + 2], ordered)
             steps.append((compare, ordered))
         if len(steps) == 1:
-            return _comparison(*steps[0], values, texts)
+            return comparison_of(*steps[0], values, texts)
 
         def evaluate(message: Any, element: Any) -> bool:
             untold: Undefined | None = None
-            found = [_value_or_untold(value, message, element) for value in values]
+            found = [value_or_undefined(value, message, element) for value in values]
             for index, (compare, ordered) in enumerate(steps):
                 try:
-                    if not _compared(compare, ordered, found[index : index + 2], texts[index : index + 2]):
+                    if not compared(compare, ordered, found[index : index + 2], texts[index : index + 2]):
                         return False
                 except Undefined as error:
                     untold = untold or error
@@ -378,19 +388,19 @@ class _Compiler:
         for kind, text in zip(kinds, texts, strict=True):
             if kind.item is not None or kind.message:
                 raise ExpressionError(
-                    f"{text} is {kind.text}, which can't be compared; name a field or an element of it"
+                    f"{text} is {kind.text}, which cannot be compared; name a field or an element of it"
                 )
             if ordered and kind not in (_NUMBER, _ANY):
                 raise ExpressionError(f"{text} is {kind.text}, not a number; compare it by == or !=")
         first, second = kinds
         if first != second and _ANY not in kinds:
             raise ExpressionError(
-                f"{texts[0]} is {first.text} and {texts[1]} is {second.text}; compare what is of one kind"
+                f"{texts[0]} is {first.text} and {texts[1]} is {second.text}; compare values of one type"
             )
 
     # -- functions --------------------------------------------------------------------------------------------------
 
-    def _call(self, node: ast.Call, depth: int) -> tuple[_Kind, _Evaluate]:
+    def _call(self, node: ast.Call, depth: int) -> tuple[_Kind, Evaluate]:
         name = node.func.id if isinstance(node.func, ast.Name) else self._source(node.func)
         if not isinstance(node.func, ast.Name) or name not in _FUNCTIONS:
             raise ExpressionError(f"there is no function {name!r:.60}{did_you_mean(name[:60], _FUNCTIONS)}")
@@ -407,35 +417,35 @@ class _Compiler:
             return found
         values = [self.number(value, depth + 1) for value in given]
         if name == "isfinite":
-            return _TRUTH, lambda message, element: _finite(values[0](message, element))
+            return _TRUTH, lambda message, element: is_finite(values[0](message, element))
         if name == "abs":
             return _NUMBER, lambda message, element: abs(values[0](message, element))
         if name == "sqrt":
-            return _NUMBER, _root(values[0], text)
-        return _NUMBER, lambda message, element: _extreme(name, [value(message, element) for value in values])
+            return _NUMBER, root_of(values[0], text)
+        return _NUMBER, lambda message, element: extreme_of(name, [value(message, element) for value in values])
 
-    def _of_array(self, name: str, node: ast.expr, depth: int) -> _Evaluate:
+    def _of_array(self, name: str, node: ast.expr, depth: int) -> Evaluate:
         kind, evaluate = self._path(node, depth + 1)
         text = self._source(node)
         if kind is not _ANY and kind.item is None and not (name == "len" and kind is _STRING):
             raise ExpressionError(f"{text} is {kind.text}; {name} is given {_CALLS[name]}")
         if name == "len":
-            return lambda message, element: _length(evaluate(message, element), text)
+            return lambda message, element: length_of(evaluate(message, element), text)
         if kind.item is not None and kind.item not in (_NUMBER, _ANY):
             raise ExpressionError(f"{text} has elements that are {kind.item.text}; {name} is of numbers")
 
         def extreme(message: Any, element: Any) -> float:
-            values = _elements(evaluate(message, element), text)
+            values = bounded_elements(evaluate(message, element), text)
             if not len(values):
                 raise Undefined(f"{text} has no elements")
-            return _extreme(name, [_number(_plain(value), f"an element of {text}") for value in values])
+            return extreme_of(name, [as_number(plain_value(value), f"an element of {text}") for value in values])
 
         return extreme
 
-    def _loop(self, node: ast.expr, name: str, depth: int) -> _Evaluate:
+    def _loop(self, node: ast.expr, name: str, depth: int) -> Evaluate:
         """``any`` and ``all`` over the elements of one array, those that a filter lets through."""
         if not isinstance(node, ast.GeneratorExp) or len(node.generators) != 1 or node.generators[0].is_async:
-            raise ExpressionError(f"{self._source(node)} can't be gone through; write {_CALLS[name]}")
+            raise ExpressionError(f"{self._source(node)} cannot be iterated; write {_CALLS[name]}")
         if self._element is not None:
             raise ExpressionError(f"{name} inside of any or all is not allowed")
         self._loops += 1
@@ -453,9 +463,11 @@ class _Compiler:
         truth = self.truth(node.elt, depth + 2)
         self._element = None
         wanted = name == "any"
-        each = _all_of([*filters, truth if wanted else _negated(truth)], True)
+        each = all_of([*filters, truth if wanted else negation_of(truth)], True)
         # all(c for e in a) is not any(not c for e in a); so both are one search.
-        return lambda message, element: _found(message, _elements(array(message, element), text), each) == wanted
+        return lambda message, element: (
+            any_holds(message, bounded_elements(array(message, element), text), each) == wanted
+        )
 
     def _source(self, node: ast.expr) -> str:
         text = " ".join((ast.get_source_segment(self._text, node) or "it").split())
@@ -475,185 +487,10 @@ _CALLS = {
 
 
 def _index(node: ast.expr) -> int | None:
-    """The number of an element, counted from the end where it is negative."""
+    """The number of an element, counted from the end if it is negative."""
     sign = 1
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         sign, node = -1, node.operand
     if isinstance(node, ast.Constant) and type(node.value) is int and node.value <= 2**32:
         return sign * node.value
     return None
-
-
-_NUMERIC = frozenset((int, float))
-_OWN = frozenset((bool, int, float, str))
-
-# -- values of a message ------------------------------------------------------------------------------------------------
-
-
-def _field_of(evaluate: _Evaluate, name: str) -> _Evaluate:
-    """The value of a field: only what the message's type says is one, and none of its class's attributes."""
-    known: dict[type, bool] = {}
-
-    def field(message: Any, element: Any) -> Any:
-        value = evaluate(message, element)
-        cls = type(value)
-        if cls not in known:
-            describe = getattr(cls, "get_fields_and_field_types", None)
-            known[cls] = describe is not None and name in describe()
-        if not known[cls]:
-            raise Undefined(f"{cls.__name__} has no field {name}")
-        return _plain(getattr(value, name))
-
-    return field
-
-
-def _plain(value: Any) -> Any:
-    """A field's value as Python's own; the octet and numpy's scalars are not."""
-    if type(value) in _OWN:
-        return value
-    if isinstance(value, bytes) and len(value) == 1:
-        return value[0]
-    if isinstance(value, Real):
-        return int(value) if isinstance(value, Integral) else float(value)
-    return value
-
-
-def _array(value: Any, text: str) -> Any:
-    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
-        return value
-    if hasattr(value, "tolist") and getattr(value, "ndim", 0) == 1:
-        return value
-    raise Undefined(f"{text} is no array")
-
-
-def _elements(value: Any, text: str) -> Any:
-    values = _array(value, text)
-    if len(values) > MOST_ELEMENTS:
-        raise Undefined(f"{text} has {len(values)} elements; up to {MOST_ELEMENTS} are gone through")
-    return values
-
-
-def _length(value: Any, text: str) -> int:
-    return len(value) if isinstance(value, str) else len(_array(value, text))
-
-
-def _number(value: Any, text: str) -> Any:
-    if type(value) not in _NUMERIC:
-        raise Undefined(f"{text} is no number")
-    return value
-
-
-def _truth(value: object, text: str) -> bool:
-    if value is not True and value is not False:
-        raise Undefined(f"{text:.80} is neither true nor false")
-    return value
-
-
-def _extreme(name: str, values: Sequence[float]) -> float:
-    """The least or greatest; NaN where one of them is, since Python's own depends on their order then."""
-    if any(value != value for value in values):
-        return math.nan
-    return min(values) if name == "min" else max(values)
-
-
-def _finite(value: float) -> bool:
-    return isinstance(value, int) or math.isfinite(value)  # an integer may be larger than any float
-
-
-def _root(evaluate: _Evaluate, text: str) -> _Evaluate:
-    def root(message: Any, element: Any) -> float:
-        value = evaluate(message, element)
-        try:
-            return math.sqrt(value)
-        except ValueError:
-            raise Undefined(f"{text} is of a negative number") from None
-        except OverflowError:
-            raise Undefined(f"{text} is too large") from None
-
-    return root
-
-
-def _value_or_untold(evaluate: _Evaluate, message: Any, element: Any) -> Any:
-    try:
-        return evaluate(message, element)
-    except Undefined as error:
-        return error
-
-
-def _comparison(
-    compare: Callable[[Any, Any], bool], ordered: bool, values: Sequence[_Evaluate], texts: Sequence[str]
-) -> _Evaluate:
-    """The usual comparison, of two values; of numbers by little work, since it may be made for each element of an array."""
-    left, right = values
-
-    def evaluate(message: Any, element: Any) -> bool:
-        first, second = left(message, element), right(message, element)
-        if type(first) in _NUMERIC and type(second) in _NUMERIC and first == first and second == second:
-            return compare(first, second)
-        return _compared(compare, ordered, (first, second), texts)
-
-    return evaluate
-
-
-def _compared(compare: Callable[[Any, Any], bool], ordered: bool, values: Sequence[Any], texts: Sequence[str]) -> bool:
-    for value, text in zip(values, texts, strict=True):
-        if isinstance(value, Undefined):
-            raise value
-        if isinstance(value, float) and math.isnan(value):
-            raise Undefined(f"{text} is NaN")
-        if ordered:
-            _number(value, text)
-    first, second = values
-    if isinstance(first, bool) and isinstance(second, bool):
-        return compare(first, second)
-    if isinstance(first, str) and isinstance(second, str):
-        return compare(first, second)
-    return compare(_number(first, texts[0]), _number(second, texts[1]))
-
-
-# -- truth --------------------------------------------------------------------------------------------------------------
-
-
-def _all_of(parts: Sequence[_Evaluate], conjunction: bool) -> _Evaluate:
-    """``and`` of conditions, or ``or``: the first that decides it does, else it is untold if one of them is."""
-
-    def evaluate(message: Any, element: Any) -> bool:
-        untold: Undefined | None = None
-        for part in parts:
-            try:
-                if _truth(part(message, element), "a part of it") != conjunction:
-                    return not conjunction
-            except Undefined as error:
-                untold = untold or error
-        if untold is not None:
-            raise untold
-        return conjunction
-
-    return evaluate
-
-
-def _negated(truth: _Evaluate) -> _Evaluate:
-    return lambda message, element: not _truth(truth(message, element), "a part of it")
-
-
-def _found(message: Any, values: Iterable[Any], truth: _Evaluate) -> bool:
-    """Whether a condition holds for any element."""
-    untold: Undefined | None = None
-    for value in values:
-        try:
-            if truth(message, _plain(value)):
-                return True
-        except Undefined as error:
-            untold = untold or error
-    if untold is not None:
-        raise untold
-    return False
-
-
-def _shown(value: bool | int | float | str) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        return "NaN" if math.isnan(value) else f"{value:.4g}"
-    text = repr(value) if isinstance(value, str) else str(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,4 +1,4 @@
-"""Places in the texts that trees are written in: where one begins in its file, and why one can't be read."""
+"""Positions in texts: where a text begins in its file, and where it is malformed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Place = TypeVar("Place")
 
 @dataclass(frozen=True)
 class TextOffset:
-    """Where a text begins in the file that it is part of; its own first character, where it is a file by itself."""
+    """Where a text begins in the file that it is part of; its own first character, if it is a file on its own."""
 
     lines: int = 0
     """Lines of the file before it."""
@@ -24,7 +24,7 @@ WHOLE_FILE = TextOffset()
 
 
 class Malformed(ValueError):
-    """A text that can't be read as what it should be, or must not be."""
+    """A text is malformed, or is refused before it is parsed."""
 
     def __init__(self, message: str, line: int = 1, column: int = 1) -> None:
         super().__init__(message)

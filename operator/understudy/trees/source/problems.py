@@ -1,4 +1,4 @@
-"""What is wrong with a tree, in words that say where and what would be right."""
+"""Problems with a tree: where, what was found, and what would be right."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 MOST_LISTED = 10
-"""Problems that are told of one tree where not all of them can be."""
+"""Problems of one tree that are listed if there is no room for all of them."""
 
 _LONGEST_TOLD = 1000
 _LONGEST_WORD = 64
@@ -30,7 +30,7 @@ class Problem:
 
 
 class TreeError(ValueError):
-    """A tree that can't be loaded; all its problems at once."""
+    """A tree cannot be loaded; has all its problems."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = list(problems)

@@ -1,4 +1,4 @@
-"""What a tree is, as messages call it: each of the languages is written for several kinds of trees."""
+"""The kinds of trees, as messages name them: health trees, procedures and checks."""
 
 from __future__ import annotations
 

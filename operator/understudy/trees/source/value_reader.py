@@ -36,7 +36,7 @@ class Reader:
         self.problems.append(Problem(path, message))
 
     def is_node(self, value: object, path: str, depth: int, kinds: Sequence[str]) -> TypeGuard[Mapping[str, Any]]:
-        """Whether something can be read as one more node, which is of one of these kinds; a problem is noted where it can't."""
+        """Whether something can be read as one more node, which is of one of these kinds; a problem is noted if it cannot."""
         self._nodes += 1
         if self._nodes > MOST:
             if self._nodes == MOST + 1:
@@ -51,14 +51,14 @@ class Reader:
         return True
 
     def kind(self, value: Mapping[str, Any], path: str, kinds: Sequence[str]) -> str | None:
-        """Which one of these kinds a node is; a problem is noted where it is none or several."""
+        """Which one of these kinds a node is; a problem is noted if it is none or several."""
         found = [kind for kind in kinds if kind in value]
         if len(found) > 1:
             self.problem(path, f"found {' and '.join(found)} in one node; give each a node of its own")
             return None
         if not found:
             if not any(key != "name" for key in value):
-                self.problem(path, f"the node says nothing; give one of {', '.join(kinds)}")
+                self.problem(path, f"the node is empty; give one of {', '.join(kinds)}")
             return None
         return found[0]
 
@@ -118,7 +118,7 @@ def duration_of(value: object) -> float:
 
 
 def whole_number_of(most: int, *, least: int = 1) -> Callable[[object], int]:
-    """Reads a whole number from ``least`` to ``most``, also where it is written as text, as in XML. Raises ValueError."""
+    """Reads a whole number from ``least`` to ``most``, also if it is written as text, as in XML. Raises ValueError."""
 
     def read(found: object) -> int:
         digits = isinstance(found, str) and found.isascii() and found.isdigit() and len(found) < 10

@@ -349,7 +349,7 @@ def test_a_check_in_openscenario_has_places_of_the_file_too() -> None:
     findings = checked(POOL.replace("spec:\n", f"spec:\n  readinessCheck:{check}\n", 1)).findings
     (finding,) = (one for one in findings if one.field == "spec.readinessCheck.osc")
     assert (finding.place.line, finding.place.column) == (lines + 5, 14)
-    assert finding.message == "resend_goals(): isn't for checks: a check only looks; it belongs into a procedure"
+    assert finding.message == "resend_goals(): is not for checks: a check takes no action; it belongs in a procedure"
 
 
 def test_a_procedure_has_exactly_one_tree() -> None:

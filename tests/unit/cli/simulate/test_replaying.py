@@ -206,10 +206,10 @@ def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
     told = {leaf: one.why for one in tried.found.left_out for leaf in one.leaves}
     assert told.keys() == {"imu", "scan.publisher", "sent", "pod.Ready", "a.b.parameter", "driving/scan"}
     assert told["imu"] == "the bag lacks /imu"
-    assert "told by the live ROS graph" in told["scan.publisher"]
-    assert told["sent"] == "it is told by when messages were sent, which a bag doesn't have (/scan)"
-    assert told["pod.Ready"] == "it is told by the cluster, which a bag doesn't have (pod)"
-    assert "told by the live ROS graph" in told["a.b.parameter"]
+    assert "needs the live ROS graph" in told["scan.publisher"]
+    assert told["sent"] == "it needs the time at which messages were sent, which a bag does not contain (/scan)"
+    assert told["pod.Ready"] == "it needs the cluster's API, which a bag does not contain (pod)"
+    assert "needs the live ROS graph" in told["a.b.parameter"]
     assert "--include-hidden-topics" in told["driving/scan"]
 
 

@@ -9,14 +9,14 @@ from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import JSON_PREFIX, found_text
 
 Board = Mapping[str, str | None]
-"""Values by entry; None where one couldn't be read, which was said already."""
+"""Values by entry; None if one could not be read, which was said already."""
 
 SAME = "="
 """``{=}`` is the entry that is called like the port."""
 
 
 def entry(value: str, port: str) -> str | None:
-    """The entry that a port's value names, None where it is a plain value. Raises ValueError for a part of a value."""
+    """The entry that a port's value names, None if it is a plain value. Raises ValueError for a part of a value."""
     text = value.strip()
     if text.startswith(JSON_PREFIX):
         return None
@@ -36,7 +36,7 @@ def _mapping(value: str) -> str:
 
 
 def resolve(value: str, port: str, board: Board) -> str | None:
-    """A port's value; None where the entry it names couldn't be read. Raises ValueError where there is no such entry."""
+    """A port's value; None if the entry it names could not be read. Raises ValueError if there is no such entry."""
     name = entry(value, port)
     if name is None:
         return value
@@ -60,7 +60,7 @@ def autoremap(element: Element) -> bool:
 
 
 def used(tree: Element) -> set[str] | None:
-    """The entries that a <BehaviorTree> reads; None where it can't be told, since a tree in it sees all of them."""
+    """The entries that a <BehaviorTree> reads; None if it cannot be told, since a tree in it sees all of them."""
     found = set()
     for element in _descendants(tree):
         try:

@@ -1,4 +1,4 @@
-"""What is in a file: its trees, which of them counts, and the models of their ports."""
+"""The parts of a file: its trees, the main one, and the models of their ports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Document:
         self.models: dict[str, SubTreeModel] = {}
         """Of trees, by ID."""
         self.main: str | None = None
-        """The tree that is to be executed; None where that can't be told. Others than those in it don't matter."""
+        """The tree that is to be executed; None if that cannot be told. Others than those in it do not matter."""
         self.library = library
         self._path = path
         if root.tag != "root":

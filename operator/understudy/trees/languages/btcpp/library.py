@@ -1,4 +1,4 @@
-"""The nodes that a health tree in XML can have, and why it can't have the others of BehaviorTree.CPP 4."""
+"""The nodes that a health tree in XML can have, and why it cannot have the others of BehaviorTree.CPP 4."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Node:
     key: str
     """What it is in the short form; a Parallel says by its thresholds which."""
     ports: Mapping[str, str] = field(default_factory=dict)
-    """Where the value of each of its ports goes in the short form, as a path from the node; empty where it goes nowhere."""
+    """Where the value of each of its ports goes in the short form, as a path from the node; empty if it goes nowhere."""
     reads: Mapping[str, Callable[[str], Any]] = field(default_factory=dict)
     """What reads the values of ports that are no texts in the short form. Raises ValueError."""
 
@@ -67,23 +67,23 @@ SCRIPTS = frozenset({"_skipIf", "_successIf", "_failureIf", "_while", "_onSucces
 """Pre- and postconditions, which are scripts."""
 
 NO_SCRIPTS = (
-    "scripts aren't run; what only counts while the robot works on a task goes into "
+    "scripts are not run; a condition that counts only during a task goes into "
     '<WhileTaskActive action="/navigate_to_pose">'
 )
 
-_ANEW = "a health tree is asked anew at every look and remembers nothing; write"
-_ONCE = "a health tree is asked again and again anyway; leave it out, and give the leaf in it a longer gap or window"
-_LATER = (
-    "how long something may be missing is said by gap, window and settle, and by debounce of the policy; leave it out"
+_ANEW = "a health tree is evaluated again each time and remembers nothing; write"
+_ONCE = "a health tree is evaluated continuously; leave it out, and give the leaf in it a longer gap or window"
+_LATER = "gap, window and settle, and debounce of the policy, say how long something may be missing; leave it out"
+_TASK = 'only a task can decide; write <WhileTaskActive action="/navigate_to_pose">'
+_STORE = 'a health tree writes nothing; give constants as attributes of <SubTree>, such as scan="/scan"'
+_CERTAIN = "a constant result says nothing about the robot; leave it out"
+_RECOVERY = "a health tree takes no action; actions after a failure belong in spec.strategies of the policy"
+_LOOKS = (
+    "only procedures and checks test this once; in a health tree, write what must hold, such as <Lifecycle> or <Node>"
 )
-_TASK = 'what decides can only be a task; write <WhileTaskActive action="/navigate_to_pose">'
-_STORE = 'nothing is written while a tree is judged; give constants as attributes of <SubTree>, such as scan="/scan"'
-_CERTAIN = "a verdict that is certain says nothing about the robot; leave it out"
-_RECOVERY = "a health tree only judges; what is done after a failure belongs into spec.strategies of the policy"
-_LOOKS = "procedures and checks look once, a health tree watches; write what must hold, such as <Lifecycle> or <Node>"
 
 REFUSED_PLUGIN_TAGS: Mapping[str, str] = {tag_of(name): why for name, why in REFUSED_PLUGINS.items()}
-"""Why leaves of other packages can't be used."""
+"""Why leaves of other packages cannot be used."""
 
 REFUSED: Mapping[str, str] = {
     **REFUSED_PLUGIN_TAGS,
@@ -95,7 +95,7 @@ REFUSED: Mapping[str, str] = {
     "IfThenElse": _TASK,
     "WhileDoElse": _TASK,
     **{f"Switch{cases}": _TASK for cases in range(2, 7)},
-    "ManualSelector": "nobody is there to choose; write <Fallback>",
+    "ManualSelector": "no operator is present to choose; write <Fallback>",
     "TryCatch": _RECOVERY,
     "RetryUntilSuccessful": _ONCE,
     "RetryUntilSuccesful": _ONCE,
@@ -138,7 +138,7 @@ class Library:
     subject: TreeKind
     nodes: Mapping[str, Node]
     refused: Mapping[str, str]
-    """Why they can't have other nodes, and what is right."""
+    """Why they cannot have other nodes, and what is right."""
     no_scripts: str
     """What is said of scripts."""
     group: str

@@ -33,7 +33,7 @@ class _Spot:
 
 
 class Nodes:
-    """Turns elements into what was written by them, and collects problems; one that can't be read becomes None."""
+    """Converts elements to parsed nodes, and collects problems; an element that cannot be read becomes None."""
 
     def __init__(self, document: Document, path: str) -> None:
         self.problems: list[LocatedProblem] = []
@@ -97,7 +97,7 @@ class Nodes:
                 return tag
             self._note(element, f"{tag} is {node.a}; write <{tag}>")
         elif tag in library.refused:
-            self._note(element, f"isn't for {library.subject.many}: {library.refused[tag]}")
+            self._note(element, f"is not for {library.subject.many}: {library.refused[tag]}")
         elif tag in self._document.trees:
             self._note(element, f'it is a tree; write <SubTree ID="{tag:.60}"/>')
         else:
@@ -105,7 +105,7 @@ class Nodes:
         return None
 
     def _values(self, element: Element, tag: str, board: Board) -> dict[str, str] | None:
-        """What its ports were given; None where one of them can't be told."""
+        """What its ports were given; None if one of them cannot be told."""
         ports, whole = self._library.nodes[tag].ports, True
         values: dict[str, str] = {}
         for attribute, value in element.attributes.items():
@@ -130,7 +130,7 @@ class Nodes:
             return None
 
     def _key(self, element: Element, tag: str, values: dict[str, str] | None) -> str | None:
-        """What it is in the short form; None where what is in it doesn't fit."""
+        """What it is in the short form; None if what is in it does not fit."""
         count, category = len(element.children), self._library.nodes[tag].category
         if category in ("Action", "Condition") and count:
             self._note(element, f"has {_nodes(element)} in it; a leaf has none: put them beside it")
@@ -152,7 +152,7 @@ class Nodes:
             self._note(element, "missing; give the name of a <BehaviorTree>", "ID")
             return None
         if element.children:
-            self._note(element, f"has {_nodes(element)} in it; they belong into the <BehaviorTree> of that name")
+            self._note(element, f"has {_nodes(element)} in it; they belong in the <BehaviorTree> of that name")
         name = element.attributes["ID"]
         if name not in self._document.trees:
             self._note(element, f"there is no tree {found_text(name)}{did_you_mean(name, self._document.trees):.200}")
@@ -199,7 +199,7 @@ class Nodes:
         return board
 
     def _known(self, name: str) -> set[str] | None:
-        """The entries that a tree can be given; None where that can't be told."""
+        """The entries that a tree can be given; None if that cannot be told."""
         if name not in self._read:
             read = blackboard.used(self._document.trees[name])
             if read is not None:
@@ -223,7 +223,7 @@ class Nodes:
 
 
 def _name(element: Element, default: str) -> str | None:
-    """The name that a node was given, as opposed to the one that BehaviorTree.CPP gives it by itself."""
+    """The name that a node was given, as opposed to the one that BehaviorTree.CPP gives it on its own."""
     name = element.attributes.get("name")
     return name if name != default else None
 

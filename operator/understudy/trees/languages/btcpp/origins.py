@@ -1,4 +1,4 @@
-"""Where a node comes from that is an element."""
+"""The origin of a node that is an XML element."""
 
 from __future__ import annotations
 
@@ -7,6 +7,6 @@ from understudy.trees.languages.text.source_map import Origin
 
 
 def origin(element: Element, uses: tuple[int, ...] = ()) -> Origin:
-    """That of an element; ``uses`` are the lines of the <SubTree> nodes that it is used by."""
+    """Return the origin of an element; ``uses`` are the lines of the <SubTree> nodes that use it."""
     identity = f' ID="{repr(element.attributes["ID"])[1:-1]:.60}"' if "ID" in element.attributes else ""
     return Origin(f"<{element.tag:.60}{identity}>", element.line, element.column, uses)

@@ -1,4 +1,4 @@
-"""<TreeNodesModel>: what the one who wrote a text, most often Groot 2, took the nodes and subtrees to be."""
+"""<TreeNodesModel>: the ports that the author of a text, most often Groot 2, expects of nodes and subtrees."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ class SubTreeModel:
     """The ports of a subtree, which then has no others."""
 
     ports: dict[str, str | None] = field(default_factory=dict)
-    """What each is where it isn't given; None where it must be."""
+    """What each is if it is not given; None if it must be."""
 
     def entries(self) -> set[str]:
-        """The entries of the tree above that it reads by itself."""
+        """The entries of the tree above that it reads on its own."""
         found = set()
         for port, default in self.ports.items():
-            with contextlib.suppress(ValueError):  # said where it is used
+            with contextlib.suppress(ValueError):  # reported where it is used
                 found.add(entry(default or "", port) or "")
         return found
 
 
 def read(element: Element, nodes: Mapping[str, Node], note: Note) -> Mapping[str, SubTreeModel]:
     """The subtrees with a model. Models of known ``nodes`` are compared with what these are; all others
-    don't matter.
+    do not matter.
     """
     subtrees: dict[str, SubTreeModel] = {}
     for model in element.children:

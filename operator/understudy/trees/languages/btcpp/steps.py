@@ -1,4 +1,4 @@
-"""The nodes that a procedure or a check in XML can have, and why it can't have the others of BehaviorTree.CPP 4."""
+"""The nodes that a procedure or a check in XML can have, and why it cannot have the others of BehaviorTree.CPP 4."""
 
 from __future__ import annotations
 
@@ -60,15 +60,15 @@ _LOOKS: Mapping[str, Node] = {
 _LEAVES: Mapping[str, Node] = {tag: node for tag, node in NODES.items() if node.category == "Condition"}
 _WATCHED: Mapping[str, Node] = {tag: node for tag, node in _LEAVES.items() if node.key in HEALTH}
 
-_NO_SCRIPTS = "scripts aren't run; write what must hold before a node in front of it, in a <Sequence>"
-_IN_ORDER = "each node is done once, in order, and what is so already is left alone; write"
+_NO_SCRIPTS = "scripts are not run; write what must hold before a node in front of it, in a <Sequence>"
+_IN_ORDER = "a procedure does each node once, in order; write"
 _ONCE = "a procedure is run once; write <RetryUntilSuccessful> for what may have to be tried again"
 _BRANCH = "write a <Fallback> with a <Sequence> in it: first the condition, then what depends on it"
-_WAIT = "what must be waited for is said by <WaitFor>, or by a condition such as <Topic>; leave it out"
+_WAIT = "<WaitFor>, or a condition such as <Topic>, says what to wait for; leave it out"
 _CERTAIN = "it does nothing to the instance; leave it out"
-_OTHERWISE = "what is done where a node fails is written behind it, in a <Fallback>"
-_STORE = 'nothing is written while a tree is run; give constants as attributes of <SubTree>, such as node="/amcl"'
-_DRIVING = "it says something of the instance that drives, which this one doesn't yet; leave it out"
+_OTHERWISE = "write what to do after a failure as the next node, in a <Fallback>"
+_STORE = 'a procedure writes nothing; give constants as attributes of <SubTree>, such as node="/amcl"'
+_DRIVING = "it judges the active instance only, and this one is not active yet; leave it out"
 
 _SEQUENCES = ("SequenceWithMemory", "SequenceStar", "ReactiveSequence", "PipelineSequence")
 _FALLBACKS = ("FallbackStar", "ReactiveFallback", "RoundRobin", "ManualSelector")
@@ -107,8 +107,10 @@ CHECKS = _library(
     {**_CONTROLS, **_LOOKS, **_WATCHED},
     {
         **_REFUSED,
-        **dict.fromkeys((*_DECORATORS, *_STEPS, "Delay", "Sleep"), "a check only looks; it belongs into a procedure"),
-        **dict.fromkeys(_TRIES, "a check is looked at in every period anyway; leave it out"),
+        **dict.fromkeys(
+            (*_DECORATORS, *_STEPS, "Delay", "Sleep"), "a check takes no action; it belongs in a procedure"
+        ),
+        **dict.fromkeys(_TRIES, "a check is evaluated in every period; leave it out"),
         "WhileTaskActive": "an instance that waits has no task; write the node that is in it",
     },
 )

@@ -8,7 +8,7 @@ from understudy.trees.source.value_reader import found_text
 
 
 def key_of(tag: str, values: Mapping[str, str], count: int) -> str:
-    """``parallel`` or ``selector``, for a node over ``count`` others. Raises ValueError where it is something between.
+    """``parallel`` or ``selector``, for a node over ``count`` others. Raises ValueError if it is something between.
 
     A threshold below zero counts from the end, so -1 is all of them (BehaviorTree.CPP 4, parallel_node.h).
     """
@@ -33,7 +33,7 @@ def key_of(tag: str, values: Mapping[str, str], count: int) -> str:
 
 
 def all_of(tag: str, values: Mapping[str, str], count: int) -> str:
-    """``parallel``, for a <Parallel> of a procedure over ``count`` others. Raises ValueError where not all must succeed."""
+    """``parallel``, for a <Parallel> of a procedure over ``count`` others. Raises ValueError if not all must succeed."""
     successes = _threshold(values, "success_count", -1, count)
     failures = _threshold(values, "failure_count", 1, count)
     if successes == count:

@@ -1,4 +1,4 @@
-"""Reads XML that nobody has to trust, with the place of each element.
+"""Reads untrusted XML, with the place of each element.
 
 Without a document type there are no entities but XML's own five, so nothing can be expanded and nothing is fetched. Texts
 with one are refused before they are parsed: expat goes on to the end of a text after a handler has raised.
@@ -72,10 +72,10 @@ class _Builder:
             self._parser.Parse(text, True)
         except expat.ExpatError as error:
             raise Malformed(
-                f"this isn't XML: {expat.ErrorString(error.code)}", error.lineno, error.offset + 1
+                f"this is not XML: {expat.ErrorString(error.code)}", error.lineno, error.offset + 1
             ) from error
         except UnicodeEncodeError as error:
-            raise Malformed("this isn't XML: it has half of a character (a lone surrogate)") from error
+            raise Malformed("this is not XML: it has a lone surrogate") from error
         assert self._outermost is not None, "what is well-formed has one"
         return self._outermost
 
@@ -85,7 +85,7 @@ class _Builder:
         if self._count > MOST:
             raise Malformed(f"the text has more than {MOST} elements", line, column)
         if len(self._open) >= DEEPEST:
-            raise Malformed(f"more than {DEEPEST} elements in each other", line, column)
+            raise Malformed(f"more than {DEEPEST} nested elements", line, column)
         element = Element(tag, attributes, line + self._begins.lines, column + self._begins.columns)
         if self._open:
             self._open[-1].children.append(element)

@@ -1,4 +1,4 @@
-"""What of the language trees of a kind can have; what procedures can is in steps.py, which agents don't load."""
+"""The part of the language that one kind of tree can use. That of procedures is in steps.py, which agents do not load."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Dialect:
     actions: Mapping[str, Behavior]
     modifiers: Mapping[str, Behavior]
     refused: Mapping[str, str]
-    """Why they can't have other behaviours, and what is right."""
+    """Why they cannot have other behaviours, and what is right."""
     words: Mapping[str, str]
-    """Why they can't have words and signs of the language."""
+    """Why they cannot have words and signs of the language."""
     scenario: str
     """How a scenario of it may be called."""
     do: str

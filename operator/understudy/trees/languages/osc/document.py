@@ -22,7 +22,7 @@ class Document:
         self.constants: dict[str, Constant] = {}
         """The parameters of the scenario."""
         self.main: Part | None = None
-        """What the scenario does; None where that can't be told."""
+        """What the scenario does; None if that cannot be told."""
         self.dialect = dialect
         self._path = path
         self._imports(file)
@@ -43,7 +43,7 @@ class Document:
         statements = [found for prelude in file.all("preludeStatement") for found in prelude.all("importStatement")]
         names = [self._import(reference) for found in statements for reference in found.all("importReference")]
         if not any(names):
-            self._note(file, "the text", f"doesn't import what it is made of; begin it with: import {PACKAGE}")
+            self._note(file, "the text", f"does not import its library; begin it with: import {PACKAGE}")
 
     def _import(self, reference: Part) -> bool:
         """Whether an import is that of our library, or was told to be wrong."""
@@ -54,7 +54,7 @@ class Document:
             message = f"no files are read; write what is in that file here, and import {PACKAGE}"
         elif name in _USED:
             message = (
-                f"has behaviours that {self.dialect.subject.a} can't have; import {PACKAGE}, which has what it can"
+                f"has behaviours that {self.dialect.subject.a} cannot have; import {PACKAGE}, which has what it can"
             )
         else:
             message = f"there is no such library{did_you_mean(name, (PACKAGE, STANDARD))}"
@@ -91,9 +91,7 @@ class Document:
         if type_ not in values.TYPES:
             self._note(declared, label, f"there is no type {found_text(type_)}{did_you_mean(type_, values.TYPES)}")
         elif default is None:
-            self._note(
-                declared, label, f"nobody gives it a value; write one behind it, with = and {values.RIGHT[type_]}"
-            )
+            self._note(declared, label, f"it has no value; write one after it, with = and {values.RIGHT[type_]}")
         else:
             try:
                 value = values.read(default.parts[-1], type_, self.constants)

@@ -1,4 +1,4 @@
-"""Reads OpenSCENARIO 2 that nobody has to trust, by the parser of scenario-execution, into plain parts with their places.
+"""Reads untrusted OpenSCENARIO 2 with the parser of scenario-execution, into plain parts with their places.
 
 Only its lexer and parser are used. Its model would follow imports into files, load the entry points of whatever else is installed,
 and make the behaviours. To import the parser takes 0.1 s and 15 MB, so only a policy in this language does.
@@ -27,7 +27,7 @@ _CHAIN = frozenset(_EXPRESSIONS.split())
 
 @dataclass(frozen=True)
 class Part:
-    """What one rule of the grammar was found to be, or a word."""
+    """What one rule of the grammar, or one word, matched."""
 
     rule: str
     """Name of the rule in the grammar, such as ``behaviorInvocation``; empty for a word."""
@@ -47,7 +47,7 @@ class Part:
         return next(self.all(rule), None)
 
     def text_of(self, rule: str) -> str:
-        """What the first part of a rule was written as; empty where there is none."""
+        """What the first part of a rule was written as; empty if there is none."""
         found = self.first(rule)
         return found.text if found is not None else ""
 
@@ -64,7 +64,7 @@ def parse(text: str, dialect: Dialect, begins: TextOffset = WHOLE_FILE) -> Part:
         error.column += begins.columns
         raise
     except RecursionError as error:  # what is too deep has been refused; this is for an unforeseen way to be so
-        raise Malformed("what is in each other is too deep") from error
+        raise Malformed("the nesting is too deep") from error
 
 
 def _parsed(text: str, dialect: Dialect, begins: TextOffset) -> Part:

@@ -1,7 +1,7 @@
 """The actions and modifiers of a health tree in OpenSCENARIO 2, derived from the leaves that the short form has.
 
 A leaf that is added there is an action here, with the arguments that its keys are. What they are called follows scenario-execution's
-own ROS library (``topic_name``, ``action_type``) where the key is a word of the language or wouldn't say whose name it is.
+own ROS library (``topic_name``, ``action_type``) where the key is a word of the language or would not say whose name it is.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Argument:
     where: str
     """Where its value goes in the short form, as a path from the node."""
     reads: Callable[[str], Any] | None = None
-    """What reads its value, where that is no text in the short form. Raises ValueError."""
+    """What reads its value, if that is no text in the short form. Raises ValueError."""
 
 
 @dataclass(frozen=True)
@@ -110,15 +110,15 @@ _STATUSES = ("failure", "running", "success")
 STATUS_CHANGES = tuple(f"{one}_is_{other}" for one in _STATUSES for other in _STATUSES)
 """What scenario-execution calls the modifiers by which one status counts as another."""
 
-_ONCE = "a health tree is asked again and again anyway; leave it out, and give the leaf in it a longer gap or window"
-_LATER = (
-    "how long something may be missing is said by gap, window and settle, and by debounce of the policy; leave it out"
-)
-_CERTAIN = "a verdict that is certain, or never comes, says nothing about the robot; leave it out"
-_RECOVERY = "a health tree only judges; what is done after a failure belongs into spec.strategies of the policy"
-_STORE = "nothing is remembered or written while a tree is judged; leave it out"
+_ONCE = "a health tree is evaluated continuously; leave it out, and give the leaf in it a longer gap or window"
+_LATER = "gap, window and settle, and debounce of the policy, say how long something may be missing; leave it out"
+_CERTAIN = "a constant result, or none, says nothing about the robot; leave it out"
+_RECOVERY = "a health tree takes no action; actions after a failure belong in spec.strategies of the policy"
+_STORE = "a health tree remembers and writes nothing; leave it out"
 _NO_PROCESSES = "a health tree starts no processes and reads no files; write what must hold, such as topic() or value()"
-_LOOKS = "procedures and checks look once, a health tree watches; write what must hold, such as lifecycle() or node()"
+_LOOKS = (
+    "only procedures and checks test this once; in a health tree, write what must hold, such as lifecycle() or node()"
+)
 
 _OTHERS: Mapping[str, str] = {
     **REFUSED_PLUGINS,
@@ -142,4 +142,4 @@ _OTHERS: Mapping[str, str] = {
 }
 
 REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in ACTIONS}
-"""Why behaviours that users of scenario-execution know aren't for health trees, and what is."""
+"""Why behaviours that users of scenario-execution know are not for health trees, and what is."""

@@ -27,7 +27,7 @@ def load_osc(
     """The health tree that a text stands for: that of the short form which says the same.
 
     ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. Conditions over messages are checked by their types' ``fields``, where these are known. Lines and
+    time. Conditions over messages are checked by their types' ``fields``, if these are known. Lines and
     columns are those of the file in which the text ``begins``. Raises TreeError with all problems; of those with the
     language itself, the first.
     """

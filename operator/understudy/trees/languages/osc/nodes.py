@@ -13,13 +13,13 @@ from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import DEEPEST, MOST
 
 _Given = dict[str, tuple[str, Part]]
-"""By argument, its value as the short form writes it, and where it was written."""
+"""By argument, its value as the short form writes it, and the place where it was written."""
 
 _Read = Callable[[Part, Part | None, int], ParsedNode | None]
 
 
 class Nodes:
-    """Turns parts into what was written by them, and collects problems; one that can't be read becomes None."""
+    """Converts parts to parsed nodes, and collects problems; a part that cannot be read becomes None."""
 
     def __init__(self, document: Document, path: str) -> None:
         self.problems: list[LocatedProblem] = []
@@ -41,7 +41,7 @@ class Nodes:
                 return self._modified(found, name, depth, self._action)
         # What waits, sends events or calls functions has been refused by its first word.
         self._note(
-            member, "do", f"isn't a node; give serial:, parallel:, one_of: or a leaf such as {self._dialect.example}"
+            member, "do", f"is not a node; give serial:, parallel:, one_of: or a leaf such as {self._dialect.example}"
         )
         return None
 
@@ -85,7 +85,7 @@ class Nodes:
         if called in dialect.modifiers:
             self._note(part, label, f"is a modifier; write it in the with: of the node that it is for: with: {label}")
         elif called in dialect.refused:
-            self._note(part, label, f"isn't for {dialect.subject.many}: {dialect.refused[called]}")
+            self._note(part, label, f"is not for {dialect.subject.many}: {dialect.refused[called]}")
         else:
             known = (*dialect.actions, *dialect.modifiers)
             self._note(part, label, f"unknown behaviour{did_you_mean(called, known)}")
@@ -119,7 +119,7 @@ class Nodes:
             given = self._arguments(part, label, modifier)
             return (modifier, Origin(label, part.line, part.column), given) if given is not None else None
         if called in dialect.refused:
-            self._note(part, label, f"isn't for {dialect.subject.many}: {dialect.refused[called]}")
+            self._note(part, label, f"is not for {dialect.subject.many}: {dialect.refused[called]}")
         elif called in dialect.actions:
             self._note(part, label, "is a node of its own; put it beside the other, in a parallel:")
         else:
@@ -129,7 +129,7 @@ class Nodes:
     # -- arguments --------------------------------------------------------------------------------------------------
 
     def _arguments(self, part: Part, label: str, behavior: Behavior) -> _Given | None:
-        """What the arguments were given, by name; None where one of them can't be told."""
+        """What the arguments were given, by name; None if one of them cannot be told."""
         known = list(behavior.arguments.values())
         listed = part.first("argumentList")
         given: dict[str, tuple[str, Part]] = {}

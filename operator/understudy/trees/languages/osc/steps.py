@@ -42,11 +42,11 @@ INVERTER: Mapping[str, Behavior] = {"inverter": MODIFIERS["inverter"]}
 """What may be written in that of a check too."""
 
 _ONCE = "a procedure is run once; write retry() for what may have to be tried again"
-_STORE = "nothing is remembered or written while a tree is run; leave it out"
+_STORE = "a procedure remembers and writes nothing; leave it out"
 _CERTAIN = "it does nothing to the instance; leave it out"
 _NO_PROCESSES = "no processes are started and no files read; write what is done to the instance, such as call_service()"
-_DRIVING = "it says something of the instance that drives, which this one doesn't yet; leave it out"
-_CLUSTER = "what is done in the cluster is said by the strategies of a policy; leave it out"
+_DRIVING = "it judges the active instance only, and this one is not active yet; leave it out"
+_CLUSTER = "the strategies of a policy say what is done in the cluster; leave it out"
 
 _OTHERS: Mapping[str, str] = {
     **REFUSED_PLUGINS,
@@ -72,7 +72,7 @@ _OTHERS: Mapping[str, str] = {
 
 _KNOWN = {**STEPS, **CONDITIONS, **WATCHED, **DECORATORS, **INVERTER}
 _REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in _KNOWN}
-_LOOKS_ONLY = "a check only looks; it belongs into a procedure"
+_LOOKS_ONLY = "a check takes no action; it belongs in a procedure"
 _DONE = ("action_call", "service_call", "topic_publish", "set_node_parameter", "wait_for_topics")
 
 PROCEDURES = Dialect(
@@ -94,7 +94,7 @@ CHECKS = Dialect(
     {
         **_REFUSED,
         **dict.fromkeys((*STEPS, *DECORATORS, *_DONE), _LOOKS_ONLY),
-        "repeat": "a check is looked at in every period anyway; leave it out",
+        "repeat": "a check is evaluated in every period; leave it out",
         "while_task_active": "an instance that waits has no task; leave it out",
     },
     tokens.REFUSED_IN_CHECKS,

@@ -1,4 +1,4 @@
-"""What lexer and parser complain of, in words for whoever wrote the text."""
+"""Messages for the errors of lexer and parser."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _NAMES = {
     "DEDENT": "the end of the block",
     "<EOF>": "the end of the text",
 }
-"""How what can stand somewhere is called; what isn't here is called by its word."""
+"""How what can stand somewhere is called; what is not here is called by its word."""
 
 _UNTOLD = frozenset(
     {"FloatLiteral", "HexUintLiteral", "IntLiteral", "BoolLiteral", "'import'", *(f"'{word}'" for word in REFUSED)}
 )
-"""What isn't told of that: it is as good as another, or isn't for health trees."""
+"""What is left out of that: another word means the same, or health trees cannot have it."""
 
 _UNREAD = re.compile(r"token recognition error at: '(.*)'", re.DOTALL)
 _EXPECTED = re.compile(r"(?:expecting|missing) (\{.*?\}|'[^']+'|\w+)( at|$)", re.DOTALL)
@@ -37,7 +37,7 @@ class FirstErrorListener:
         if (unread := _UNREAD.fullmatch(message)) is not None:
             raise Malformed(_unread(unread[1]), line, column + 1)
         found, line, column = _found(symbol, recognizer.getTokenStream().tokens)
-        raise Malformed(f"this isn't OpenSCENARIO 2: found {found}{_expected(message, symbol.text)}", line, column)
+        raise Malformed(f"this is not OpenSCENARIO 2: found {found}{_expected(message, symbol.text)}", line, column)
 
     def reportAmbiguity(self, *_: Any) -> None:
         """Called where a text can be read in two ways; the first is taken."""
@@ -46,16 +46,16 @@ class FirstErrorListener:
         """Called where the parser looks further ahead."""
 
     def reportContextSensitivity(self, *_: Any) -> None:
-        """Called where that has decided."""
+        """Called after that."""
 
 
 def _unread(text: str) -> str:
     if text[:1] in ("'", '"'):
         hint = "close the quotes, and write \\ before quotes in it"
-        return f"this isn't OpenSCENARIO 2: a text that is begun here isn't closed in its line; {hint}"
+        return f"this is not OpenSCENARIO 2: the string that begins here is not closed on its line; {hint}"
     if text[:1] == "|":
-        return "this isn't OpenSCENARIO 2: a name that is begun here isn't closed; close it by |"
-    return f"this isn't OpenSCENARIO 2: found {text[:1]!a}, which nothing in the language begins with; leave it out"
+        return "this is not OpenSCENARIO 2: the name that begins here is not closed; close it with |"
+    return f"this is not OpenSCENARIO 2: found {text[:1]!a}, which nothing in the language begins with; leave it out"
 
 
 def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
@@ -76,7 +76,7 @@ def _expected(message: str, found: str) -> str:
     if found == "=":
         return "; write ':' between the name of an argument and its value"
     if told is None:
-        return ", which can't stand there; look at the brackets, and for a ':' in front of it"
+        return ", which cannot be here; check the brackets, and for a ':' in front of it"
     listed = [part.strip() for part in re.split(r", (?=['\w<])", told[1].strip("{}"))]
     known = list(dict.fromkeys(_NAMES.get(part, part) for part in listed if part not in _UNTOLD))
     if not known:

@@ -1,6 +1,6 @@
-"""What is refused by its words alone, before a text is parsed: all that a tree has no use for, and what is too deep.
+"""Refuses a text by its tokens, before it is parsed: words that trees cannot have, and too deep nesting.
 
-What is left of the language is small: a parser that looks ahead as far as it needs to can't be kept busy by it.
+What is left of the language is small: a parser that looks ahead as far as it needs to cannot be kept busy by it.
 """
 
 from __future__ import annotations
@@ -26,12 +26,14 @@ DEEPEST_BRACKETS = 4
 NEWLINE, INDENT, DEDENT = "NEWLINE", "INDENT", "DEDENT"
 
 _TASK = "what only counts while the robot works on a task is said by while_task_active() in the node's with:"
-_JUDGES = "a health tree only judges"
+_JUDGES = "a health tree takes no action"
 _DECLARES = (
     "a policy declares nothing but one scenario and its parameters; what there is comes with import osc.understudy"
 )
 _EVERYWHERE = "nothing is declared but one scenario and its parameters; what there is comes with import osc.understudy"
-_EVENTS = f"{_JUDGES}, all the time, and neither waits nor sends events; leave it out. How long something may be missing is said by gap"
+_EVENTS = (
+    f"{_JUDGES}, and neither waits nor sends events; leave it out. How long something may be missing is said by gap"
+)
 _CALCULATES = "nothing is calculated; write the value"
 
 REFUSED: Mapping[str, str] = {
@@ -64,10 +66,8 @@ REFUSED: Mapping[str, str] = {
 """Words and signs of the language that no health tree has, with what would be right."""
 
 _NO_CALLS = "it calls no functions; leave it out"
-_WAITED = (
-    "what must be waited for is said by wait_for(), and for how long by timeout() in the with: of a node; leave it out"
-)
-_LOOKED = "a check only looks, in every period; leave it out"
+_WAITED = "wait_for() says what to wait for, and timeout() in the with: of a node for how long; leave it out"
+_LOOKED = "a check is evaluated in every period and does not wait; leave it out"
 _BRANCH = "write a one_of: with a serial: in it: first the condition, then what depends on it"
 _COMPARED = "what must hold is said by a condition, such as parameter_is() or value()"
 
@@ -106,7 +106,7 @@ class Token:
 
 
 def check(tokens: Sequence[Token], subject: TreeKind, refused: Mapping[str, str]) -> None:
-    """Refuse what is too much, and all words that trees of a kind don't have. Raises Malformed at the first."""
+    """Refuse too many tokens, and all words that trees of this kind cannot have. Raises Malformed at the first."""
     if len(tokens) > MOST:
         last = tokens[MOST]
         raise Malformed(f"the text has more than {MOST} words and signs", last.line, last.column)
@@ -121,17 +121,17 @@ def check(tokens: Sequence[Token], subject: TreeKind, refused: Mapping[str, str]
 
 
 def _refusal(before: Token, token: Token, after: Token, subject: TreeKind, refused: Mapping[str, str]) -> str | None:
-    """Why a word or sign can't stand where it does."""
+    """Why a word or sign cannot be where it is."""
     if token.kind == ".":
         return f"there are no actors in {subject.a}, and nothing has fields; leave out the dot and what is before it"
     if token.kind == "(" and before.kind == ")":
-        return f"'(' isn't for {subject.many}: {_CALCULATES}"
+        return f"'(' is not for {subject.many}: {_CALCULATES}"
     if token.kind in WORDS and after.kind == ":" and before.kind in ("(", ","):
         return f"{token.text!r} is a word of OpenSCENARIO and no argument{_RIGHT.get(token.text, '')}"
     if token.kind in WORDS - _OPEN and after.kind == ":" and before.kind in (NEWLINE, INDENT, DEDENT, "do"):
         return f"{token.text!r} is a word of OpenSCENARIO and no name; write |{token.text}|"
     if token.kind in refused:
-        return f"{token.text!r} isn't for {subject.many}: {refused[token.kind]}"
+        return f"{token.text!r} is not for {subject.many}: {refused[token.kind]}"
     return None
 
 
@@ -164,15 +164,15 @@ def _depths(tokens: Sequence[Token]) -> None:
         brackets += (token.kind == "(") - (token.kind == ")")
         blocks += (token.kind == INDENT) - (token.kind == DEDENT)
         if brackets > DEEPEST_BRACKETS:
-            raise _at(token, f"more than {DEEPEST_BRACKETS} brackets in each other")
+            raise _at(token, f"more than {DEEPEST_BRACKETS} nested brackets")
         if brackets < 0:
-            raise _at(token, "closes a bracket that isn't open; leave it out")
+            raise _at(token, "closes a bracket that is not open; leave it out")
         if blocks > DEEPEST_BLOCK:
-            raise _at(token, f"more than {DEEPEST_BLOCK} blocks in each other")
+            raise _at(token, f"more than {DEEPEST_BLOCK} nested blocks")
 
 
 def _blocks(tokens: Sequence[Token]) -> None:
-    """Refuse a line that is indented less than its block and more than the one around it: in which it is can't be told."""
+    """Refuse a line that is indented less than its block and more than the one around it: in which it is cannot be told."""
     columns, first = [1], True
     for token, after in pairwise(tokens):
         if token.kind == INDENT:
@@ -180,7 +180,10 @@ def _blocks(tokens: Sequence[Token]) -> None:
         elif token.kind == DEDENT:
             columns.pop()
             if after.kind not in (INDENT, DEDENT, NEWLINE, "EOF") and after.column != columns[-1]:
-                raise _at(after, "is indented like no block around it; begin the lines of a block in the same column")
+                raise _at(
+                    after,
+                    "is indented like none of the blocks around it; begin the lines of a block in the same column",
+                )
         elif first and token.kind != NEWLINE and token.column != columns[0]:
             raise _at(token, "the first line is indented; begin it in the first column of the text")
         first = first and token.kind == NEWLINE

@@ -21,7 +21,7 @@ class Constant:
 
     type: str
     value: str | None
-    """As the short form writes it; None where it couldn't be read, which was said already."""
+    """As the short form writes it; None if it could not be read, which was said already."""
 
 
 Constants = Mapping[str, Constant]
@@ -48,7 +48,7 @@ _ESCAPES = {"\\": "\\", '"': '"', "'": "'", "n": "\n", "t": "\t"}
 
 
 def read(value: Part, type_: str, constants: Constants) -> str | None:
-    """A value of a type, as the short form writes it; None where it is that of a parameter which couldn't be read.
+    """A value of a type, as the short form writes it; None if it is that of a parameter which could not be read.
 
     Raises ValueError with what was found and what would be right.
     """

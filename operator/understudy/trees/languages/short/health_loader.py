@@ -40,8 +40,8 @@ def load(
     """The health tree that a node of the short form stands for.
 
     ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. Conditions over messages are checked by their types' ``fields``, where these are known. ``called`` says how a
-    message names another node of this path, for trees that weren't written in this form. Raises TreeError with all problems.
+    time. Conditions over messages are checked by their types' ``fields``, if these are known. ``called`` says how a
+    message names another node of this path, for trees that were not written in this form. Raises TreeError with all problems.
     """
     loader = _Loader(Evaluation(grace), fields, called)
     build = loader.node(tree, path, [], 1)
@@ -102,7 +102,7 @@ class _Loader(Reader):
             return None
 
         def build(left_out: Collection[str]) -> Behaviour | None:
-            # Whether a task is active can't be told of a topic that isn't watched: then nothing hangs on it.
+            # Without its topic, nobody knows whether the task is active: then the node is left out.
             node = child(left_out) if task.topic not in left_out else None
             return While(name, node, task, self.evaluation) if node is not None else None
 
@@ -210,7 +210,7 @@ class _Loader(Reader):
         if known.task and wanted.heard:
             self.problem(
                 path,
-                f"{topic} says whether a task is active, which is looked at already; it has no rate or gap of its own",
+                f"{topic} is the status of a task's action, which is watched already; it cannot have a rate or gap",
             )
             return False
         if wanted.type and known.type and wanted.type != known.type:

@@ -1,4 +1,4 @@
-"""Procedures and checks: trees that bring one instance somewhere, and trees of what must hold of it (docs/procedures.md).
+"""Procedures and checks: trees that bring one instance to a state, and trees of conditions on it (docs/procedures.md).
 
 Both are loaded from the short form, whichever language they were written in (procedure_notations.py), and run from inside the
 instance's pod; what their leaves do and ask is behind :class:`understudy.trees.core.procedure_steps.Actions`.
@@ -17,13 +17,12 @@ from py_trees.composites import Parallel
 from py_trees.composites import Sequence as Ordered
 from py_trees.decorators import Inverter
 
-from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
-from understudy.trees.core.answer_matching import mismatch
 from understudy.trees.core.composites import FirstOf
-from understudy.trees.core.health_tree import HealthTree, WatchedTopic
+from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.procedure_steps import (
     OVERTIME,
     Actions,
+    ProcedureFailed,
     ProcedureRun,
     Retry,
     Step,
@@ -33,11 +32,11 @@ from understudy.trees.core.procedure_steps import (
     reasons,
     unfinished,
 )
-from understudy.trees.languages.short.health_loader import load
+from understudy.trees.languages.short.step_reader import StepReader
 from understudy.trees.leaves import procedure_steps
 from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 from understudy.trees.source.problems import TreeError, did_you_mean
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.source.value_reader import duration_of, found_text
 
 COMPOSITES = ("sequence", "parallel", "selector")
 DECORATORS = ("timeout", "retry", "inverter")
@@ -46,27 +45,17 @@ HEALTH = tuple(kind for kind, leaf in LEAVES.items() if not leaf.active_only)
 
 CONDITIONS = ("lifecycle_is", *HEALTH, "node_present", "service_present", "parameter_is")
 STEPS = tuple(procedure_steps.STEPS)
-STATES = ("unconfigured", "inactive", "active", "finalized")
-"""States in which a managed node rests."""
-
 MOST_TRIES = 1000
 
 TICK = 0.05
 """Seconds between two looks at what has a time; the end of an action is noticed at once."""
 
-SETTLE = 0.05
-"""Seconds between two looks at a topic that is still starting."""
-
 Make = Callable[[ProcedureRun, Sequence[TimeLimit]], Behaviour]
 """Makes a node for one run, under ends of time."""
 
 
-class ProcedureFailed(Exception):
-    """A procedure that didn't succeed; the text names the leaf and says why."""
-
-
 class ProcedureTree:
-    """A tree that is run once, or looked at again and again where it has only conditions."""
+    """A tree that is run once, or repeatedly if it has only conditions."""
 
     def __init__(self, make: Make, kinds: Collection[str], topics: Sequence[WatchedTopic]) -> None:
         self._make = make
@@ -115,7 +104,7 @@ class ProcedureTree:
 def load_procedure(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
     """The procedure that a node of the short form stands for. Raises TreeError with all its problems.
 
-    ``places`` are those of its nodes in the text that it was written in, by their paths in the short form, where it was
+    ``places`` are those of its nodes in the text that it was written in, by their paths in the short form, if it was
     written in another language: what fails is called by them.
     """
     return _load(_Loader(waits=True, called=_caller(path, places)), tree, path)
@@ -145,16 +134,14 @@ def _load(loader: _Loader, tree: object, path: str) -> ProcedureTree:
     return ProcedureTree(make, loader.kinds, loader.topics)
 
 
-class _Loader(Reader):
+class _Loader(StepReader):
     """Turns nodes into what makes their behaviours; one with a problem in it becomes None."""
 
     def __init__(self, *, waits: bool, called: Callable[[str], str]) -> None:
         """``waits`` for a procedure, which may act and wait; a check only looks. ``called`` says what messages call a node."""
-        super().__init__()
+        super().__init__(waits=waits)
         self._called = called
-        self.topics: list[WatchedTopic] = []
         self.kinds: set[str] = set()
-        self._waits = waits
         self._decorators = DECORATORS if waits else ("inverter",)
         self._allowed = (*COMPOSITES, *self._decorators, *(STEPS if waits else ()), *CONDITIONS)
 
@@ -181,7 +168,7 @@ class _Loader(Reader):
             self.problem(place, f"found {found_text(fields)}; {kind} is a mapping {what}")
             return None
         work: Work | None
-        work = self._health(kind, fields, path) if kind in HEALTH else getattr(self, f"_{kind}")(fields, place)
+        work = self.leaf(kind, fields, path) if kind in LEAVES else self.step(kind, fields, place)
         if work is None or len(self.problems) > before:
             return None
         called = self._called(place)
@@ -192,7 +179,7 @@ class _Loader(Reader):
             if key in self._allowed or key == "name":
                 continue
             if key in (*STEPS, *DECORATORS):
-                self.problem(f"{path}.{key}", f"a check only looks; {key} belongs into a procedure")
+                self.problem(f"{path}.{key}", f"a check takes no action; {key} belongs in a procedure")
             elif key in REFUSED_PLUGINS:
                 self.problem(f"{path}.{key}", REFUSED_PLUGINS[key])
             elif key in ("do", "within", "times", "wait"):
@@ -253,205 +240,6 @@ class _Loader(Reader):
 
         return make
 
-    # -- what is done -----------------------------------------------------------------------------------------------
-
-    def _set_lifecycle(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["set_lifecycle"], path)
-        node, state = self._ros(fields, "node", path), self._state(fields, path)
-
-        async def work(actions: Actions, within: float) -> None:
-            await actions.bring_to(str(node), str(state), within)
-
-        return work
-
-    def _call_service(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["call_service"], path)
-        service, type_ = self._ros(fields, "service", path), self._type(fields, path, "srv")
-        request, expect = self._mapping(fields, "request", path), self._mapping(fields, "expect", path)
-        repeat = self.given(fields, "repeat", path, duration_of)
-
-        async def work(actions: Actions, within: float) -> None:
-            answer = await actions.call(str(service), str(type_), request, within, repeat=repeat)
-            if (reason := mismatch(answer, expect)) is not None:
-                raise ProcedureFailed(f"service {service} answered otherwise: {reason}")
-
-        return work
-
-    def _publish(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["publish"], path)
-        topic, type_ = self._ros(fields, "topic", path), self._type(fields, path, "msg")
-        message = self._mapping(fields, "message", path)
-
-        async def work(actions: Actions, within: float) -> None:
-            await actions.publish(str(topic), str(type_), message, within)
-
-        return work
-
-    def _set_parameters(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["set_parameters"], path)
-        node, values = self._ros(fields, "node", path), self._mapping(fields, "values", path)
-        if not values:
-            self.problem(f"{path}.values", "missing; give the parameters to set, such as {use_sim_time: true}")
-        for name, value in values.items():
-            if value is None or isinstance(value, Mapping):
-                self.problem(
-                    f"{path}.values.{name}", f"found {found_text(value)}; a parameter is a value or a list of them"
-                )
-
-        async def work(actions: Actions, within: float) -> None:
-            await actions.set_parameters(str(node), values, within)
-
-        return work
-
-    def _wait_for(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["wait_for"], path)
-        what = [key for key in ("topic", "service", "node") if key in fields]
-        if len(what) != 1:
-            self.problem(path, f"found {' and '.join(what) or 'none'} of topic, service and node; give exactly one")
-            return None
-        kind = what[0]
-        name = self._ros(fields, kind, path)
-        type_ = self._type(fields, path, "msg") if kind == "topic" else None
-        if kind != "topic" and "type" in fields:
-            self.problem(f"{path}.type", "a type is only for a topic")
-        own = self.given(fields, "within", path, duration_of)
-
-        async def work(actions: Actions, within: float) -> None:
-            bound = min(within, own) if own is not None else within
-            if kind == "topic":
-                await actions.wait_sample(str(name), str(type_), bound)
-                return
-            present = actions.service_present if kind == "service" else actions.node_present
-            try:
-                async with asyncio.timeout(bound):
-                    while not await present(str(name)):  # noqa: ASYNC110 - the graph has no event for it
-                        await asyncio.sleep(SETTLE)
-            except TimeoutError:
-                raise ProcedureFailed(f"{kind} {name} is not there within {bound:.3g} s") from None
-
-        return work
-
-    def _restore_state(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["restore_state"], path)
-        only: list[str] | None = None
-        if "only" in fields:
-            only = fields["only"]
-            if not isinstance(only, list) or not only or not all(_is_name(entry) for entry in only):
-                self.problem(
-                    f"{path}.only",
-                    f"found {found_text(only)}; give a list of kept topics and nodes, such as [/amcl_pose]",
-                )
-
-        async def work(actions: Actions, within: float) -> None:
-            await actions.restore_state(only, within)
-
-        return work
-
-    def _resend_goals(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["resend_goals"], path)
-
-        async def work(actions: Actions, within: float) -> None:
-            await actions.resend_goals(within)
-
-        return work
-
-    # -- what must hold ---------------------------------------------------------------------------------------------
-
-    def _lifecycle_is(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["lifecycle_is"], path)
-        node, state = self._ros(fields, "node", path), self._state(fields, path)
-
-        async def work(actions: Actions, within: float) -> None:
-            found = await actions.lifecycle_state(str(node), within)
-            if found != state:
-                raise ProcedureFailed(f"node {node} is {found}, not {state}")
-
-        return work
-
-    def _health(self, kind: str, fields: Mapping[str, Any], path: str) -> Work | None:
-        try:
-            tree: HealthTree = load({kind: fields}, path=path)
-        except TreeError as error:
-            self.problems += error.problems
-            return None
-        self.topics += tree.topics
-        waits = self._waits
-
-        async def work(actions: Actions, within: float) -> None:
-            verdict = actions.health(tree)
-            while waits and verdict.state == "Starting":
-                await asyncio.sleep(SETTLE)
-                verdict = actions.health(tree)
-            if verdict.state != "Healthy":
-                raise ProcedureFailed(verdict.reason)
-
-        return work
-
-    def _node_present(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["node_present"], path)
-        node = self._ros(fields, "node", path)
-
-        async def work(actions: Actions, within: float) -> None:
-            if not await actions.node_present(str(node)):
-                raise ProcedureFailed(f"node {node} is not there")
-
-        return work
-
-    def _service_present(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["service_present"], path)
-        service = self._ros(fields, "service", path)
-
-        async def work(actions: Actions, within: float) -> None:
-            if not await actions.service_present(str(service)):
-                raise ProcedureFailed(f"service {service} is not there")
-
-        return work
-
-    def _parameter_is(self, fields: Mapping[str, Any], path: str) -> Work | None:
-        self.known(fields, _KEYS["parameter_is"], path)
-        node, name = self._ros(fields, "node", path), fields.get("name")
-        if not isinstance(name, str) or not name:
-            self.problem(f"{path}.name", f"found {found_text(name)}; give the parameter's name")
-        if "value" not in fields:
-            self.problem(f"{path}.value", "missing; give the value that it must have")
-        value = fields.get("value")
-
-        async def work(actions: Actions, within: float) -> None:
-            found = (await actions.get_parameters(str(node), [str(name)], within))[str(name)]
-            if found != value:
-                raise ProcedureFailed(f"parameter {name} of node {node} is {found!r:.100}, not {value!r:.100}")
-
-        return work
-
-    # -- fields -----------------------------------------------------------------------------------------------------
-
-    def _ros(self, fields: Mapping[str, Any], key: str, path: str) -> str | None:
-        if key not in fields:
-            self.problem(f"{path}.{key}", f"missing; give the {key}'s fully qualified name, such as /{_EXAMPLES[key]}")
-        return self.matching(
-            fields, key, path, ROS_NAME_PATTERN, f"a fully qualified {key} name such as /{_EXAMPLES[key]}"
-        )
-
-    def _type(self, fields: Mapping[str, Any], path: str, kind: str) -> str | None:
-        right = f"package/{kind}/Name, such as {_TYPES[kind]}"
-        if "type" not in fields:
-            self.problem(f"{path}.type", f"missing; give {right}")
-        return self.matching(fields, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", kind), right)
-
-    def _state(self, fields: Mapping[str, Any], path: str) -> str | None:
-        state = fields.get("state")
-        if state not in STATES:
-            self.problem(f"{path}.state", f"found {found_text(state)}; give one of {', '.join(STATES)}")
-            return None
-        return str(state)
-
-    def _mapping(self, fields: Mapping[str, Any], key: str, path: str) -> Mapping[str, Any]:
-        value = fields.get(key, {})
-        if not isinstance(value, Mapping):
-            self.problem(f"{path}.{key}", f"found {found_text(value)}; {key} is a mapping of fields")
-            return {}
-        return value
-
 
 _FIELDS = {
     "timeout": "within and do",
@@ -468,9 +256,6 @@ _FIELDS = {
     "service_present": "service",
     "parameter_is": "node, name and value",
 }
-_KEYS = {key: step.keys for key, step in (*procedure_steps.STEPS.items(), *procedure_steps.CONDITIONS.items())}
-_EXAMPLES = {"node": "map_server", "service": "controller_server/get_state", "topic": "initialpose"}
-_TYPES = {"srv": "std_srvs/srv/Trigger", "msg": "geometry_msgs/msg/Twist"}
 
 
 def _around(child: Make | None, wrap: Callable[[Behaviour], Behaviour]) -> Make | None:
@@ -483,7 +268,3 @@ def _tries(value: object) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST_TRIES:
         raise ValueError(f"found {found_text(value)}; give how often it is tried, from 1 to {MOST_TRIES}")
     return value
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and value.startswith("/") and len(value) > 1

@@ -1,4 +1,4 @@
-"""Values with fields, such as a request, where a language has only texts: in the flow style of YAML, or as JSON.
+"""Values with fields, such as a request, if a language has only texts: in the flow style of YAML, or as JSON.
 
 JSON has ``json:`` in front of it, as in BehaviorTree.CPP, where braces alone are a blackboard entry.
 """
@@ -59,7 +59,7 @@ def _json(text: str) -> Any:
     try:
         return json.loads(text, object_pairs_hook=_once, parse_constant=_no_number)
     except json.JSONDecodeError as error:
-        message = f"found {found_text(text)}, which isn't JSON: {error.msg} at character {error.pos + 1}"
+        message = f"found {found_text(text)}, which is not JSON: {error.msg} at character {error.pos + 1}"
         raise ValueError(f'{message}; write it as in json:{{"data": "hello"}}') from error
 
 
@@ -85,11 +85,11 @@ def _yaml(text: str) -> Any:
     except yaml.MarkedYAMLError as error:
         said = ", ".join(part for part in (error.context, error.problem) if part)
         raise ValueError(
-            f"found {found_text(text)}, which isn't YAML: {said}; write it as in {{data: hello}}"
+            f"found {found_text(text)}, which is not YAML: {said}; write it as in {{data: hello}}"
         ) from error
     except yaml.reader.ReaderError as error:
         raise ValueError(
-            f"found the character {chr(error.character)!a}, which YAML doesn't take; leave it out"
+            f"found the character {chr(error.character)!a}, which YAML does not take; leave it out"
         ) from error
     return _value(node, set()) if node is not None else None
 
@@ -114,6 +114,6 @@ def _value(node: Node, seen: set[int]) -> Any:
 def _items(node: MappingNode, seen: set[int]) -> Iterator[tuple[str, Any]]:
     for key, value in node.value:
         if not isinstance(key, ScalarNode):
-            raise ValueError("has a key that isn't a text; write a text before the ':'")
+            raise ValueError("has a key that is not a text; write a text before the ':'")
         # Fields of messages are called y and n, which YAML of old takes for true and false.
         yield key.value, _value(value, seen)

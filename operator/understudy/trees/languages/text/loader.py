@@ -1,4 +1,4 @@
-"""Loads a tree from a text of a language of its own: read into what was written, then loaded as the short form."""
+"""Loads a tree from a text in another language: parsed first, then loaded as the short form."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.value_reader import found_text
 
 Read = Callable[[str, str, TextOffset], tuple[ParsedNode | None, list[LocatedProblem]]]
-"""What was written in a text (None where that can't be told) and what is wrong with it; given its path and where it begins.
+"""What was written in a text (None if that cannot be told) and what is wrong with it; given its path and where it begins.
 Raises Malformed."""
 
 Loaded = TypeVar("Loaded")

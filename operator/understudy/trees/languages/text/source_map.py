@@ -1,4 +1,4 @@
-"""What was written in a text as a node of the short form, and where each part of that was written."""
+"""The parsed nodes of a text as nodes of the short form, with the place of each part in the text."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WRAPPED: Mapping[str, str] = {"while": "do", "inverter": "inverter", "timeout": 
 
 @dataclass(frozen=True)
 class LocatedProblem:
-    """A problem and where it is, by which it is put in order."""
+    """A problem and its place, by which problems are sorted."""
 
     line: int
     column: int
@@ -67,13 +67,13 @@ class ParsedNode:
     """By port, what it was given."""
     children: list[ParsedNode] = field(default_factory=list)
     places: Mapping[str, Origin] = field(default_factory=dict)
-    """By port, where its value was written, where that is known better than by the node."""
+    """By port, where its value was written, if that is known better than by the node."""
     reads: Mapping[str, Callable[[str], Any]] = field(default_factory=dict)
-    """By port, what reads its value, where that is no text in the short form. Raises ValueError."""
+    """By port, what reads its value, if that is no text in the short form. Raises ValueError."""
 
 
 class SourceMap:
-    """Says of problems with the short form where they are in the text."""
+    """Maps problems with the short form to their places in the text."""
 
     def __init__(self, path: str) -> None:
         self._path = path
@@ -82,7 +82,7 @@ class SourceMap:
         self.nodes: dict[str, Origin] = {}
         """By path from the tree, with its kind behind it, where each node was written."""
         self.problems: list[LocatedProblem] = []
-        """Values that can't be read."""
+        """Values that cannot be read."""
 
     def short_form(self, written: ParsedNode) -> dict[str, Any]:
         """The node of the short form. The places of all that is in it are noted."""
@@ -99,7 +99,7 @@ class SourceMap:
         return origin.problem(self._path, found.message, port)
 
     def told(self, found: Problem) -> bool:
-        """Whether a problem with the short form is with a value that couldn't be read, which was said already."""
+        """Whether a problem with the short form is with a value that could not be read, which was said already."""
         return found.path in self._unread
 
     def _node(self, written: ParsedNode, path: str) -> dict[str, Any]:

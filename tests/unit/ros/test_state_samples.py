@@ -85,7 +85,7 @@ def test_type_is_learnt_from_the_graph(
     capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/amcl_pose": None})
-    assert capturing.waiting == {"/amcl_pose": "nobody publishes it, so that its type isn't known"}
+    assert capturing.waiting == {"/amcl_pose": "nobody publishes it, so its type is not known"}
     processes.node("pose", "/amcl_pose", "1.0", "0", "latched")
     assert took("/amcl_pose").type == POSE
 
@@ -124,7 +124,7 @@ def test_a_topic_that_this_process_has_as_another_type_is_a_problem(capturing: C
     watched = graph.subscribe("/pose", "geometry_msgs/msg/Twist", depth=1)
     capturing.follow({"/pose": "geometry_msgs/msg/PoseStamped"})
     capturing.drain()
-    assert capturing.problems["/pose"].startswith("/pose can't be received as geometry_msgs/msg/PoseStamped: ")
+    assert capturing.problems["/pose"].startswith("/pose cannot be received as geometry_msgs/msg/PoseStamped: ")
     graph.unsubscribe(watched)
 
 

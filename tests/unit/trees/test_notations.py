@@ -25,7 +25,7 @@ def test_either_form_of_a_policy_is_loaded_with_its_grace(written: dict[str, Any
 @pytest.mark.parametrize(
     ("form", "tree", "expected"),
     [
-        ("yaml", {}, "spec.monitoring.yaml: the node says nothing"),
+        ("yaml", {}, "spec.monitoring.yaml: the node is empty"),
         ("yaml", XML, "spec.monitoring.yaml: found '<root"),
         ("xml", YAML, "spec.monitoring.xml: found a mapping; give the text"),
         ("osc", YAML, "spec.monitoring.osc: found a mapping; give the text"),

@@ -50,7 +50,7 @@ def test_a_name_is_two_words_at_least(tmp_path: Path, name: str) -> None:
     assert found() == PluginLeaves(
         {},
         {
-            name: f"{name} of acme-leaves 1.0 can't be used: its name must be two words at least, such as acme_lively: "
+            name: f"{name} of acme-leaves 1.0 cannot be used: its name must be two words at least, such as acme_lively: "
             "a-z and 0-9, with _ between them"
         },
     )
@@ -61,7 +61,7 @@ def test_a_name_that_is_taken_is_refused_and_the_others_of_its_package_are_not(
 ) -> None:
     package(tmp_path, "acme-leaves", "wait_for = acme_added_judges:Judge", "acme_two = acme_added_judges:Judge")
     assert list(found("wait_for").leaves) == ["acme_two"]
-    why = "wait_for of acme-leaves 1.0 can't be used: its name is taken, by what comes with Understudy; give it another one"
+    why = "wait_for of acme-leaves 1.0 cannot be used: Understudy uses that name itself; give it another one"
     assert found("wait_for").refused == {"wait_for": why}
     assert caplog.messages[0] == why
 
@@ -70,18 +70,20 @@ def test_of_two_packages_with_one_name_neither_is_used(tmp_path: Path) -> None:
     for name in ("beta-leaves", "acme-leaves"):
         package(tmp_path, name, "robot_lively = acme_added_judges:Judge")
     (why,) = found().refused.values()
-    assert why.startswith("robot_lively of acme-leaves 1.0 and beta-leaves 1.0 can't be used: each of them has one")
+    assert why.startswith(
+        "robot_lively of acme-leaves 1.0 and beta-leaves 1.0 cannot be used: several packages have a leaf of that name"
+    )
     assert found().leaves == {}
 
 
 @pytest.mark.parametrize(
     ("module", "why"),
     [
-        ("raise OSError('no calibration')", "acme_added_faulty:Judge can't be loaded, OSError: no calibration"),
-        ("import", "acme_added_faulty:Judge can't be loaded, SyntaxError: invalid syntax"),
+        ("raise OSError('no calibration')", "acme_added_faulty:Judge cannot be loaded, OSError: no calibration"),
+        ("import", "acme_added_faulty:Judge cannot be loaded, SyntaxError: invalid syntax"),
         (
             "",
-            "acme_added_faulty:Judge can't be loaded, AttributeError: module 'acme_added_faulty' has no attribute 'Judge'",
+            "acme_added_faulty:Judge cannot be loaded, AttributeError: module 'acme_added_faulty' has no attribute 'Judge'",
         ),
         ("Judge = 7", "it must be a class with a method judge(self, message)"),
     ],
@@ -91,7 +93,7 @@ def test_a_module_that_fails_is_told_of(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.delitem(sys.modules, "acme_added_faulty", raising=False)
     package(tmp_path, "acme-leaves", "acme_faulty = acme_added_faulty:Judge", "acme_two = acme_added_judges:Judge")
     assert list(found().leaves) == ["acme_two"]
-    assert found().refused["acme_faulty"].startswith(f"acme_faulty of acme-leaves 1.0 can't be used: {why}")
+    assert found().refused["acme_faulty"].startswith(f"acme_faulty of acme-leaves 1.0 cannot be used: {why}")
 
 
 def test_no_name_of_our_own_can_be_taken(tmp_path: Path) -> None:

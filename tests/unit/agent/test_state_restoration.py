@@ -15,7 +15,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.unit.dds import keep_to_itself
 from understudy.agent.control_channel import Peer, Refused
-from understudy.agent.state_restoration import StateRestorer, stamped
+from understudy.agent.kept_messages import stamped
+from understudy.agent.state_restoration import StateRestorer
 from understudy.api.protocol.kept_state import (
     KeptSample,
     KeptState,

@@ -106,7 +106,7 @@ def test_it_lies_beside_the_trackers_file_and_is_checked_with_it(tmp_path: Path,
         "markers: [{name: robot, id: 7, size: 0.2, height: 0.25}]\n"
     )
     assert main([str(file), "--check"]) == 2
-    assert capsys.readouterr().err.startswith(f"camera.device.calibration: {beside} can't be read: ")
+    assert capsys.readouterr().err.startswith(f"camera.device.calibration: {beside} cannot be read: ")
     beside.write_text(changed(image_width=0))
     assert main([str(file)]) == 2
     assert f"camera.device.calibration: {beside}: image_width: found 0; " in capsys.readouterr().err

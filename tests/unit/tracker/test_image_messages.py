@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from array import array
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from tests.support.ros_messages import CameraInfo, Image
 from understudy.tracker.image_messages import Unusable, calibration, gray
 
 RANDOM = np.random.default_rng(2)
@@ -24,9 +24,7 @@ def message(pixels: Any, encoding: str, padding: int = 0, cut: int = 0) -> Any:
     data = np.full((height, step), 255, np.uint8)
     data[:, : rows.shape[1]] = rows
     raw = data.tobytes()
-    return SimpleNamespace(
-        height=height, width=width, encoding=encoding, step=step, data=array("B", raw[: len(raw) - cut])
-    )
+    return Image(height=height, width=width, encoding=encoding, step=step, data=array("B", raw[: len(raw) - cut]))
 
 
 def encoded(encoding: str) -> Any:
@@ -75,7 +73,7 @@ def info(**changes: Any) -> Any:
         "d": [-0.2, 0.05, 0.001, -0.002, 0.0],
         "distortion_model": "plumb_bob",
     }
-    return SimpleNamespace(**{**said, **changes})
+    return CameraInfo(**{**said, **changes})
 
 
 @pytest.mark.parametrize(
@@ -108,7 +106,7 @@ def test_a_fisheye_is_undone_as_well():
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"k": [0.0] * 9}, "its matrix k is that of no camera: the camera isn't calibrated"),
+        ({"k": [0.0] * 9}, "its matrix k is that of no camera: the camera is not calibrated"),
         ({"distortion_model": "barrel"}, "its distortion_model is 'barrel'; plumb_bob, .*can be used"),
         ({"d": [0.1, 0.2]}, "its d has 2 finite numbers; plumb_bob has 0 or 4 or 5"),
         ({"d": [float("nan")] * 5}, "finite"),

@@ -154,7 +154,7 @@ async def test_it_is_given_as_it_was_kept_where_odometry_comes_from_another(
     (entry,) = report.restored
     assert entry.carried is None
     assert entry.note == (
-        "it can't be carried by /odom: it began anew since: it comes from another publisher; it was given as it was kept"
+        "it cannot be propagated by /odom: odometry began again since: it comes from another publisher; it was restored as it was kept"
     )
     assert (got.header.stamp.sec, got.pose.pose.position.y, got.pose.covariance[0]) == (42, 5.0, 0.01)
 
@@ -164,16 +164,19 @@ async def test_it_is_given_as_it_was_kept_where_odometry_is_silent(
 ) -> None:
     report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
     (entry,) = report.restored
-    assert entry.note.startswith("it can't be carried by /odom: nothing came on it within 5 s; it was given")
+    assert entry.note.startswith("it cannot be propagated by /odom: nothing came on it within 5 s; it was given")
     assert got.pose.pose.position.y == 5.0
 
 
 async def test_it_is_given_as_it_was_kept_where_the_monitor_says_so(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
-    missing = Motion("/odom", ODOMETRY, missing="it can't be carried by /odom: nobody publishes it")
+    missing = Motion("/odom", ODOMETRY, missing="it cannot be propagated by /odom: nobody publishes it")
     report, got = await given(caller, localizer, kept(missing))
-    assert report.restored[0].note == "it can't be carried by /odom: nobody publishes it; it was given as it was kept"
+    assert (
+        report.restored[0].note
+        == "it cannot be propagated by /odom: nobody publishes it; it was restored as it was kept"
+    )
     assert got.pose.pose.position.y == 5.0
 
 
@@ -185,7 +188,10 @@ async def test_what_must_be_carried_and_can_not_be_is_not_given(
     sample = kept(motion(wheels.gid, last=planar(500.0), required=True))
     report = await StateRestorer(lambda: caller).restore(KeptState((sample,)), within=WITHIN)
     assert report.restored == ()
-    assert "/amcl_pose: it can't be carried by /odom: it began anew since: it jumped by 498.00 m" in report.problem
+    assert (
+        "/amcl_pose: it cannot be propagated by /odom: odometry began again since: it jumped by 498.00 m"
+        in report.problem
+    )
 
 
 async def test_a_type_that_is_not_installed_carries_nothing(
@@ -199,7 +205,7 @@ async def test_time_that_nobody_watched_is_told(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     report, _ = await given(caller, localizer, kept(motion(wheels.gid, blind=4.0)))
-    assert report.restored[0].note == "/odom was not watched for 4.0 s of what it was carried over"
+    assert report.restored[0].note == "/odom was not watched for 4.0 s of the time over which it was propagated"
     assert report.restored[0].carried == pytest.approx(1.0)
 
 

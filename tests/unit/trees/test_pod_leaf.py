@@ -110,7 +110,7 @@ def test_it_fails_with_the_restart_that_is_one_too_many_until_they_are_out_of_th
     assert world.at(1.0).state == "Healthy", "what was before isn't held against it"
     assert world.pod_says(2.0, 8).at(2.0).state == "Healthy"
     assert world.pod_says(5.0, 9).at(5.0) == Verdict(
-        "Failed", "containers of the pod were started again 2 times within 10 s", "pod.restarts", START + 5.0
+        "Failed", "containers of the pod were restarted 2 times within 10 s", "pod.restarts", START + 5.0
     )
     assert world.at(11.9).state == "Failed"
     assert world.at(12.0).state == "Healthy"
@@ -125,10 +125,10 @@ def test_restarts_that_are_far_from_each_other_and_conditions_do_no_harm():
 def test_several_at_once_count_and_one_is_too_many_where_none_may_be():
     world = World(leaf(restarts=2, window="10s")).pod_says(1.0, 0)
     world.at(1.0)
-    assert world.pod_says(2.0, 40).at(2.0).reason == "containers of the pod were started again 3 times within 10 s"
+    assert world.pod_says(2.0, 40).at(2.0).reason == "containers of the pod were restarted 3 times within 10 s"
     world = World(leaf(restarts=0, window="1h")).pod_says(1.0, 3)
     world.at(1.0)
-    assert world.pod_says(2.0, 4).at(2.0).reason == "containers of the pod were started again once within 3600 s"
+    assert world.pod_says(2.0, 4).at(2.0).reason == "containers of the pod were restarted once within 3600 s"
 
 
 def test_the_next_instance_has_restarts_of_its_own():

@@ -21,7 +21,8 @@ from tests.unit.trees.world import (
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
-from understudy.trees.source.expressions import ExpressionError, Quantity, Undefined
+from understudy.trees.source.expression_values import Undefined
+from understudy.trees.source.expressions import ExpressionError, Quantity
 
 ROOT = "spec.monitoring.yaml"
 GO = "t/action/Go"
@@ -140,13 +141,13 @@ def test_what_cannot_be_told_is_no_progress():
     judged = world(**FALLS)
     drive(judged, (100.5, 9.0), (105.0, math.nan), (106.0, math.inf))
     assert judged.at(110.5).reason == (
-        "distance_remaining of /go has not fallen by 0.5 for 10 s (it can't be told: distance_remaining is inf) "
+        "distance_remaining of /go has not fallen by 0.5 for 10 s (it cannot be determined: distance_remaining is inf) "
         "while a goal of /go is active"
     )
     judged.hear("/go/_action/feedback", 111.0, "not of that type").at(111.0)
-    assert "(it can't be told: not of that type)" in judged.at(111.0).reason
+    assert "(it cannot be determined: not of that type)" in judged.at(111.0).reason
     judged.hear("/go/_action/feedback", 111.5, object()).at(111.5)
-    assert "(it can't be told: found a object, no feedback)" in judged.at(111.5).reason
+    assert "(it cannot be determined: found a object, no feedback)" in judged.at(111.5).reason
 
 
 def test_an_instance_that_takes_over_a_goal_has_its_grace():
@@ -207,12 +208,12 @@ def test_the_status_and_the_feedback_are_watched_and_without_either_it_is_left_o
         (
             {"action": "/go", "gap": "1s", "by": 1},
             ".by",
-            "it is only for what falls or grows; give one of these, or leave it out",
+            "it is only for falls or grows; give one of these, or leave it out",
         ),
         (
             {"action": "/go", **FALLS, "grows": "x"},
             ".grows",
-            "found falls and grows; give the one that the goal gets on by",
+            "found falls and grows; give the one that shows progress",
         ),
         ({"action": "/go", **FALLS, "by": 0}, ".by", "found 0; give a number above 0, such as 0.2"),
         ({"action": "/go", **FALLS, "by": "much"}, ".by", "found 'much'; give a number above 0, such as 0.2"),
@@ -247,7 +248,7 @@ def test_all_that_is_missing_is_said():
         load({"progress": {"action": "/go", "falls": "x"}})
     assert [str(problem) for problem in caught.value.problems] == [
         f"{ROOT}.progress.type: missing; give the action's type, such as nav2_msgs/action/NavigateToPose",
-        f"{ROOT}.progress.by: missing; give by how much it must get better, such as 0.2",
+        f"{ROOT}.progress.by: missing; give by how much it must improve, such as 0.2",
         f"{ROOT}.progress.within: missing; give the time in which it must, such as 20s",
     ]
 

@@ -6,7 +6,6 @@ import asyncio
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -140,9 +139,10 @@ class Told:
         return text in (NODE, "speed")
 
     def message(self) -> Any:
-        value = SimpleNamespace(type=3, double_value=self.speed)
-        changed = [SimpleNamespace(name="speed", value=value)]
-        return SimpleNamespace(node=NODE, changed_parameters=changed, new_parameters=[], deleted_parameters=[])
+        from rcl_interfaces.msg import Parameter, ParameterEvent, ParameterValue
+
+        value = ParameterValue(type=3, double_value=self.speed)
+        return ParameterEvent(node=NODE, changed_parameters=[Parameter(name="speed", value=value)])
 
 
 def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agree(graph, node, eventually):
@@ -159,8 +159,8 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
         eventually(lambda: parameters.look() or (parameters.problems and parameters.of(label)))
         assert parameters.of(label).value == "a", "both say the same"
         assert parameters.problems == [
-            "parameter speed of /driver can't be told: of 2 nodes of that name, in different pods, some are 1.5 and some "
-            "2.5, and that of the instance in control has told of no change since it is watched"
+            "parameter speed of /driver cannot be determined: of 2 nodes of that name, in different pods, some are 1.5 and some "
+            "2.5, and the one of the active instance has reported no change since it has been watched"
         ]
         assert not parameters.of(speed).told
         record.contents.append(Told(time.time(), 1.75))

@@ -144,7 +144,7 @@ def test_a_camera_that_goes_is_found_again(
 ):
     there = tmp_path / "video0"
     found = footage(there)
-    missing = f"camera.device.path: {there} can't be opened: No such file or directory: is the camera connected"
+    missing = f"camera.device.path: {there} cannot be opened: No such file or directory: is the camera connected"
     for _ in range(2):
         assert trouble_of(found).startswith(missing), "and so each time"
     os.link(filmed[0], there)
@@ -184,7 +184,7 @@ def test_a_file_that_is_no_video_is_named(tmp_path: Path, footage: Callable[...,
 )
 def test_why_it_cannot_be_opened_is_said_with_the_way_out(number: int, expected: str):
     said = refused("/dev/video0", OSError(number, os.strerror(number)))
-    assert re.match(f"camera.device.path: /dev/video0 can't be opened: {expected}", said)
+    assert re.match(f"camera.device.path: /dev/video0 cannot be opened: {expected}", said)
 
 
 @pytest.mark.parametrize(

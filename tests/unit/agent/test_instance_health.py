@@ -113,7 +113,7 @@ async def test_an_instance_that_is_not_held_is_judged_from_its_start(pod: Pod, l
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
     pod.start_agent()
     links.append(link := pod.link(claim=""))
-    await link.wait_for(lambda s: s.reason == "waiting for the monitor to say what healthy is", 60)
+    await link.wait_for(lambda s: s.reason == "waiting for the monitor's health tree", 60)
     await link.configure({"parallel": [TREE, {"topic": {"name": "/scan", "gap": "1s"}}]}, OUTPUTS, 0.5)
     await link.wait_for(lambda s: s.reason == "nothing in this pod publishes or serves /cmd_vel", 60)
     (pod.volume / "env-app").touch()

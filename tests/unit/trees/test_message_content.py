@@ -110,11 +110,11 @@ def test_what_cannot_be_told_does_not_hold():
     assert world.at(1.0).state == "Healthy"
     world.hear("/battery", 2.0, Battery(cells=[]))
     assert world.at(2.0).reason == (
-        "cells[0] > 1 of /battery does not hold (it can't be told: cells has 0 elements, and so no cells[0])"
+        "cells[0] > 1 of /battery does not hold (it cannot be determined: cells has 0 elements, and so no cells[0])"
     )
     world.hear("/battery", 3.0, Battery(cells=[2.0])).at(3.0)
     world.hear("/battery", 4.0, "it is no Battery")
-    assert world.at(4.0).reason == "cells[0] > 1 of /battery does not hold (it can't be told: it is no Battery)"
+    assert world.at(4.0).reason == "cells[0] > 1 of /battery does not hold (it cannot be determined: it is no Battery)"
 
 
 def test_each_message_is_read_once_and_only_where_it_is_the_newest_at_a_look():
@@ -224,7 +224,7 @@ def test_an_age_is_that_of_the_newest_message_when_it_was_received():
         "Failed", "an age of at most 300 ms of /scan does not hold (it was 412 ms)", "scan.age", START + 1.0
     )
     assert world.hear("/scan", 11.0, late=-2.0).at(11.0).state == "Healthy"
-    assert world.hear("/scan", 12.0, late=None).at(12.0).reason.endswith("(it can't be told: there is no stamp)")
+    assert world.hear("/scan", 12.0, late=None).at(12.0).reason.endswith("(it cannot be determined: there is no stamp)")
 
 
 def test_a_single_late_message_is_no_failure_where_it_must_last():
@@ -250,7 +250,7 @@ def test_an_age_by_its_source_is_that_since_it_was_sent_whatever_its_stamp_says(
     assert (
         world.hear("/scan", 12.0, late=0.0)
         .at(12.0)
-        .reason.endswith("(it can't be told: its middleware didn't say when it was sent)")
+        .reason.endswith("(it cannot be determined: the middleware did not report when it was sent)")
     )
 
 
@@ -357,7 +357,7 @@ def test_what_understudy_says_itself_is_no_evidence():
 @pytest.mark.parametrize("text", ["understudy:", "understudy: robot-1-drive"])
 def test_what_understudy_says_itself_can_not_be_asked_for(key, text):
     with pytest.raises(
-        TreeError, match=rf"\.{key}: found '{text}': what Understudy says itself is no evidence; give a status of"
+        TreeError, match=rf"\.{key}: found '{text}': Understudy's own status is no evidence; give a status of"
     ):
         load(levels(**{key: text}))
 
@@ -371,7 +371,7 @@ def test_statuses_without_end_do_not_fill_the_memory_and_what_is_no_diagnostics_
     assert (
         world.hear("/diagnostics", 5.0, Battery())
         .at(5.0)
-        .reason.endswith("(it can't be told: found a Battery, not a diagnostic_msgs/msg/DiagnosticArray)")
+        .reason.endswith("(it cannot be determined: found a Battery, not a diagnostic_msgs/msg/DiagnosticArray)")
     )
 
 
@@ -451,7 +451,7 @@ def test_what_the_leaves_need_of_their_topics():
         (
             {"age": {"topic": "/p", "type": "t/msg/Pack", "most": "1s"}},
             ".age.type",
-            "found t/msg/Pack, which doesn't begin with a header; an age needs one with a stamp, or give by: source",
+            "found t/msg/Pack, which does not begin with a header; an age needs one with a stamp, or give by: source",
         ),
         (
             {"diagnostics": {"name": "x"}},

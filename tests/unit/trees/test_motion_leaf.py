@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.ros_messages import Odometry, Twist, TwistStamped, TwistWithCovariance, Vector3
 from tests.unit.trees.world import START, World, states_in_both_forms, written
 from understudy.trees.core.health_tree import SEVERITY, Verdict
 from understudy.trees.languages.short.health_loader import TreeError, load
@@ -20,7 +20,7 @@ ROOT = "spec.monitoring.yaml"
 ODOMETRY, COMMANDS = "/tracker/robot/odometry", "/cmd_vel"
 TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}
 FAILED = (
-    "the robot doesn't move as /cmd_vel says by /tracker/robot/odometry: "
+    "the robot does not move as /cmd_vel says by /tracker/robot/odometry: "
     "forward it was seen at 0.00 m/s, commanded at 0.30 m/s"
 )
 
@@ -29,14 +29,13 @@ def leaf(**more: Any) -> dict[str, Any]:
     return {"motion": {"topic": ODOMETRY, "commands": COMMANDS, **more}}
 
 
-def twist(speed: float, turn: float = 0.0) -> Any:
-    linear, angular = SimpleNamespace(x=speed, y=0.0, z=0.0), SimpleNamespace(x=0.0, y=0.0, z=turn)
-    return SimpleNamespace(linear=linear, angular=angular)
+def twist(speed: float, turn: float = 0.0) -> Twist:
+    return Twist(Vector3(x=speed), Vector3(z=turn))
 
 
-def odometry(speed: float, turn: float = 0.0, variance: float = 1e-6) -> Any:
+def odometry(speed: float, turn: float = 0.0, variance: float = 1e-6) -> Odometry:
     covariance = [variance if index % 7 == 0 else 0.0 for index in range(36)]
-    return SimpleNamespace(twist=SimpleNamespace(twist=twist(speed, turn), covariance=covariance))
+    return Odometry(TwistWithCovariance(twist(speed, turn), covariance))
 
 
 def drive(
@@ -53,7 +52,7 @@ def drive(
     for tick in range(round((end - begin) * 10)):
         now = begin + tick / 10
         if said is not None:
-            world.hear(COMMANDS, now, SimpleNamespace(twist=twist(said)) if stamped else twist(said))
+            world.hear(COMMANDS, now, TwistStamped(twist(said)) if stamped else twist(said))
         if seen is not None:
             world.hear(ODOMETRY, now + 0.01, odometry(seen))
         if look:
@@ -115,13 +114,13 @@ def test_it_says_in_the_tree_why_it_cannot_be_told():
     world.at(0.5)
     (node,) = world.tree.root.iterate() if world.tree.root is not None else ()
     assert node.reason("Healthy") == (
-        "it can't be told whether the robot moves as /cmd_vel says: /tracker/robot/odometry doesn't see it"
+        "it cannot be determined whether the robot moves as /cmd_vel says: /tracker/robot/odometry does not see it"
     )
     drive(world, 1.0, 3.0, 0.3)
     assert node.reason("Healthy") == "the robot moves as /cmd_vel says"
     world.hear(COMMANDS, 3.0, "it is no Twist").at(3.0)
     assert node.reason("Healthy") == (
-        "it can't be told whether the robot moves as commanded: /cmd_vel can't be read: it is no Twist"
+        "it cannot be determined whether the robot moves as commanded: /cmd_vel cannot be read: it is no Twist"
     )
     world.hear(ODOMETRY, 3.1, odometry(math.nan)).at(3.1)
     assert "(nan, 0.0, 0.0) is no velocity" in node.reason("Healthy")
@@ -211,7 +210,7 @@ def test_no_procedure_waits_for_it():
         (
             {"topic": COMMANDS, "commands": COMMANDS},
             ".commands",
-            "found '/cmd_vel', which is the topic too; give what the robot is told by",
+            "found '/cmd_vel', which is the topic too; give the topic of the commands",
         ),
         (leaf(commands="cmd_vel")["motion"], ".commands", "found 'cmd_vel'; did you mean '/cmd_vel'?"),
         (

@@ -9,7 +9,7 @@ import yaml
 from tests.unit.trees.messages import Figure
 from tests.unit.trees.world import World
 from understudy.trees.languages.btcpp import steps
-from understudy.trees.languages.btcpp.library import NODES, REFUSED
+from understudy.trees.languages.btcpp.library import NODES, REFUSED, tag_of
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.btcpp.xml_elements import parse
 from understudy.trees.languages.procedure_notations import compose
@@ -22,6 +22,7 @@ from understudy.trees.languages.short.procedure_loader import (
     load_check,
     load_procedure,
 )
+from understudy.trees.leaves.registry import LEAVES
 from understudy.trees.source.expressions import Expression
 
 PAGE = (Path(__file__).parents[3] / "docs" / "trees.md").read_text()
@@ -72,25 +73,7 @@ def test_the_models_that_are_shown_are_those_of_the_nodes():
     told = {
         model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
     }
-    assert told == {
-        tag: list(NODES[tag].ports)
-        for tag in (
-            "Topic",
-            "Value",
-            "Age",
-            "Diagnostics",
-            "Transform",
-            "Publisher",
-            "Node",
-            "Log",
-            "Progress",
-            "Lifecycle",
-            "Motion",
-            "Parameter",
-            "Pod",
-            "WhileTaskActive",
-        )
-    }
+    assert told == {tag: list(NODES[tag].ports) for tag in (*map(tag_of, LEAVES), "WhileTaskActive")}
 
 
 PROCEDURES = (Path(__file__).parents[3] / "docs" / "procedures.md").read_text()

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -143,7 +142,9 @@ class Told:
     label: str
 
     def message(self) -> Any:
-        return SimpleNamespace(goal_state=SimpleNamespace(label=self.label))
+        from lifecycle_msgs.msg import State, TransitionEvent
+
+        return TransitionEvent(goal_state=State(label=self.label))
 
 
 def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agree(graph, managed, eventually):
@@ -166,8 +167,8 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
         states.follow([NODE])
         eventually(lambda: states.look() or states.problems)
         assert states.problems == [
-            "the state of /managed can't be told: of 2 nodes of that name, in different pods, some are active and some "
-            "inactive, and that of the instance in control has told of no transition since it is watched"
+            "the state of /managed cannot be determined: of 2 nodes of that name, in different pods, some are active and some "
+            "inactive, and the one of the active instance has reported no transition since it has been watched"
         ]
         assert states.of(NODE).state is None
         record.contents.append(Told(time.time(), "active"))

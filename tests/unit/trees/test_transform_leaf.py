@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.ros_messages import Header, Stamp, TFMessage, TransformStamped
 from tests.unit.trees.world import (
     START,
     World,
@@ -28,17 +28,16 @@ def leaf(**more: Any) -> dict[str, Any]:
     return {"transform": {"child": "base_link", "parent": "odom", "gap": "500ms", **more}}
 
 
-def transform(parent: str, child: str, stamp: float = START) -> SimpleNamespace:
+def transform(parent: str, child: str, stamp: float = START) -> TransformStamped:
     """``stamp`` in Unix seconds, as whole milliseconds."""
     second, milli = divmod(round(stamp * 1000), 1000)
-    header = SimpleNamespace(frame_id=parent, stamp=SimpleNamespace(sec=second, nanosec=milli * 1_000_000))
-    return SimpleNamespace(header=header, child_frame_id=child)
+    return TransformStamped(Header(Stamp(second, milli * 1_000_000), parent), child)
 
 
 def hear(world: World, time: float, *frames: tuple[str, str], late: float = 0.0, topic: str = "/tf") -> World:
     """A message with transforms (parent and child) that are so old when it is received."""
     transforms = [transform(parent, child, START + time - late) for parent, child in frames]
-    return world.hear(topic, time, SimpleNamespace(transforms=transforms))
+    return world.hear(topic, time, TFMessage(transforms=transforms))
 
 
 BASE, WHEEL = ("odom", "base_link"), ("base_link", "wheel")
@@ -97,9 +96,9 @@ def test_at_most_fails_by_a_stamp_that_is_older_at_its_receipt():
         START + 1.0,
     )
     assert hear(world, 1.5, BASE, late=-1.0).at(1.5).state == "Healthy"
-    world.hear("/tf", 1.6, SimpleNamespace(transforms=[transform(*BASE, stamp=0.0)]))
-    assert world.at(1.6).reason.endswith("(it can't be told: there is no stamp)")
-    world.hear("/tf", 1.7, SimpleNamespace(transforms=[transform(*BASE, START + at) for at in (1.69, 0.5)]))
+    world.hear("/tf", 1.6, TFMessage(transforms=[transform(*BASE, stamp=0.0)]))
+    assert world.at(1.6).reason.endswith("(it cannot be determined: there is no stamp)")
+    world.hear("/tf", 1.7, TFMessage(transforms=[transform(*BASE, START + at) for at in (1.69, 0.5)]))
     assert world.at(1.7).state == "Healthy", "the newest in a message counts"
 
 
@@ -202,7 +201,7 @@ def test_what_it_needs_of_its_topic_and_how_it_is_called():
         (
             {"child": "b", "gap": "1s", "topic": "/robot/tf_static"},
             ".topic",
-            "found '/robot/tf_static': what is there is said once and stays, without a gap; give /tf",
+            "found '/robot/tf_static': static transforms are published once, without a gap; give /tf",
         ),
         ({"child": "b", "gap": "1s", "atmost": "1s"}, ".atmost", "unknown key 'atmost', did you mean 'at_most'?"),
     ],

@@ -417,8 +417,7 @@ KNOWN = (
         ),
         (
             '<WhileTaskActive action="/go"><Topic topic="/go/_action/status" gap="1s"/></WhileTaskActive>',
-            "<Topic>: /go/_action/status says whether a task is active, which is looked at already; "
-            "it has no rate or gap of its own",
+            "<Topic>: /go/_action/status is the status of a task's action, which is watched already; it cannot have a rate or gap",
         ),
         (
             '<Topic topic="{scan}" gap="1s"/>',
@@ -457,31 +456,31 @@ KNOWN = (
         ("<Condition/>", "<Condition> ID: missing; say which node it is"),
         (
             f'<RetryUntilSuccessful num_attempts="3">{LEAF}</RetryUntilSuccessful>',
-            "<RetryUntilSuccessful>: isn't for health trees: a health tree is asked again and again anyway; leave it out, and "
+            "<RetryUntilSuccessful>: is not for health trees: a health tree is evaluated continuously; leave it out, and "
             "give the leaf in it a longer gap or window",
         ),
         (
             '<Script code="a:=1"/>',
-            "<Script>: isn't for health trees: scripts aren't run; what only counts while the robot works on a task goes into "
+            "<Script>: is not for health trees: scripts are not run; a condition that counts only during a task goes into "
             '<WhileTaskActive action="/navigate_to_pose">',
         ),
         (
             f'<Delay delay_msec="100">{LEAF}</Delay>',
-            "<Delay>: isn't for health trees: how long something may be missing is said by gap, window and settle, and by "
-            "debounce of the policy; leave it out",
+            "<Delay>: is not for health trees: gap, window and settle, and debounce of the policy, say how long something "
+            "may be missing; leave it out",
         ),
         (
             f"<ForceSuccess>{LEAF}</ForceSuccess>",
-            "<ForceSuccess>: isn't for health trees: a verdict that is certain says nothing about the robot; leave it out",
+            "<ForceSuccess>: is not for health trees: a constant result says nothing about the robot; leave it out",
         ),
         (
             f"<SequenceWithMemory>{LEAF}</SequenceWithMemory>",
-            "<SequenceWithMemory>: isn't for health trees: a health tree is asked anew at every look and remembers nothing; "
-            "write <Sequence>",
+            "<SequenceWithMemory>: is not for health trees: a health tree is evaluated again each time and remembers "
+            "nothing; write <Sequence>",
         ),
         (
             '<Topic topic="/scan" gap="1s" _skipIf="idle"/>',
-            "<Topic> _skipIf: scripts aren't run; what only counts while the robot works on a task goes into "
+            "<Topic> _skipIf: scripts are not run; a condition that counts only during a task goes into "
             '<WhileTaskActive action="/navigate_to_pose">',
         ),
     ],
@@ -497,15 +496,15 @@ def test_a_mistake_is_named_with_its_place_and_what_would_be_right(node: str, ex
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "line 1, column 1: this isn't XML: no element found"),
-        ("parallel: []", "line 1, column 1: this isn't XML: syntax error"),
-        ("<root>\n  <a></b>\n</root>", "line 2, column 8: this isn't XML: mismatched tag"),
-        ("<root>&scan;</root>", "line 1, column 7: this isn't XML: undefined entity"),
+        ("", "line 1, column 1: this is not XML: no element found"),
+        ("parallel: []", "line 1, column 1: this is not XML: syntax error"),
+        ("<root>\n  <a></b>\n</root>", "line 2, column 8: this is not XML: mismatched tag"),
+        ("<root>&scan;</root>", "line 1, column 7: this is not XML: undefined entity"),
         (
             "\n<?xml version='1.0'?>\n<root/>",
-            "line 2, column 1: this isn't XML: XML or text declaration not at start of entity",
+            "line 2, column 1: this is not XML: XML or text declaration not at start of entity",
         ),
-        ("\ud800", "line 1, column 1: this isn't XML: it has half of a character (a lone surrogate)"),
+        ("\ud800", "line 1, column 1: this is not XML: it has a lone surrogate"),
         (
             '<?xml version="1.0"?>\n  <!DOCTYPE root [<!ENTITY a SYSTEM "file:///etc/passwd">]>\n<root>&a;</root>',
             "line 2, column 3: a document type can have entities and name files to read; leave it out",
@@ -573,7 +572,7 @@ def test_a_mistake_is_named_with_its_place_and_what_would_be_right(node: str, ex
         ),
         (
             files(f'<SubTree ID="A">{LEAF}</SubTree>', A=LEAF),
-            'line 2, column 25: <SubTree ID="A">: has a node in it; they belong into the <BehaviorTree> of that name',
+            'line 2, column 25: <SubTree ID="A">: has a node in it; they belong in the <BehaviorTree> of that name',
         ),
         (
             files('<SubTree ID="A"/>', A='<Topic topic="/a" gap="{gap}"/>')
@@ -635,7 +634,7 @@ def test_a_text_too_long_is_refused() -> None:
 
 
 def test_elements_too_deep_are_refused() -> None:
-    assert problems("<a>" * 1000) == ["line 1, column 193: more than 64 elements in each other"]
+    assert problems("<a>" * 1000) == ["line 1, column 193: more than 64 nested elements"]
     (problem,) = problems(file("<Inverter>" * 40 + LEAF + "</Inverter>" * 40))
     assert problem.endswith("<Inverter>: the tree is more than 32 levels deep")
 

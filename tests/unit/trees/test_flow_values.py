@@ -37,8 +37,8 @@ def test_what_a_text_stands_for(text: str, expected: Any) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("json:{", "found '{', which isn't JSON: Expecting property name enclosed in double quotes at character 2; write it as in"),
-        ("{x: ", "which isn't YAML: while parsing a flow node"),
+        ("json:{", "found '{', which is not JSON: Expecting property name enclosed in double quotes at character 2; write it as in"),
+        ("{x: ", "which is not YAML: while parsing a flow node"),
         ('json:{"x": 1, "x": 2}', "'x' is given twice; leave one of them out"),
         ("{x: 1, x: 2}", "'x' is given twice; leave one of them out"),
         ("json:NaN", "found NaN; give a number"),
@@ -47,9 +47,9 @@ def test_what_a_text_stands_for(text: str, expected: Any) -> None:
         ("[&a 1, *a]", r"has an alias \(\*\) in it; write out what it stands for"),
         ("!!python/object:os.system x", "found the tag !!python/object:os.system; leave it out"),
         ("{x: !!binary aGk=}", "found the tag !!binary; leave it out"),
-        ("{[1]: 2}", "has a key that isn't a text; write a text before the ':'"),
-        ("a: 1\n---\nb: 2", "which isn't YAML: expected a single document"),
-        ("\0", "found the character .* which YAML doesn't take; leave it out"),
+        ("{[1]: 2}", "has a key that is not a text; write a text before the ':'"),
+        ("a: 1\n---\nb: 2", "which is not YAML: expected a single document"),
+        ("\0", "found the character .* which YAML does not take; leave it out"),
         ("x" * (LONGEST + 1), f"has {LONGEST + 1} characters; it may have {LONGEST}"),
         ("[" * 9000, "is nested too deeply"),
         ("json:" + "[" * 9000, "is nested too deeply"),

@@ -19,9 +19,9 @@ from understudy.api.kinds import robot_workload
 HEAVY = {"aiohttp", "antlr4", "kopf", "kubernetes", "prometheus_client", "pydantic", "scenario_execution"}
 
 CONFIGURED = """
-from understudy.agent.instance_health import Plan
-Plan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [{"topic": "/x", "type": "std_msgs/msg/Empty"}], "grace": 1})
-Plan.of({"form": "xml", "tree": '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/x" gap="1s"/></BehaviorTree></root>'})
+from understudy.agent.instance_health import HealthPlan
+HealthPlan.of({"tree": {"topic": {"name": "/x", "gap": "1s"}}, "outputs": [{"topic": "/x", "type": "std_msgs/msg/Empty"}], "grace": 1})
+HealthPlan.of({"form": "xml", "tree": '<root BTCPP_format="4"><BehaviorTree ID="A"><Topic topic="/x" gap="1s"/></BehaviorTree></root>'})
 """
 
 

@@ -57,7 +57,7 @@ LEAF = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
     ("tree", "place", "expected"),
     [
         ([], "", f"found a list; a node is a mapping with one of {KINDS}"),
-        ({}, "", f"the node says nothing; give one of {KINDS}"),
+        ({}, "", f"the node is empty; give one of {KINDS}"),
         ({"paralel": [SCAN]}, ".paralel", "unknown key 'paralel', did you mean 'parallel'?"),
         ({"parallel": []}, ".parallel", "the list is empty; parallel needs at least one node"),
         ({"parallel": SCAN}, ".parallel", "found a mapping; parallel has a list of nodes"),
@@ -227,7 +227,7 @@ def test_tree_too_large_is_refused_once():
         ({"parallel": [LEAF], "do": LEAF}, "spec.monitoring.yaml.do: unknown key; do belongs beside while"),
         (
             {"while": {"task_active": {"action": "/go"}}, "do": {"topic": {"name": "/go/_action/status", "gap": "1s"}}},
-            "/go/_action/status says whether a task is active, which is looked at already",
+            "/go/_action/status is the status of a task's action, which is watched already",
         ),
     ],
 )

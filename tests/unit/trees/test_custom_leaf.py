@@ -114,7 +114,7 @@ def test_one_that_raises_holds_and_says_that_it_is_blind(install: Install, caplo
     with caplog.at_level(logging.ERROR):
         assert world.battery(1.0, 0.9).at(1.0).state == "Healthy"
         assert world.battery(1.5, 0.8).at(1.5).state == "Healthy"
-    assert world.tree.blind == ["acme_leaf can't judge /battery, KeyError: 'cells'"]
+    assert world.tree.blind == ["acme_leaf cannot judge /battery, KeyError: 'cells'"]
     assert [record.message for record in caplog.records] == world.tree.blind, "once, however many messages there are"
     assert world.at(2.0).leaf == "scan", "the rest of the tree goes on protecting"
 
@@ -124,7 +124,7 @@ def test_one_that_returns_what_is_no_text_is_blind_until_it_can_judge_again(inst
     world = World(leaf()).battery(1.0, 0.45)
     assert world.at(1.0).state == "Healthy"
     assert world.tree.blind == [
-        "acme_leaf can't judge /battery, TypeError: judge() returned True, which is neither a text nor None"
+        "acme_leaf cannot judge /battery, TypeError: judge() returned True, which is neither a text nor None"
     ]
     assert world.battery(2.0, 0.3).at(2.0).state == "Healthy"
     assert world.tree.blind == []
@@ -166,7 +166,7 @@ def test_keys_are_read_by_their_types_also_where_a_language_has_only_texts(insta
     load(leaf(text="7", whole="7", number="7", truth="true", length="500ms", more="m"))
     assert made == [("7", 7, 7.0, True, timedelta(milliseconds=500), more) for more in ("", "m")]
     assert refusal(text=7, whole=7.5, number="nan", truth="yes", length=500) == [
-        ".text: found 7; give a text, in quotes where it looks like a number",
+        ".text: found 7; give a text, in quotes if it looks like a number",
         ".whole: found 7.5; give a whole number",
         ".number: found 'nan'; give a number",
         ".truth: found 'yes'; give true or false",
@@ -192,7 +192,7 @@ def test_one_that_can_t_be_made_refuses_the_tree_and_nothing_more(install: Insta
         def judge(self, message: Battery) -> None: ...
 
     install(Careless)
-    assert refusal() == [": acme_leaf can't be made, KeyError: 'calibration'"]
+    assert refusal() == [": acme_leaf cannot be made, KeyError: 'calibration'"]
 
 
 def test_a_topic_is_required_and_an_example_says_what_else(install: Install) -> None:
@@ -241,9 +241,9 @@ def odd(self: object, field: [str]) -> None: ...  # type: ignore[valid-type]
         (7, "it must be a class with a method judge"),
         (judging(untyped), "its parameter field must have one of these as its type: str, int, float, bool, timedelta"),
         (judging(listed), "its parameter fields must have one of these"),
-        (judging(unnamed), "can't be given by name"),
-        (judging(topical), "its parameter topic is called as what every leaf has"),
-        (judging(unknown), "the parameters of Made.. can't be told, NameError: name 'Feild' is not defined"),
+        (judging(unnamed), "cannot be given by name"),
+        (judging(topical), "its parameter topic has the name of a key that every leaf has"),
+        (judging(unknown), "the parameters of Made.. cannot be told, NameError: name 'Feild' is not defined"),
         (judging(odd), "its parameter field must have one of these as its type"),
     ],
     ids=["object", "no-judge", "number", "untyped", "list", "args", "topic", "undefined", "odd"],

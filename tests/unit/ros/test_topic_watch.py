@@ -104,7 +104,7 @@ def test_a_type_that_is_none_of_ros_is_a_problem_and_the_others_are_watched(watc
     watching.follow([WatchedTopic("/native", None, 0.0, None), WatchedTopic("/scan", STRING, 0.0, None)])
     watching.drain()
     (problem,) = watching.problems
-    assert problem.startswith(f"/native can't be received: '{name}' is not a ")
+    assert problem.startswith(f"/native cannot be received: '{name}' is not a ")
     assert watching.unwatchable == {"/native"}
 
 
@@ -114,7 +114,7 @@ def test_a_topic_that_this_process_has_as_another_type_is_a_problem(watching, gr
     watching.follow([other, WatchedTopic("/scan", STRING, 0.0, None)])
     watching.drain()
     (problem,) = watching.problems
-    assert problem.startswith("/pose can't be received as geometry_msgs/msg/PoseStamped: ")
+    assert problem.startswith("/pose cannot be received as geometry_msgs/msg/PoseStamped: ")
     graph.unsubscribe(kept)
 
 

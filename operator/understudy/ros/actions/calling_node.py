@@ -1,0 +1,150 @@
+"""The node by which an agent calls services of its instance, and what it sees of the graph from there.
+
+If the host is known, only endpoints on this host count as the instance's: behind a discovery server an agent also learns of
+the other instances' servers, which network policies keep it from reaching.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.runtime.interface_types import interface_class
+
+if TYPE_CHECKING:
+    from understudy.ros.runtime.service_client import ServiceClient
+
+MOST_CLIENTS = 64
+"""Service clients kept for further calls; a new one costs a round of discovery."""
+
+QUEUE = 100
+"""Samples that may wait between two looks at a queue."""
+
+
+@dataclass(frozen=True)
+class GraphLocation:
+    """Where in ROS this process already is."""
+
+    context: Any
+    """The rclpy context of its graph; another would be another participant, that has to be discovered anew."""
+    host: bytes | None = None
+    """The HOST part of the GIDs of this host's endpoints (sample_sources.py); None where anyone's count."""
+
+
+class CallingNode:
+    """A served node at a location, with the clients that it keeps for further calls."""
+
+    def __init__(self, name: str, location: GraphLocation | None) -> None:
+        from understudy.ros.runtime.served_node import ServedNode
+
+        self.host = location.host if location is not None else None
+        self._context = location.context if location is not None else None
+        self._served = ServedNode(name, context=self._context)
+        self.node = self._served.node
+        self._clients: dict[tuple[str, str], ServiceClient] = {}
+
+    def is_at(self, location: GraphLocation | None) -> bool:
+        """Return whether it was made at this location and is still alive."""
+        if not self._served.alive:
+            return False
+        if location is None:
+            return self._context is None
+        return location.context is self._context and location.host == self.host
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._served.shut_down()
+
+    # -- what is there ----------------------------------------------------------------------------------------------
+
+    def serves(self, service: str) -> bool:
+        """Whether a service has a server here: what takes its requests, and what answers them."""
+        readers = self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True)
+        if not any(self._here(reader) for reader in readers):
+            return False
+        return any(map(self._here, self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)))
+
+    def has_node(self, name: str) -> bool:
+        """Whether a node is here; on one known host it is told by its parameter events, which nearly every node has."""
+        if self.host is None:
+            known = self.node.get_node_names_and_namespaces()
+            return any(f"{namespace.rstrip('/')}/{node}" == name for node, namespace in known)
+        writers = self.node.get_publishers_info_by_topic("/parameter_events")
+        return any(self._here(w) and f"{w.node_namespace.rstrip('/')}/{w.node_name}" == name for w in writers)
+
+    def is_read(self, publisher: Any, topic: str, type_name: str) -> bool:
+        """Whether all readers of a topic of that type are matched, one of them here."""
+        readers = [
+            reader for reader in self.node.get_subscriptions_info_by_topic(topic) if reader.topic_type == type_name
+        ]
+        return any(map(self._here, readers)) and bool(publisher.get_subscription_count() >= len(readers))
+
+    def is_read_elsewhere(self, topic: str, type_name: str) -> bool:
+        """Whether somebody on another host subscribes to a topic."""
+        readers = self.node.get_subscriptions_info_by_topic(topic)
+        return any(e.topic_type == type_name and not self._here(e) for e in readers)
+
+    def published_types(self, topic: str) -> set[str]:
+        """The types of a topic's publishers that are here."""
+        return {e.topic_type for e in self.node.get_publishers_info_by_topic(topic) if self._here(e)}
+
+    def _here(self, endpoint: Any) -> bool:
+        return self.host is None or bytes(endpoint.endpoint_gid)[HOST] == self.host
+
+    # -- entities ---------------------------------------------------------------------------------------------------
+
+    async def client(self, service: str, type_name: str) -> ServiceClient:
+        """Return a client of a service. Raises TypeNotInstalled, ValueError."""
+        if "/srv/" not in type_name:
+            raise ValueError(
+                f"{type_name!r} is not a service type: write package/srv/Name, such as std_srvs/srv/Trigger"
+            )
+        found = self._clients.pop((service, type_name), None)
+        if found is None:
+            type_ = interface_class(type_name)
+            from understudy.ros.runtime.service_client import ServiceClient
+
+            found = await self._served.get(lambda: ServiceClient(self._served, type_, service))
+            if (other := self._clients.pop((service, type_name), None)) is not None:  # another call was faster
+                await self._served.get(found.close)
+                found = other
+        self._clients[service, type_name] = found
+        while len(self._clients) > MOST_CLIENTS:
+            oldest = self._clients.pop(next(iter(self._clients)))
+            await self._served.get(oldest.close)
+        return found
+
+    def publisher(self, cls: Any, topic: str, count: int) -> Any:
+        """A publisher that every subscriber matches, whatever it asks for."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        qos = QoSProfile(
+            depth=max(1, count),
+            reliability=ReliabilityPolicy.RELIABLE,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL,
+        )
+        return self.node.create_publisher(cls, topic, qos)
+
+    def subscription(self, cls: Any, topic: str, *, latched: bool) -> Any:
+        """A subscription that is drained: of every writer, or of those that keep messages for late readers."""
+        from rclpy.event_handler import SubscriptionEventCallbacks
+        from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+        qos = QoSProfile(
+            depth=QUEUE,
+            reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
+            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        )
+        return self.node.create_subscription(
+            cls,
+            topic,
+            _never_called,
+            qos,
+            raw=True,
+            event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
+        )
+
+
+def _never_called(message: object) -> None:
+    """Satisfies rclpy, which requires a callback; the queue is drained instead."""
