@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.unit.advice.given import LEVELS, WAYS, figures, levels, pools, requirements
 from understudy.advice.order_explanation import in_short, reason, unmet
 from understudy.advice.strategy_figures import Figure, Figures
-from understudy.advice.strategy_order import NEXT_TO_NOTHING, Candidate, Order, ordered, usage
+from understudy.advice.strategy_order import NEGLIGIBLE, Candidate, Order, ordered, usage
 from understudy.api.kinds.requirements_spec import Requirements
 
 HOT = Candidate("Executing", "hot", 1)
@@ -85,9 +85,9 @@ def test_a_more_critical_task_never_gives_a_slower_first_strategy(asked, offered
 def test_no_strategy_costs_more_than_may_be_spent(asked, offered, known):
     found = ordered(asked, offered, known)
     if usage(asked) == "Low":
-        assert all(one.cost <= NEXT_TO_NOTHING for one in found.chosen)
+        assert all(one.cost <= NEGLIGIBLE for one in found.chosen)
     if usage(asked) == "Medium":
-        assert all(one.cost <= NEXT_TO_NOTHING for one in found.chosen[1:])
+        assert all(one.cost <= NEGLIGIBLE for one in found.chosen[1:])
     if usage(asked) == "High":
         assert len(found.chosen) == len(offered) + 1
 
@@ -156,8 +156,8 @@ def test_high_availability_has_to_be_paid_for():
     assert in_short(found) == "Uninitialized (spare), Restart"
     (told,) = unmet(found)
     assert told == (
-        "availability High asks for 500 ms, and Uninitialized (spare), the soonest that may go first, needs 3.96 s (published): "
-        "Executing (hot) would be, with a higher resourceUsage"
+        "availability High requires 500 ms, but Uninitialized (spare), the fastest that may go first, needs 3.96 s (published): "
+        "Executing (hot) would be fast enough with a higher resourceUsage"
     )
 
 
@@ -169,7 +169,7 @@ def test_all_that_there_is_is_kept_where_resources_are_no_object():
 def test_safety_high_wants_safe_commands_too():
     found = ordered(Requirements(safety="High"), ALL, PUBLISHED, safe_commands=False)
     assert unmet(found) == [
-        "safety High, and nothing says what the robot is told while no instance is in control: give the policy spec.safety"
+        "safety High requires safe commands while no instance is active: set spec.safety in the policy"
     ]
 
 
@@ -184,13 +184,13 @@ def test_what_was_measured_goes_before_what_is_published():
     quick = Figures(measured_seconds={"Restart": Figure(1.2, "measured 4 times")})
     found = order(*ALL, known=quick)
     assert in_short(found) == "Restart, Uninitialized (spare)"
-    assert "Restart is the cheapest that is soon enough (1.2 s, measured 4 times)" in reason(found)
+    assert "Restart is the cheapest that is fast enough (1.2 s, measured 4 times)" in reason(found)
 
 
 def test_the_reason_says_what_was_asked_for_and_what_was_left_out():
     assert reason(order(*ALL)) == (
-        "Initialized (warm), Uninitialized (spare), Restart. Asked for: a recovery within 2 s of the detection (availability Medium), "
-        "with no more standbys than that takes (resourceUsage Medium). Initialized (warm) is the cheapest that is soon enough (830 ms, "
-        "published). Left out: Executing (hot) would take 0.96 of a working instance's CPU, and behind the first one come only those "
-        "that take 0.1 at most."
+        "Initialized (warm), Uninitialized (spare), Restart. Required: a recovery within 2 s after detection (availability Medium), with "
+        "no more standbys than required for that (resourceUsage Medium). Initialized (warm) is the cheapest that is fast enough (830 ms, "
+        "published). Left out: Executing (hot) would use 0.96 of a working instance's CPU, but strategies after the first may use "
+        "at most 0.1."
     )

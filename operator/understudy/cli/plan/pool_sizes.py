@@ -1,4 +1,4 @@
-"""What a pool of some size means for its robots: risks, waiting, cost and the down-time that it saves."""
+"""Computes what a pool size means for its robots: risks, waiting, cost and saved downtime."""
 
 from __future__ import annotations
 
@@ -13,62 +13,62 @@ from understudy.cli.common.errors import CommandError
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked. Times in seconds."""
+    """The parameters of a calculation. Times in seconds."""
 
     robots: int
     failures_per_robot_hour: float
     recovery: float
-    """Down-time of a robot that finds a fallback."""
+    """Downtime of a robot that finds a fallback."""
     refill: float
-    """Until another fallback waits in place of a used one."""
+    """Time until another fallback replaces a used one."""
     restart: float
-    """Down-time of a robot that goes without."""
+    """Downtime of a robot without a fallback."""
     cpu: float
-    """Of a waiting fallback, as a share of a working one's."""
+    """CPU of a waiting fallback, as a share of a working instance's."""
 
     @property
     def demand(self) -> Demand:
-        """The failures and how long each takes a fallback away."""
+        """The failures, and the time for which each uses a fallback."""
         return Demand(self.robots, self.failures_per_robot_hour, self.refill)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A pool's risks and cost by the formulas."""
+    """Risks and cost of a pool according to the formulas."""
 
     fallbacks: int
     window: float
     loss: float
     waiting: float
     wait: float
-    """Mean seconds of all failures, where they wait; infinite where they come faster than refills."""
+    """Mean wait of all failures in seconds; infinite if failures are faster than refills."""
     cpu: float
-    """Added CPU as a share of what all robots' working instances use."""
+    """Added CPU, as a share of the CPU of all working instances."""
     down: float
-    """Mean down-time of a failure in seconds, where one that finds no fallback is restarted."""
+    """Mean downtime per failure in seconds, if a robot without a fallback is restarted."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """The answer."""
+    """The result of a calculation."""
 
     question: Question
     outcome: Outcome
     risk: float | None
-    """The risk that was asked for."""
+    """The required risk."""
     risk_of: str
     needed: dict[str, int]
-    """By measure, the fewest fallbacks for that risk; empty where none was asked for."""
+    """By measure, the fewest fallbacks for that risk; empty if no risk is required."""
     trial: monte_carlo.Trials
     paper: paper_model.Argument
 
     @property
     def gained(self) -> float:
-        """Seconds of down-time per robot and hour that the pool saves against restarts alone."""
+        """Seconds of downtime per robot and hour that the pool saves, compared with restarts only."""
         return (self.question.restart - self.outcome.down) * self.question.failures_per_robot_hour
 
     def data(self) -> dict[str, Any]:
-        """As JSON takes it: what is infinite is null. Seconds, and probabilities and shares from 0 to 1."""
+        """Return the result as JSON data; infinite values become null. Times in seconds, probabilities and shares from 0 to 1."""
         found = {
             "question": asdict(self.question),
             "offered": self.question.demand.offered,
@@ -85,7 +85,7 @@ class Size:
 
 
 def outcome(question: Question, fallbacks: int) -> Outcome:
-    """What so many fallbacks mean."""
+    """Compute the outcome for a number of fallbacks."""
     offered = question.demand.offered
     loss = shortage_risk.lost(offered, fallbacks)
     return Outcome(
@@ -100,9 +100,9 @@ def outcome(question: Question, fallbacks: int) -> Outcome:
 
 
 def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of: str) -> Size:
-    """The answer for a number of fallbacks, or for the fewest that are enough for a risk.
+    """Compute the result for a number of fallbacks, or for the fewest that keep a risk.
 
-    Raises CommandError where no number is.
+    Raises CommandError if no number does.
     """
     needed = {}
     if fallbacks is None:

@@ -1,4 +1,4 @@
-"""The order that requirements come to for each workload of some files, as the operator would choose it."""
+"""Computes the order of strategies for each workload in the given files, as the operator would choose it."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ class Recommendation:
     workload: Manifest
     policy: Manifest
     auto: bool
-    """Whether the policy leaves its strategies to be chosen, so that this order is in force."""
+    """Whether the policy chooses its strategies automatically, so that this order applies."""
     stated: bool
-    """Whether the policy says what is required; else the defaults count."""
+    """Whether the policy states requirements; otherwise the defaults apply."""
     present: str
-    """The policy's own strategies, in short."""
+    """Summary of the policy's own strategies."""
     order: Order
 
     def data(self) -> dict[str, Any]:
-        """As JSON takes it: seconds, and shares of a working instance's CPU."""
+        """Return it as JSON data: times in seconds, CPU as a share of a working instance's."""
         order = self.order
         return {
             "workload": self.workload.name,
@@ -59,21 +59,21 @@ def recommended(
     cpu: Mapping[Way, Figure],
     recorded: Mapping[tuple[str, str], Object],
 ) -> list[Recommendation]:
-    """The recommendation for each workload, or for the one of a name.
+    """Return the recommendation for each workload, or for the named one.
 
-    ``levels`` are requirements that count instead of the policy's, ``cpu`` is what waiting instances were measured to use, and
-    ``recorded`` are workloads as they are in a cluster, by namespace and name. Raises CommandError.
+    ``levels`` override requirements of the policy, ``cpu`` is the measured CPU usage of waiting instances, and ``recorded`` are
+    workloads in the cluster by namespace and name. Raises CommandError.
     """
     wrong = [str(found) for one in manifests for found in object_check.check(one) if found.severity == "error"]
     if wrong:
-        raise CommandError("the manifests can't be followed\n" + "\n".join(wrong))
+        raise CommandError("the manifests are invalid\n" + "\n".join(wrong))
     workloads = [one for one in manifests if one.kind == "RobotWorkload" and name in (None, one.name)]
     if not workloads:
         known = [one.name for one in manifests if one.kind == "RobotWorkload"]
         if name is not None and known:
             raise CommandError(f"--workload: there is no RobotWorkload {name!r:.80} in the files ({hint(name, known)})")
         raise CommandError(
-            "there is no RobotWorkload in the files: give the file of one, with those of its policy and its pools"
+            "there is no RobotWorkload in the files: give the file of a workload, of its policy and of its pools"
         )
     return [_recommended(one, manifests, levels, cpu, recorded) for one in workloads]
 
@@ -91,7 +91,7 @@ def _recommended(
     if wanted not in given:
         told = f" ({hint(wanted, given)})" if given else ""
         raise CommandError(
-            f"RobotWorkload {workload.name}: its FailurePolicy {wanted} isn't in the files{told}; give its file too"
+            f"RobotWorkload {workload.name}: its FailurePolicy {wanted} is not in the files{told}; give its file too"
         )
     policy = given[wanted]
     stated = FailurePolicySpec.model_validate(policy.data["spec"]).requirements
@@ -107,7 +107,7 @@ def _recommended(
         cpu=cpu,
         sharing={name: sum(pool_pods.serves(pool, robot) for robot in robots) for name, pool in serving.items()},
     )
-    assert order is not None, "the requirements are understood"
+    assert order is not None, "the requirements are valid"
     return Recommendation(
         workload=workload,
         policy=policy,
@@ -119,7 +119,7 @@ def _recommended(
 
 
 def _status(workload: Manifest, recorded: Mapping[tuple[str, str], Object]) -> Object:
-    """A workload's status: as the cluster has it, and else as the file does, where kubectl wrote it."""
+    """Return a workload's status from the cluster, or else from the file, if kubectl wrote it."""
     found = recorded.get((workload.namespace, workload.name))
     return {"status": found["status"]} if found is not None and "status" in found else {}
 

@@ -1,4 +1,4 @@
-"""The figures as SVG. Places along the time axis are percentages, so that a figure fits a telephone and its letters stay as they are."""
+"""Draws the charts as SVG. Horizontal positions are percentages, so a chart fits a telephone without scaling its letters."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.cli.report.sample_statistics import Spread
 
 _JITTER = (0, 4, -4, 7, -7)
-"""Pixels by which marks are moved, in turn, so that those of one value are seen as several."""
+"""Pixels by which successive marks are shifted, so that equal values remain distinguishable."""
 
 _LEAST_SHOWN = 0.15
-"""Percent of the width that an outage takes at least: most are shorter than a pixel."""
+"""Least width of an outage in percent: most are shorter than a pixel."""
 
 
 _LEAST_GAP = 0.001
-"""Seconds from which on a logarithmic axis tells gaps apart; where a reader fell over by itself there may be none at all."""
+"""Least gap in seconds on the logarithmic axis; with the reflex there may be no gap at all."""
 
 
 def recovery_times(groups: Sequence[Group]) -> Markup:
-    """The mean of each part of the recovery time by strategy, stacked as in the paper, with each recovery as a dot."""
+    """Draw the mean of each part of the recovery time by strategy, stacked as in the paper, with a dot per recovery."""
     most = max((group.spread.greatest for group in groups), default=0.0) or 1.0
     steps = list(ticks(most))
     most = max(most, steps[-1])
@@ -55,7 +55,7 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
 
 
 def gaps(groups: Sequence[Group]) -> Markup:
-    """The gap of each recovery by strategy, on a logarithmic axis: those of a switchover and of a restart are far apart."""
+    """Draw the gaps by strategy, on a logarithmic axis because a switchover and a restart differ by orders of magnitude."""
     known = [gap for group in groups for gap in group.gaps]
     low = math.floor(math.log10(max(min(known), _LEAST_GAP)))
     high = max(low + 1, math.ceil(math.log10(max(max(known), _LEAST_GAP))))
@@ -80,7 +80,7 @@ def gaps(groups: Sequence[Group]) -> Markup:
 
 
 def reserved(shares: Sequence[Share]) -> Markup:
-    """The CPU that is reserved by strategy, stacked by what the pods are for."""
+    """Draw the reserved CPU by strategy, stacked by role of the pods."""
     steps = list(ticks(max(share.total.cpu for share in shares) * 1000 or 1.0))
 
     def place(cpu: float) -> float:
@@ -107,7 +107,7 @@ def reserved(shares: Sequence[Share]) -> Markup:
 
 
 def milli(cores: float) -> str:
-    """An amount of CPU as Kubernetes has it."""
+    """Format an amount of CPU in milli-CPU."""
     return f"{cores * 1000:.4g} milli-CPU"
 
 
@@ -120,12 +120,12 @@ def _of(share: Share) -> str:
 
 
 def _bar(words: Markup, begin: float, wide: float, top: int, kind: str) -> Markup:
-    """A piece of a stacked bar."""
+    """Draw a segment of a stacked bar."""
     return element("rect", words, x=percent(begin), y=top, width=percent(wide), height=18, class_=f"part {kind}")
 
 
 def timeline(findings: Findings) -> Markup:
-    """What happened over the period to each robot to which something did, and of which time nothing is known."""
+    """Draw the events of each robot over the period, and the time without records."""
     period = findings.period
 
     def place(moment: float) -> float:
@@ -153,12 +153,12 @@ def timeline(findings: Findings) -> Markup:
 
 
 def legend(*entries: tuple[str, str]) -> Markup:
-    """What stands for what in a figure."""
+    """Build the legend of a chart."""
     return element("ul", *(element("li", swatch(kind), words) for kind, words in entries), class_="legend")
 
 
 def swatch(kind: str) -> Markup:
-    """What stands for something in a figure, for its legend."""
+    """Build the symbol of a legend entry."""
     drawn = _mark(kind) if kind in _MARKS else element("rect", x="-6", y="-6", width="12", height="12", class_=kind)
     return element("svg", drawn, width="14", height="14", viewBox="-7 -7 14 14", aria_hidden="true", class_="swatch")
 
@@ -180,12 +180,12 @@ def _mark(kind: str) -> Markup:
 
 
 def kind_of(entry: Entry) -> str:
-    """By which mark a recovery is shown."""
+    """Return the mark of a recovery."""
     return "failed" if entry.failed else "recovered" if entry.of_failure else "planned"
 
 
 def told(entry: Entry) -> str:
-    """A recovery in a few words."""
+    """Describe a recovery in a few words."""
     how = f"{length(entry.down)} by {entry.group}" if entry.recovered else "failed"
     return f"{entry.name} #{entry.recovery.number}, {clock(entry.began)}: {how}"
 
@@ -206,7 +206,7 @@ def _lane(course: Course, period: Span, place: Callable[[float], float], top: in
         begin, end = place(outage.span.begin), place(outage.span.end)
         yield element(
             "rect",
-            element("title", f"not driven for {span(outage.span.length)}"),
+            element("title", f"outage of {span(outage.span.length)}"),
             x=percent(begin),
             y=top,
             width=percent(max(_LEAST_SHOWN, end - begin)),
@@ -242,7 +242,7 @@ def _dots(
 
 
 def _at(x: str, y: float, mark: str, words: str) -> Markup:
-    """A mark with what it stands for."""
+    """Draw a mark with a tooltip."""
     return element(
         "svg", element("g", element("title", words), _mark(mark)), x=x, y=y, width=1, height=1, overflow="visible"
     )

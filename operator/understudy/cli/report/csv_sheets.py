@@ -1,4 +1,4 @@
-"""The data as CSV: what spreadsheets and pandas read, with whole seconds and all their digits; pure."""
+"""Formats the data as CSV for spreadsheets and pandas, with full precision. Pure."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Value = str | int | float | bool | None
 Row = Mapping[str, Value]
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for a formula where a text begins with it."""
+"""Beginnings of a text that a spreadsheet interprets as a formula."""
 
 
 def sheets(findings: Findings, measured: Measured | None = None) -> dict[str, str]:
-    """By the names of their files; those of a Prometheus too, where one was asked."""
+    """Return the sheets by file name, with those from Prometheus if it was queried."""
     told = {
         "recoveries.csv": _written([_recovery(entry) for entry in findings.entries], _recovery_columns()),
         "robots.csv": _written([_robot(course, findings.period) for course in findings.courses], _ROBOT),
@@ -50,7 +50,7 @@ def _written(rows: Sequence[Row], columns: Sequence[str]) -> str:
 
 
 def _cell(value: Value) -> str:
-    """A text that begins as a formula does is given an apostrophe: names and messages are chosen by others."""
+    """Format a value; a text that looks like a formula gets an apostrophe, because names and messages come from others."""
     if isinstance(value, str):
         return f"'{value}" if value.startswith(_FORMULA) else value
     if isinstance(value, bool):
@@ -174,7 +174,7 @@ _TIME = ("strategy", "part", "count", "mean_seconds", "p50_seconds", "p95_second
 
 
 def _time(time: Time) -> Row:
-    """With how many were at most as long as each bound of the histogram, by the bound."""
+    """Build a row with the cumulative count of each bucket of the histogram."""
     histogram = time.histogram
     return {
         "strategy": time.strategy,

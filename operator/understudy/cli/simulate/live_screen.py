@@ -1,4 +1,4 @@
-"""How a live tree is shown: as one screen that is written anew, or as one line for each change."""
+"""Displays a live tree: as a screen that is redrawn, or as one line per change."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from understudy.trees.core.observations import Observations
 from understudy.trees.core.snapshots import Shown, snapshot
 
 PERIOD = 0.5
-"""Seconds between two drawings where nothing but figures changes."""
+"""Seconds between two updates if only figures change."""
 
 COUNTED = 2.0
-"""Seconds over which messages are counted; over less, slow topics would seem to stand and to jump."""
+"""Seconds over which rates are measured; over less, the rates of slow topics would jump."""
 
 
 class Display(Protocol):
-    """Shows how things are."""
+    """Displays the state of a tree."""
 
     def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Show it as it is now (Unix seconds); ``notes`` say what isn't watched and why."""
+        """Show the state at ``now`` (unix seconds); ``notes`` say what is not watched and why."""
         ...
 
     def close(self) -> None:
-        """Show nothing more."""
+        """End the display."""
         ...
 
 
 class Lines:
-    """One line for each change."""
+    """Prints one line per change."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
@@ -41,7 +41,7 @@ class Lines:
         self._detected = 0
 
     def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Print what has changed."""
+        """Print the changes."""
         for note in notes:
             if note not in self._notes:
                 self._line(now, note)
@@ -56,14 +56,14 @@ class Lines:
         self._detected = len(course.detections)
 
     def close(self) -> None:
-        """Nothing is left open."""
+        """Do nothing."""
 
     def _line(self, moment: float, text: str) -> None:
         print(wall(moment), plain(text), file=self._out, flush=True)
 
 
 class Screen:
-    """The whole tree in a terminal, written anew."""
+    """Redraws the whole tree in a terminal."""
 
     def __init__(self, out: TextIO, title: str) -> None:
         self._out, self._title = out, title
@@ -73,7 +73,7 @@ class Screen:
         self._out.write(terminal.BEGIN)
 
     def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Draw it: at once where something changed, else twice a second for the figures."""
+        """Redraw at once after a change, and else twice a second for the figures."""
         states: list[Shown] = [spans[-1].state for spans in course.spans.values()]
         if states == self._before and now - self._drawn < PERIOD:
             return
@@ -87,7 +87,7 @@ class Screen:
         terminal.draw(self._out, lines)
 
     def close(self) -> None:
-        """Give the terminal back."""
+        """Restore the terminal."""
         self._out.write(terminal.END)
         self._out.flush()
 
@@ -99,11 +99,11 @@ def _summary(course: Course, now: float) -> Iterator[str]:
     failures, watched = course.detections, rough(now - course.since)
     if failures:
         count = f"{len(failures)} {'failure' if len(failures) == 1 else 'failures'}"
-        yield f"{count} in {watched}; the last: {told(failures[-1])}"
+        yield f"{count} in {watched}; the last one: {describe(failures[-1])}"
     else:
         yield f"no failure in {watched}"
 
 
-def told(failure: Failure) -> str:
-    """A failure in one line."""
+def describe(failure: Failure) -> str:
+    """Describe a failure in one line."""
     return f"{wall(failure.detected or failure.failed)} {failure.leaf}: {plain(failure.reason)}"

@@ -141,7 +141,7 @@ def test_the_pod_is_cut_off_for_so_long(cluster: Cluster, capsys: pytest.Capture
     assert cut == f"{pod}: container {cluster.made['name']} has cut it off from the network, for 0.5 s"
     (after,) = re.findall(rf"^{pod}: it is connected again after ([\d.]+) s$", again)
     assert float(after) >= 0.5, "it is told how long that was, which on a busy machine is longer"
-    assert further == f"What became of it: understudy timeline -n fleet {ROBOT}"
+    assert further == f"To see the recovery: understudy timeline -n fleet {ROBOT}"
 
 
 @needs_root
@@ -184,9 +184,9 @@ def test_what_it_says_of_an_error_is_told(cluster: Cluster, capsys: pytest.Captu
     cluster.tell(inside=["sh", "-c", "echo it is no network to cut off; exit 1"])
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
     assert "wasn't cut off: it is no network to cut off" in capsys.readouterr().err
-    cluster.tell(state={"terminated": {"exitCode": 1, "message": "the node's kernel can't do it\n"}})
+    cluster.tell(state={"terminated": {"exitCode": 1, "message": "the node's kernel does not support it\n"}})
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
-    assert "wasn't cut off: the node's kernel can't do it\n" in capsys.readouterr().err
+    assert "wasn't cut off: the node's kernel does not support it\n" in capsys.readouterr().err
 
 
 def test_one_that_does_not_start_is_told_and_cuts_nothing_later(
@@ -216,7 +216,7 @@ RIGHTS = (
     ("refusal", "words"),
     [
         (POD_SECURITY, "kubectl label --overwrite namespace fleet pod-security.kubernetes.io/enforce=privileged"),
-        (RIGHTS, "takes the right to patch pods/ephemeralcontainers, which the ClusterRole edit hasn't"),
+        (RIGHTS, "requires permission to patch pods/ephemeralcontainers"),
     ],
 )
 def test_what_the_cluster_refuses_is_told_with_the_cure(
@@ -233,7 +233,7 @@ def test_what_the_cluster_refuses_is_told_with_the_cure(
 def test_a_pod_in_its_nodes_network_is_left_alone(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
     cluster.tell(spec={"hostNetwork": True})
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
-    assert "is in its node's network (hostNetwork): all of the node would be cut off" in capsys.readouterr().err
+    assert "uses its node's network (hostNetwork): the whole node would be cut off" in capsys.readouterr().err
     assert cluster.made is None
 
 

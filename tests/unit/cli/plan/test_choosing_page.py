@@ -8,7 +8,7 @@ from typing import get_args
 
 from understudy.advice.order_explanation import named
 from understudy.advice.strategy_figures import PUBLISHED_CPU, PUBLISHED_SECONDS, Figures
-from understudy.advice.strategy_order import NEXT_TO_NOTHING, SOON, Candidate, ordered
+from understudy.advice.strategy_order import NEGLIGIBLE, SOON, Candidate, ordered
 from understudy.api.kinds.requirements_spec import Level, Requirements
 from understudy.trees.core.leaf import duration
 
@@ -48,7 +48,7 @@ def test_the_orders_are_those_that_requirements_come_to() -> None:
 
 
 def test_the_levels_are_as_told() -> None:
-    assert (SOON["Medium"], SOON["High"], NEXT_TO_NOTHING) == (2.0, 0.5, 0.1)
+    assert (SOON["Medium"], SOON["High"], NEGLIGIBLE) == (2.0, 0.5, 0.1)
     levels = {row[0].split("`")[1]: row for row in rows("## What can be required")}
     assert levels["availability"][2:4] == [duration(SOON["Medium"]), duration(SOON["High"])]
     defaults = Requirements().to_wire()

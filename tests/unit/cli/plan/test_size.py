@@ -72,7 +72,7 @@ def test_as_yaml_it_is_the_same(capsys):
 def test_figures_as_far_apart_as_may_be_are_answered(capsys, rate, seconds):
     figures = ["--robots", "1", "--failures-per-robot-hour", rate, "--recovery-seconds", seconds, "--fallbacks", "1"]
     assert main(figures) == 0
-    assert "loss: a failure goes without a fallback" in capsys.readouterr().out
+    assert "loss: a failure finds no fallback" in capsys.readouterr().out
 
 
 def test_a_risk_gives_the_size_by_each_measure(capsys):

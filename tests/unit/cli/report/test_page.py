@@ -107,12 +107,12 @@ def test_the_data_can_be_taken_from_the_page() -> None:
 
 
 def test_what_is_not_known_is_said_first() -> None:
-    assert "Not the whole period is known." in read(*fleet.robots()).text
+    assert "The data on this period is incomplete." in read(*fleet.robots()).text
     told = read(fleet.forgetful()).text
     assert "robot-2-drive: 2 of 12 are not kept; known since 2026-11-22 04:06:24Z" in told
     assert "Of 12 recoveries that these robots ever had, 10 are kept; 10 of those began in this period." in told
-    assert "Not the whole period" not in read(fleet.whole()).text
-    assert "These robots have had no recovery since they were made." in read(fleet.quiet()).text
+    assert "The data on this period is incomplete" not in read(fleet.whole()).text
+    assert "These robots have had no recovery since they were created." in read(fleet.quiet()).text
 
 
 def test_only_robots_to_which_something_happened_have_a_lane() -> None:
@@ -123,12 +123,12 @@ def test_only_robots_to_which_something_happened_have_a_lane() -> None:
 
 def test_a_period_without_recoveries_says_so() -> None:
     told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).text
-    assert "Nothing that is known happened to these robots in this period." in told
+    assert "No recovery or outage of these robots is recorded in this period." in told
     assert (
-        "No recovery that is known began in this period. The last one that is known ended at 2026-11-22 13:06:24Z."
+        "No recovery that began in this period is recorded. The last recorded one ended at 2026-11-22 13:06:24Z."
         in told
     )
-    assert "Nothing was recovered in this period, so far as it is known." in told
+    assert "No recovery of this period is recorded." in told
     assert "No gap was recorded in this period." in told
 
 
@@ -136,7 +136,7 @@ def test_what_failed_is_told_with_all_that_was_tried() -> None:
     told = read(fleet.in_vain()).text
     assert "Fallback/Executing: not available: no standby is ready" in told
     assert "Restart with robot-z9: not verified: no output within 60 s" in told
-    assert "FAILED: nothing verified" in told
+    assert "FAILED: no strategy was verified" in told
 
 
 def test_robots_of_several_namespaces_are_told_apart() -> None:

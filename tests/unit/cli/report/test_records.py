@@ -126,5 +126,5 @@ def test_quantiles_are_those_of_the_standard_library() -> None:
 def test_a_status_that_is_not_understood_is_not_guessed_at() -> None:
     item = fleet.whole()
     item["status"]["recoveries"][0]["result"] = "Sideways"
-    with pytest.raises(CommandError, match="Is this command as new as the operator"):
+    with pytest.raises(CommandError, match="Does this command have the version of the operator"):
         findings([item], DAY)

@@ -11,6 +11,7 @@ import pytest
 
 from tests.support import fleet as others
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_shown
 from tests.unit.cli.report import fleet
 from understudy.cli.report.command import main
 
@@ -50,7 +51,7 @@ def test_the_documentation_shows_what_it_says(
     stand.tell(fleet.robots())
     ((arguments, expected),) = re.findall(r"\$ understudy report (.*?)\n(.*?)```", DOCUMENTATION.read_text(), re.DOTALL)
     assert main(shlex.split(arguments)) == 0
-    assert capsys.readouterr().out == expected
+    assert_shown(DOCUMENTATION, expected, capsys.readouterr().out)
     assert (tmp_path / "understudy-report.html").exists()
 
 
@@ -113,12 +114,12 @@ def test_what_can_not_be_told(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--prometheus", "prometheus:9090"], "--prometheus: found 'prometheus:9090'; write where it is served"),
+        (["--prometheus", "prometheus:9090"], "--prometheus: found 'prometheus:9090'; give its address, served"),
         (
             ["--prometheus", "http://127.0.0.1:1"],
             "Prometheus at http://127.0.0.1:1 can't be reached: Connection refused;",
         ),
-        (["--prometheus-ca-file", "ca.crt"], "--prometheus-ca-file is for --prometheus URL, which isn't given"),
+        (["--prometheus-ca-file", "ca.crt"], "--prometheus-ca-file applies to --prometheus URL, which is not given"),
     ],
 )
 def test_a_prometheus_that_can_not_be_asked(

@@ -69,7 +69,7 @@ def test_bounds_that_the_recording_itself_breaks_are_said_and_end_with_1(
     status, tree, err = learn(capsys, "--bag", str(write(tmp_path / "bag", said)), "--topic", "/a")
     assert status == 1
     assert tree["parallel"][0]["topic"]["gap"] == "50ms", "one gap of thousands is no measure"
-    assert "these bounds would have failed in this very bag, at 30.025 s: no /a for 50 ms; was it healthy then?" in err
+    assert "these bounds would have failed in this bag, at 30.025 s: no /a for 50 ms; was it healthy then?" in err
 
 
 @pytest.mark.parametrize(

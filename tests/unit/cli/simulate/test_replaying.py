@@ -215,7 +215,7 @@ def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
 
 def test_with_nothing_to_judge_there_is_no_verdict(tmp_path: Path) -> None:
     with pytest.raises(
-        CommandError, match="nothing of the policy's tree can be judged by this bag\nimu: the bag lacks /imu"
+        CommandError, match="this bag contains nothing that the policy's tree can evaluate\nimu: the bag lacks /imu"
     ):
         Tried(tmp_path, clock(2), "{topic: {name: /imu, gap: 1s}}")
 

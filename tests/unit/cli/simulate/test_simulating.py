@@ -37,7 +37,7 @@ def test_it_says_what_and_when_and_ends_with_1(folder: Path, capsys: pytest.Capt
     assert told.err == ""
     assert "DETECTED  WALL TIME (UTC)          LEAF     LAST WELL  RECOVERED  REASON\n" in told.out
     assert "3.400 s   2026-05-28 20:26:43.400  cmd_vel  2.900 s    5.000 s    no /cmd_vel for 500 ms\n" in told.out
-    assert "all that was recorded came from the robot or from the instance in control" in told.out
+    assert "all messages came from the robot or from the active instance" in told.out
     assert "cmd_vel  /cmd_vel  60        7.468 Hz  2.1 s        1x, 1.6 s, first at 3.400 s  Healthy\n" in told.out
 
 
@@ -88,7 +88,7 @@ def test_for_programs_it_is_json(folder: Path, capsys: pytest.CaptureFixture[str
         (["3"], "Onset at 3.000 s: detected 400 ms later\n"),
         (["2026-05-28T20:26:43Z"], "Onset at 3.000 s: detected 400 ms later\n"),
         (["1", "3s"], "Onset at 1.000 s: NOT DETECTED\nOnset at 3.000 s: detected 400 ms later\n"),
-        (["6"], "Onset at 6.000 s: NOT DETECTED\nDetected at 3.400 s: belongs to no onset that was given\n"),
+        (["6"], "Onset at 6.000 s: NOT DETECTED\nDetected at 3.400 s: matches no given onset\n"),
     ],
 )
 def test_onsets_that_are_given_are_told_beside_their_detections(
@@ -126,18 +126,18 @@ def test_it_draws_detections_and_failed_times(folder: Path) -> None:
         ),
         (
             ["policy.yaml", "--bag", "policy.yaml"],
-            "policy.yaml: this can't be read as a bag: Unrecognized storage format '.yaml'; its name",
+            "policy.yaml: this cannot be read as a bag: Unrecognized storage format '.yaml'; its name",
         ),
-        (["policy.yaml", "--bag", "."], "this can't be read as a bag: "),
-        (["policy.yaml", "--bag", "no.mcap"], "no.mcap: this can't be read as a bag: File magic is invalid; give"),
+        (["policy.yaml", "--bag", "."], "this cannot be read as a bag: "),
+        (["policy.yaml", "--bag", "no.mcap"], "no.mcap: this cannot be read as a bag: File magic is invalid; give"),
         (
             ["policy.yaml", "--bag", "no.db3"],
-            "no.db3: this can't be read as a bag: Cannot open database no.db3: file is not a database; it isn't one that rosbag2 has",
+            "no.db3: this cannot be read as a bag: Cannot open database no.db3: file is not a database; it isn't one that rosbag2 has",
         ),
-        (["policy.yaml", "--bag", "cut.mcap"], "a recording that was cut off is repaired by `mcap recover`"),
+        (["policy.yaml", "--bag", "cut.mcap"], "repair an incomplete recording with `mcap recover`"),
         (
             ["policy.yaml", "--bag", "bag", "--onset", "soon"],
-            "--onset: 'soon' is no time: give seconds from the bag's start such",
+            "--onset: 'soon' is not a time: give seconds from the bag's start such",
         ),
         (["policy.yaml", "--bag", "bag", "--onset", "9"], "--onset: '9' is not within the bag, which is 7.900 s long"),
         (

@@ -147,7 +147,7 @@ def test_where_nothing_fails_it_ends_with_0(
     command = watch("{topic: {name: /chat, gap: 20s}}")
     command.until("chat is healthy")
     status, said = command.ended(signal.SIGTERM)
-    assert (status, said) == (0, "understudy watch: no failure was seen\n")
+    assert (status, said) == (0, "understudy watch: no failure was detected\n")
 
 
 def test_it_ends_by_itself_and_says_what_never_came(watch: Callable[..., Command]) -> None:
@@ -183,7 +183,7 @@ def test_what_only_the_cluster_tells_is_left_out_and_said(
 def test_where_nothing_else_is_left_that_is_said(watch: Callable[..., Command]) -> None:
     status, said = watch("{pod: {restarts: 2, window: 10m}}").ended()
     assert status == 2
-    assert "nothing of the policy's tree can be judged here: pod.restarts is told by the cluster" in said
+    assert "no leaf of the policy's tree can be evaluated here: pod.restarts is told by the cluster" in said
 
 
 def test_it_only_receives(graph: Any, publish: Callable[[str], Publishing], watch: Callable[..., Command]) -> None:
