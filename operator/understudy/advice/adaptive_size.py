@@ -20,7 +20,7 @@ COUNTED = 1024
 
 
 @dataclass(frozen=True)
-class Aim:
+class SizingTarget:
     """The requirements of a pool. Times in seconds."""
 
     risk: float
@@ -34,7 +34,7 @@ class Aim:
 
 
 @dataclass(frozen=True)
-class Held:
+class CurrentSize:
     """The current size of a pool, and since when."""
 
     size: int
@@ -58,7 +58,7 @@ class Decision:
         return self.safe < self.size
 
 
-def decided(aim: Aim, robots: int, rate: Rate, before: Held | None, now: float) -> Decision:
+def decide_size(aim: SizingTarget, robots: int, rate: Rate, before: CurrentSize | None, now: float) -> Decision:
     """Decide on the size for a number of robots and their failure rate."""
     needed, safe = (_enough(aim, robots, one) for one in (rate.expected, rate.high))
     size = needed if before is None else before.size
@@ -70,12 +70,12 @@ def decided(aim: Aim, robots: int, rate: Rate, before: Held | None, now: float) 
     return Decision(size, before.since if before is not None and before.size == size else now, needed, safe)
 
 
-def _enough(aim: Aim, robots: int, rate: float) -> int:
+def _enough(aim: SizingTarget, robots: int, rate: float) -> int:
     """Return the fewest fallbacks for the risk."""
     offered = Demand(robots, rate, aim.refill).offered
     if offered == 0:
         return aim.kept_back
     try:
-        return shortage_risk.enough(aim.measure, offered, aim.risk, most=COUNTED) + aim.kept_back
+        return shortage_risk.fewest_fallbacks(aim.measure, offered, aim.risk, most=COUNTED) + aim.kept_back
     except ValueError:
         return COUNTED

@@ -20,7 +20,7 @@ class Rate:
     high: float
 
 
-def estimated(assumed: float, failures: int, hours: float) -> Rate:
+def estimate_rate(assumed: float, failures: int, hours: float) -> Rate:
     """Estimate the rate after a number of failures in a number of robot hours.
 
     The assumption counts as one failure in the time in which one is expected: it dominates without observations and soon loses
@@ -39,5 +39,5 @@ def _quantile(shape: int, chance: float) -> float:
     low, high = 0.0, 2.0 * shape + 10.0
     for _ in range(40):
         middle = (low + high) / 2
-        low, high = (low, middle) if shortage_risk.crowded(middle, shape - 1) >= chance else (middle, high)
+        low, high = (low, middle) if shortage_risk.window_risk(middle, shape - 1) >= chance else (middle, high)
     return high

@@ -44,17 +44,17 @@ class Trials:
     """Share of intervals (of the paper's length) with a window that has more failures than fallbacks."""
 
 
-def tried(demand: Demand, fallbacks: int, interval: float, *, failures: int = 200_000, seed: int = 1) -> Trials:
+def simulate(demand: Demand, fallbacks: int, interval: float, *, failures: int = 200_000, seed: int = 1) -> Trials:
     """Run the simulation. The rate must be above 0."""
     times = list(_arrivals(demand.rate, failures, Random(seed)))
-    waited = waits(times, fallbacks, lambda: demand.refill)
+    waited = wait_times(times, fallbacks, lambda: demand.refill)
     return Trials(
         failures=failures,
         window=_share(
             [index for index, found in _spells(times, demand.refill) if len(found) > fallbacks],
             _whole(times, demand.refill),
         ),
-        loss=_estimate(lost(times, fallbacks, lambda: demand.refill)),
+        loss=_estimate(losses(times, fallbacks, lambda: demand.refill)),
         waiting=_estimate([float(wait > 0) for wait in waited]),
         wait=_estimate(waited),
         interval=_share(
@@ -64,7 +64,7 @@ def tried(demand: Demand, fallbacks: int, interval: float, *, failures: int = 20
     )
 
 
-def lost(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
+def losses(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
     """Return 1 for each failure that finds no fallback and does not wait, else 0."""
     away: list[float] = []
     found = []
@@ -78,7 +78,7 @@ def lost(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) ->
     return found
 
 
-def waits(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
+def wait_times(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
     """Return how long each failure waits for a fallback, first come first served."""
     if fallbacks == 0:
         return [math.inf] * len(times)

@@ -4,34 +4,42 @@ from __future__ import annotations
 
 import math
 
-from understudy.advice.strategy_order import NEGLIGIBLE, SOON, Candidate, Judged, Order, soon, usage
+from understudy.advice.strategy_order import (
+    NEGLIGIBLE,
+    SOON,
+    Candidate,
+    Order,
+    RatedStrategy,
+    effective_resource_usage,
+    required_time,
+)
 from understudy.api.kinds.requirements_spec import Requirements
 from understudy.trees.core.leaf import duration
 
 
-def named(candidate: Candidate) -> str:
+def strategy_name(candidate: Candidate) -> str:
     """Return a strategy with its pool, such as ``Executing (hot)``."""
     return f"{candidate.way} ({candidate.pool})" if candidate.pool else candidate.way
 
 
-def in_short(order: Order) -> str:
+def one_line(order: Order) -> str:
     """Return the order in one line, such as ``Executing (hot), Restart``."""
-    return ", ".join(named(one.candidate) for one in order.chosen)
+    return ", ".join(strategy_name(one.candidate) for one in order.chosen)
 
 
-def expected(judged: Judged) -> str:
+def describe_time(judged: RatedStrategy) -> str:
     """Return the expected time of a strategy and its source."""
     return f"{_time(judged.seconds.value)}, {judged.seconds.source}"
 
 
-def asked(requirements: Requirements) -> str:
+def describe_requirements(requirements: Requirements) -> str:
     """Describe the requirements, each with its field."""
-    within = soon(requirements)
+    within = required_time(requirements)
     cost = {
         "Low": f"with standbys that use at most {NEGLIGIBLE:g} of a working instance's CPU",
         "Medium": "with no more standbys than required for that",
         "High": "regardless of the cost of standbys",
-    }[usage(requirements)]
+    }[effective_resource_usage(requirements)]
     time = "without a time limit" if within == math.inf else f"within {_time(within)} after detection"
     parts = [f"a recovery {time} ({_sooner(requirements)})", f"{cost} ({_payer(requirements)})"]
     if requirements.safety == "Medium":
@@ -41,7 +49,7 @@ def asked(requirements: Requirements) -> str:
     return ", ".join(parts)
 
 
-def why(order: Order, judged: Judged) -> str:
+def describe_choice(order: Order, judged: RatedStrategy) -> str:
     """Return the reason for the place of a strategy, or for leaving it out."""
     if judged == order.first:
         return _why_first(order)
@@ -54,24 +62,26 @@ def why(order: Order, judged: Judged) -> str:
 
 
 def _why_first(order: Order) -> str:
-    known = "" if order.requirements.safety == "Low" or not order.safe_enough else " that meets the safety requirement"
-    if not order.soon_enough:
+    known = (
+        "" if order.requirements.safety == "Low" or not order.is_safe_enough else " that meets the safety requirement"
+    )
+    if not order.is_fast_enough:
         return f"the fastest{known}, but slower than required"
-    if usage(order.requirements) == "High":
+    if effective_resource_usage(order.requirements) == "High":
         return f"the fastest{known}"
     return f"the cheapest{known} that is fast enough"
 
 
-def unmet(order: Order) -> list[str]:
+def unmet_requirements(order: Order) -> list[str]:
     """Return the requirements that cannot be met."""
     found = []
     first = order.first
-    if not order.soon_enough:
+    if not order.is_fast_enough:
         found.append(
-            f"{_sooner(order.requirements)} requires {_time(soon(order.requirements))}, but {named(first.candidate)}, the fastest that may "
-            f"go first, needs {_time(first.seconds.value)} ({first.seconds.source}): {_remedy(order)}"
+            f"{_sooner(order.requirements)} requires {_time(required_time(order.requirements))}, but "
+            f"{strategy_name(first.candidate)}, the fastest that may go first, needs {_time(first.seconds.value)} ({first.seconds.source}): {_remedy(order)}"
         )
-    if not order.safe_enough:
+    if not order.is_safe_enough:
         wanted = "Executing" if order.requirements.safety == "High" else "Executing or Initialized"
         found.append(
             f"safety {order.requirements.safety} requires a standby that is {wanted}, but none is available: "
@@ -82,14 +92,16 @@ def unmet(order: Order) -> list[str]:
     return found
 
 
-def reason(order: Order) -> str:
+def explain(order: Order) -> str:
     """Describe the order in a few sentences, for a condition."""
-    told = [f"{in_short(order)}. Required: {asked(order.requirements)}"]
-    told.append(f"{named(order.first.candidate)} is {why(order, order.first)} ({expected(order.first)})")
-    left_out = [f"{named(one.candidate)} {why(order, one)}" for one in order.left_out]
+    told = [f"{one_line(order)}. Required: {describe_requirements(order.requirements)}"]
+    told.append(
+        f"{strategy_name(order.first.candidate)} is {describe_choice(order, order.first)} ({describe_time(order.first)})"
+    )
+    left_out = [f"{strategy_name(one.candidate)} {describe_choice(order, one)}" for one in order.left_out]
     if left_out:
         told.append(f"Left out: {'; '.join(left_out)}")
-    told += [f"Not met: {one}" for one in unmet(order)]
+    told += [f"Not met: {one}" for one in unmet_requirements(order)]
     return ". ".join(told) + "."
 
 
@@ -112,7 +124,7 @@ def _payer(requirements: Requirements) -> str:
 def _remedy(order: Order) -> str:
     sooner = [one for one in order.costly if one.seconds.value < order.first.seconds.value]
     if sooner:
-        return f"{named(sooner[0].candidate)} would be fast enough with a higher resourceUsage"
+        return f"{strategy_name(sooner[0].candidate)} would be fast enough with a higher resourceUsage"
     if order.first.candidate.way == "Executing":
         return "check in its recoveries what takes this long, or lower the requirement"
     return "add a FallbackPool with a higher readiness that serves the workload, or lower the requirement"

@@ -18,7 +18,7 @@ INTERVAL = 30
 
 
 @dataclass(frozen=True)
-class Argument:
+class PaperEstimate:
     """The steps of the estimate."""
 
     expected: float
@@ -36,16 +36,16 @@ class Argument:
         return self.together / self.ways
 
 
-def argued(rate: float, window: float, fallbacks: int, interval: int = INTERVAL) -> Argument:
+def estimate(rate: float, window: float, fallbacks: int, interval: int = INTERVAL) -> PaperEstimate:
     """Compute the estimate for ``rate`` failures per second; times in seconds, the window rounded up to whole seconds."""
     expected = rate * interval
     remaining = max(0, math.ceil(expected - fallbacks))
     steps = min(interval, max(1, math.ceil(window)))
     if not remaining:
-        return Argument(expected, 0, 1, 1)
+        return PaperEstimate(expected, 0, 1, 1)
     # Sum over the step of the first failure: the others are within the window that begins there.
     together = sum(_spread(remaining - 1, min(steps, interval - first)) for first in range(interval))
-    return Argument(expected, remaining, together, _spread(remaining, interval))
+    return PaperEstimate(expected, remaining, together, _spread(remaining, interval))
 
 
 def _spread(failures: int, steps: int) -> int:

@@ -13,7 +13,7 @@ MOST = 1_000_000
 """Largest number of fallbacks that is calculated."""
 
 
-def crowded(offered: float, fallbacks: int) -> float:
+def window_risk(offered: float, fallbacks: int) -> float:
     """Return the probability of more failures than fallbacks within one refill time."""
     if offered == 0:
         return 0.0
@@ -23,7 +23,7 @@ def crowded(offered: float, fallbacks: int) -> float:
     return _poisson_sum(offered, range(likeliest, MOST + 2))
 
 
-def lost(offered: float, fallbacks: int) -> float:
+def loss_risk(offered: float, fallbacks: int) -> float:
     """Return the probability that a failure finds no fallback, if failures do not wait (Erlang B).
 
     It holds for any distribution of the refill time.
@@ -34,29 +34,33 @@ def lost(offered: float, fallbacks: int) -> float:
     return blocked if offered > 0 else 0.0
 
 
-def waits(offered: float, fallbacks: int) -> float:
+def waiting_risk(offered: float, fallbacks: int) -> float:
     """Return the probability that a failure has to wait, if failures wait (Erlang C, exponential refill time)."""
     if offered >= fallbacks:
         return 1.0 if offered > 0 else 0.0
-    blocked = lost(offered, fallbacks)
+    blocked = loss_risk(offered, fallbacks)
     return blocked / (1.0 - offered / fallbacks * (1.0 - blocked))
 
 
-def wait(offered: float, fallbacks: int, refill: float) -> float:
+def mean_wait(offered: float, fallbacks: int, refill: float) -> float:
     """Return the mean wait of all failures in seconds, including those that do not wait; infinite if failures are faster than refills.
 
     It assumes an exponential refill time; a constant one leads to about half of it.
     """
     if offered >= fallbacks:
         return math.inf if offered > 0 else 0.0
-    return waits(offered, fallbacks) * refill / (fallbacks - offered)
+    return waiting_risk(offered, fallbacks) * refill / (fallbacks - offered)
 
 
-MEASURES: Mapping[str, Callable[[float, int], float]] = {"loss": lost, "waiting": waits, "window": crowded}
+MEASURES: Mapping[str, Callable[[float, int], float]] = {
+    "loss": loss_risk,
+    "waiting": waiting_risk,
+    "window": window_risk,
+}
 """Each decreases with the number of fallbacks."""
 
 
-def enough(measure: str, offered: float, risk: float, *, most: int = MOST) -> int:
+def fewest_fallbacks(measure: str, offered: float, risk: float, *, most: int = MOST) -> int:
     """Return the fewest fallbacks with at most this risk, by one of the :data:`MEASURES`.
 
     Raises ValueError if ``most`` are not enough, or for a risk outside 0 to 1.

@@ -61,7 +61,7 @@ class Figures:
         return self.measured_cpu.get(way) or Figure(PUBLISHED_CPU[way])
 
 
-def seen(recoveries: Iterable[Recovery]) -> dict[Way, Figure]:
+def measured_times(recoveries: Iterable[Recovery]) -> dict[Way, Figure]:
     """Return the median time after detection by strategy, from at least :data:`LEAST` recorded recoveries each.
 
     Failed, planned and resumed recoveries, recoveries after a failed attempt, and reflex recoveries do not count.

@@ -46,7 +46,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Judged:
+class RatedStrategy:
     """A candidate with its expected time and CPU."""
 
     candidate: Candidate
@@ -80,70 +80,70 @@ class Order:
     """The strategies in order, and those left out."""
 
     requirements: Requirements
-    chosen: tuple[Judged, ...]
+    chosen: tuple[RatedStrategy, ...]
     """In order; never empty."""
-    costly: tuple[Judged, ...] = ()
+    costly: tuple[RatedStrategy, ...] = ()
     """Left out because they cost more than the requirements allow."""
-    spared: tuple[Judged, ...] = ()
+    spared: tuple[RatedStrategy, ...] = ()
     """Left out because they are not worth their cost after the first one."""
     safe_commands: bool = True
     """Whether the policy defines safe commands while no instance is active."""
 
     @property
-    def left_out(self) -> tuple[Judged, ...]:
+    def left_out(self) -> tuple[RatedStrategy, ...]:
         """All strategies that were left out."""
         return (*self.costly, *self.spared)
 
     @property
-    def first(self) -> Judged:
+    def first(self) -> RatedStrategy:
         """The first strategy."""
         return self.chosen[0]
 
     @property
-    def soon_enough(self) -> bool:
+    def is_fast_enough(self) -> bool:
         """Whether the first strategy is as fast as required."""
-        return self.first.seconds.value <= soon(self.requirements)
+        return self.first.seconds.value <= required_time(self.requirements)
 
     @property
-    def safe_enough(self) -> bool:
+    def is_safe_enough(self) -> bool:
         """Whether the first strategy meets the safety requirement."""
-        return lacks(self.requirements, self.first.candidate.way) == 0
+        return safety_gap(self.requirements, self.first.candidate.way) == 0
 
 
-def soon(requirements: Requirements) -> float:
+def required_time(requirements: Requirements) -> float:
     """Return the required seconds from detection to recovery."""
     return min(SOON[requirements.availability], SOON[requirements.task_criticality])
 
 
-def usage(requirements: Requirements) -> Level:
+def effective_resource_usage(requirements: Requirements) -> Level:
     """Return the effective resourceUsage: safety and taskCriticality High override it."""
     if "High" in (requirements.safety, requirements.task_criticality):
         return "High"
     return requirements.resource_usage
 
 
-def spent(requirements: Requirements) -> float:
+def most_cost(requirements: Requirements) -> float:
     """Return the most CPU of a strategy's standbys, as a share of a working instance's."""
-    return NEGLIGIBLE if usage(requirements) == "Low" else math.inf
+    return NEGLIGIBLE if effective_resource_usage(requirements) == "Low" else math.inf
 
 
-def lacks(requirements: Requirements, way: Way) -> int:
+def safety_gap(requirements: Requirements, way: Way) -> int:
     """Return how far a strategy is from the safety requirement; 0 if it meets it."""
     allowed = {"High": 0, "Medium": 1, "Low": 2}[requirements.safety]
     return max(0, _UP[way] - allowed)
 
 
-def ordered(
+def order_strategies(
     requirements: Requirements, pools: Iterable[Candidate], figures: Figures, *, safe_commands: bool = True
 ) -> Order:
     """Return the order of a restart and of fallbacks from these pools."""
     candidates = {*pools, Candidate("Restart")}
-    judged = [Judged(one, figures.seconds(one.way), figures.cpu(one.way)) for one in candidates]
-    allowed = [one for one in judged if one.cost <= spent(requirements)]
+    judged = [RatedStrategy(one, figures.seconds(one.way), figures.cpu(one.way)) for one in candidates]
+    allowed = [one for one in judged if one.cost <= most_cost(requirements)]
     first = _first(requirements, allowed)
-    most = math.inf if usage(requirements) == "High" else NEGLIGIBLE
+    most = math.inf if effective_resource_usage(requirements) == "High" else NEGLIGIBLE
     behind = [one for one in allowed if one is not first and one.cost <= most]
-    behind.sort(key=lambda one: (lacks(requirements, one.candidate.way), one.speed))
+    behind.sort(key=lambda one: (safety_gap(requirements, one.candidate.way), one.speed))
     chosen = (first, *behind)
     return Order(
         requirements,
@@ -154,10 +154,10 @@ def ordered(
     )
 
 
-def _first(requirements: Requirements, allowed: list[Judged]) -> Judged:
-    least = min(lacks(requirements, one.candidate.way) for one in allowed)
-    known = [one for one in allowed if lacks(requirements, one.candidate.way) == least]
-    enough = [one for one in known if one.seconds.value <= soon(requirements)]
-    if enough and usage(requirements) != "High":
+def _first(requirements: Requirements, allowed: list[RatedStrategy]) -> RatedStrategy:
+    least = min(safety_gap(requirements, one.candidate.way) for one in allowed)
+    known = [one for one in allowed if safety_gap(requirements, one.candidate.way) == least]
+    enough = [one for one in known if one.seconds.value <= required_time(requirements)]
+    if enough and effective_resource_usage(requirements) != "High":
         return min(enough, key=lambda one: one.thrift)
     return min(known, key=lambda one: one.speed)

@@ -185,7 +185,7 @@ def test_the_status_says_which_order_was_chosen_and_why() -> None:
     assert status["standby"] == "Initialized (1/1)"
     said = made.condition("StrategiesChosen")
     assert (said["status"], said["reason"]) == ("True", "Chosen")
-    assert "a recovery within 2 s of the detection (availability Medium)" in said["message"]
+    assert "a recovery within 2 s after detection (availability Medium)" in said["message"]
     assert "Left out: Executing (hot) would take 0.96" in said["message"]
     assert made.condition("Protected")["message"] == (
         "If it failed now, Fallback from pool warm would be used: pod w-w (Initialized)."

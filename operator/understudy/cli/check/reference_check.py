@@ -130,10 +130,10 @@ def _requirements_not_met(
         if order is None:
             continue
         # A pool in the cluster may meet what the pools of these files do not.
-        hint = "" if order.soon_enough and order.safe_enough else f". {_IN_THE_CLUSTER}"
-        for problem in order_explanation.unmet(order):
+        hint = "" if order.is_fast_enough and order.is_safe_enough else f". {_IN_THE_CLUSTER}"
+        for problem in order_explanation.unmet_requirements(order):
             message = (
-                f"for RobotWorkload {workload.name} the result is {order_explanation.in_short(order)}: {problem}{hint}"
+                f"for RobotWorkload {workload.name} the result is {order_explanation.one_line(order)}: {problem}{hint}"
             )
             yield policy.finding("spec.requirements", message, warning=True)
 

@@ -10,7 +10,9 @@ from collections.abc import Iterable
 from understudy.api.base import seconds
 
 
-def only(parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool, option: str, why: str) -> None:
+def reject_unless(
+    parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool, option: str, why: str
+) -> None:
     """Refuse an option that has no effect here: print the usage and exit with status 2, as argparse does.
 
     ``option`` is written as on the command line, such as ``--to``. Its default must be None, to tell a given value from the default.

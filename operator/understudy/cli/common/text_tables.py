@@ -17,7 +17,7 @@ class Cell(NamedTuple):
     state: str = ""
     """The state whose colour it has; empty for none."""
 
-    def drawn(self, width: int, *, colours: bool) -> str:
+    def format(self, width: int, *, colours: bool) -> str:
         """Return the text padded to a width and coloured."""
         padded = plain(self.text).ljust(width)
         return coloured(padded, self.state, colours=colours and bool(self.state))
@@ -32,11 +32,11 @@ def width(rows: Rows) -> int:
     return sum(_widths(rows)) + _GAP * (len(rows[0]) - 1)
 
 
-def drawn(rows: Rows, *, colours: bool) -> list[str]:
+def format_table(rows: Rows, *, colours: bool) -> list[str]:
     """Return the lines of a table with aligned columns."""
     widths = _widths(rows)
     return [
-        (" " * _GAP).join(cell.drawn(w, colours=colours) for cell, w in zip(row, widths, strict=True)).rstrip()
+        (" " * _GAP).join(cell.format(w, colours=colours) for cell, w in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
 

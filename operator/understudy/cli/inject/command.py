@@ -43,7 +43,7 @@ def main(arguments: list[str]) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     for option, faults in _APPLIES_TO.items():
-        option_rules.only(
+        option_rules.reject_unless(
             parser,
             given,
             given.fault in faults,

@@ -19,7 +19,7 @@ from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, terminal
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl import Kubectl, add_options
-from understudy.cli.common.text_tables import Cell, drawn
+from understudy.cli.common.text_tables import Cell, format_table
 from understudy.cli.common.tree_text import plain
 from understudy.cli.common.wording import age, clock, counted, wrapped
 from understudy.cli.inspect.tree import fetch_json, monitor_pod
@@ -38,8 +38,8 @@ def main(arguments: list[str]) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     fetches = given.fetch is not None
-    option_rules.only(parser, given, fetches, "--to", "names the file for --fetch, which is not given")
-    option_rules.only(
+    option_rules.reject_unless(parser, given, fetches, "--to", "names the file for --fetch, which is not given")
+    option_rules.reject_unless(
         parser, given, not fetches, "--output", "applies to the list, not to --fetch; --to names the file for --fetch"
     )
     try:
@@ -86,7 +86,7 @@ def lines(found: Recordings, now: float, *, colours: bool, columns: int | None) 
         head = [
             Cell(text) for text in ("NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "REASON")
         ]
-        yield from drawn(
+        yield from format_table(
             [head, *([Cell(text) for text in _row(one, now)] for one in found.recordings)], colours=colours
         )
     elif found.on:

@@ -92,11 +92,11 @@ def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
                 for name, row in zip(["NAMESPACE", *(r.namespace for r in robots)], rows, strict=True)
             ]
         if look.wide or look.columns is None or text_tables.width(rows) <= look.columns:
-            head, *told = text_tables.drawn(rows, colours=look.colours)
+            head, *told = text_tables.format_table(rows, colours=look.colours)
             yield head
             for robot, line in zip(robots, told, strict=True):
                 yield line
-                yield from _told(robot.problems, look)
+                yield from _problem_lines(robot.problems, look)
             return
     for robot in robots:
         yield from _stacked(robot, look)
@@ -105,7 +105,7 @@ def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
 def _stacked(robot: Robot, look: Look) -> Iterator[str]:
     """Format a robot for a narrow terminal."""
     name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
-    yield f"{plain(name)}  {_health(robot, look).drawn(0, colours=look.colours).rstrip()}"
+    yield f"{plain(name)}  {_health(robot, look).format(0, colours=look.colours).rstrip()}"
     told = [
         "protected" if robot.protected else "NOT PROTECTED",
         f"active {_active(robot, in_short=True)}",
@@ -113,10 +113,10 @@ def _stacked(robot: Robot, look: Look) -> Iterator[str]:
         f"last recovery {_last(robot, look.now, _time)}" if robot.last_recovery else "",
     ]
     yield from wrapped(listed(told), look.columns, indent=2)
-    yield from _told(robot.problems, look)
+    yield from _problem_lines(robot.problems, look)
 
 
-def _told(problems: Sequence[Problem], look: Look) -> Iterator[str]:
+def _problem_lines(problems: Sequence[Problem], look: Look) -> Iterator[str]:
     for problem in problems:
         since = f", {age(problem.since, look.now)}" if problem.since else ""
         head = f"{problem.about} ({problem.reason}{since}):"
@@ -146,14 +146,14 @@ def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[
             for name, pool in zip(names, pools, strict=True)
         ),
     ]
-    head, *told = text_tables.drawn(rows, colours=look.colours)
+    head, *told = text_tables.format_table(rows, colours=look.colours)
     if look.columns is not None and text_tables.width(rows) > look.columns:
         told = [f"pool {name}: {pool.ready} of {pool.desired} ready" for name, pool in zip(names, pools, strict=True)]
     else:
         yield head
     for pool, line in zip(pools, told, strict=True):
         yield line
-        yield from _told([problem for problem in pool.problems if not is_reported(problem, known)], look)
+        yield from _problem_lines([problem for problem in pool.problems if not is_reported(problem, known)], look)
 
 
 def _active(robot: Robot, *, in_short: bool = False) -> str:

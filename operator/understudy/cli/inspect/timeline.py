@@ -23,7 +23,7 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
     given = parser.parse_args(arguments)
-    option_rules.only(
+    option_rules.reject_unless(
         parser, given, given.output == "text", "--last", f"applies to text only: {given.output} contains all recoveries"
     )
     try:

@@ -176,12 +176,12 @@ def _rules(value: Any, schema: Schema, path: str) -> Iterator[Problem]:
             continue
         try:
             if not cel.compiled(rule["rule"])({"self": value}):
-                yield Problem((path + rule.get("fieldPath", "")).lstrip("."), _told(rule, value))
+                yield Problem((path + rule.get("fieldPath", "")).lstrip("."), _rule_message(rule, value))
         except cel.Undecided:
             continue  # it concerns a missing part
 
 
-def _told(rule: Mapping[str, str], value: Any) -> str:
+def _rule_message(rule: Mapping[str, str], value: Any) -> str:
     if "messageExpression" in rule:
         try:
             return str(cel.compiled(rule["messageExpression"])({"self": value}))

@@ -60,7 +60,7 @@ class Size:
     needed: dict[str, int]
     """By measure, the fewest fallbacks for that risk; empty if no risk is required."""
     trial: monte_carlo.Trials
-    paper: paper_model.Argument
+    paper: paper_model.PaperEstimate
 
     @property
     def gained(self) -> float:
@@ -87,19 +87,19 @@ class Size:
 def outcome(question: Question, fallbacks: int) -> Outcome:
     """Compute the outcome for a number of fallbacks."""
     offered = question.demand.offered
-    loss = shortage_risk.lost(offered, fallbacks)
+    loss = shortage_risk.loss_risk(offered, fallbacks)
     return Outcome(
         fallbacks=fallbacks,
-        window=shortage_risk.crowded(offered, fallbacks),
+        window=shortage_risk.window_risk(offered, fallbacks),
         loss=loss,
-        waiting=shortage_risk.waits(offered, fallbacks),
-        wait=shortage_risk.wait(offered, fallbacks, question.refill),
+        waiting=shortage_risk.waiting_risk(offered, fallbacks),
+        wait=shortage_risk.mean_wait(offered, fallbacks, question.refill),
         cpu=fallbacks * question.cpu / question.robots,
         down=(1 - loss) * question.recovery + loss * question.restart,
     )
 
 
-def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of: str) -> Size:
+def calculate(question: Question, fallbacks: int | None, risk: float | None, risk_of: str) -> Size:
     """Compute the result for a number of fallbacks, or for the fewest that keep a risk.
 
     Raises CommandError if no number does.
@@ -109,7 +109,7 @@ def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of
         assert risk is not None, "one of them is asked for"
         try:
             needed = {
-                measure: shortage_risk.enough(measure, question.demand.offered, risk)
+                measure: shortage_risk.fewest_fallbacks(measure, question.demand.offered, risk)
                 for measure in shortage_risk.MEASURES
             }
         except ValueError as error:
@@ -122,8 +122,8 @@ def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of
         risk=risk,
         risk_of=risk_of,
         needed=needed,
-        trial=monte_carlo.tried(demand, fallbacks, paper_model.INTERVAL),
-        paper=paper_model.argued(demand.rate, question.refill, fallbacks),
+        trial=monte_carlo.simulate(demand, fallbacks, paper_model.INTERVAL),
+        paper=paper_model.estimate(demand.rate, question.refill, fallbacks),
     )
 
 

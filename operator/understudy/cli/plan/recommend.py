@@ -22,7 +22,7 @@ from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.cli.plan import strategy_table
 from understudy.cli.plan.recommendation import recommended
 from understudy.cli.plan.size import share
-from understudy.cli.plan.text_wrap import fitted
+from understudy.cli.plan.text_wrap import wrap_labelled
 from understudy.kube.client import Object
 
 MET, NOT_MET, ERROR = 0, 1, 2
@@ -36,7 +36,7 @@ def main(arguments: list[str]) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     for option in ("--namespace", "--context", "--kubeconfig"):
-        option_rules.only(parser, given, not given.no_cluster, option, "cannot be combined with --no-cluster")
+        option_rules.reject_unless(parser, given, not given.no_cluster, option, "cannot be combined with --no-cluster")
     try:
         if given.plot is not None:
             plot_files.check_plot_file(given.plot)
@@ -47,7 +47,7 @@ def main(arguments: list[str]) -> int:
             names = ", ".join(one.workload.name for one in found)
             raise CommandError(f"--plot draws one workload, but the files contain {names}: choose one with --workload")
         if given.output == "text":
-            print(fitted("\n\n".join(strategy_table.lines(one) for one in found), terminal.columns(sys.stdout)))
+            print(wrap_labelled("\n\n".join(strategy_table.lines(one) for one in found), terminal.columns(sys.stdout)))
         else:
             print(structured([one.data() for one in found], given.output))
         if given.plot is not None:
@@ -57,7 +57,7 @@ def main(arguments: list[str]) -> int:
     except CommandError as error:
         print(f"understudy recommend: {error}", file=sys.stderr)
         return ERROR
-    return NOT_MET if any(order_explanation.unmet(one.order) for one in found) else MET
+    return NOT_MET if any(order_explanation.unmet_requirements(one.order) for one in found) else MET
 
 
 def _read(files: Sequence[str]) -> list[Manifest]:

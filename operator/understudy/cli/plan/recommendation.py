@@ -8,7 +8,7 @@ from typing import Any
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_figures import Figure, Way
-from understudy.advice.strategy_order import Judged, Order
+from understudy.advice.strategy_order import Order, RatedStrategy
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.requirements_spec import Requirements
 from understudy.cli.common.errors import CommandError
@@ -44,11 +44,11 @@ class Recommendation:
             "policy": self.policy.name,
             "auto": self.auto,
             "requirements": order.requirements.to_wire(),
-            "asked": order_explanation.asked(order.requirements),
+            "asked": order_explanation.describe_requirements(order.requirements),
             "present": self.present,
-            "order": [_told(order, one) for one in order.chosen],
-            "leftOut": [_told(order, one) for one in order.left_out],
-            "notMet": order_explanation.unmet(order),
+            "order": [_strategy_data(order, one) for one in order.chosen],
+            "leftOut": [_strategy_data(order, one) for one in order.left_out],
+            "notMet": order_explanation.unmet_requirements(order),
         }
 
 
@@ -124,11 +124,11 @@ def _status(workload: Manifest, recorded: Mapping[tuple[str, str], Object]) -> O
     return {"status": found["status"]} if found is not None and "status" in found else {}
 
 
-def _told(order: Order, one: Judged) -> dict[str, Any]:
+def _strategy_data(order: Order, one: RatedStrategy) -> dict[str, Any]:
     return {
         "strategy": "Restart" if one.candidate.way == "Restart" else f"Fallback/{one.candidate.way}",
         "pool": one.candidate.pool or None,
         "seconds": {"value": one.seconds.value, "source": one.seconds.source},
         "cpu": {"value": one.cost, "standbys": one.candidate.standbys, "source": one.cpu.source},
-        "why": order_explanation.why(order, one),
+        "why": order_explanation.describe_choice(order, one),
     }

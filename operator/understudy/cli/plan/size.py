@@ -11,9 +11,9 @@ from understudy.advice.shortage_risk import MEASURES, MOST
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, plot_files, terminal
 from understudy.cli.common.errors import CommandError
-from understudy.cli.plan.pool_sizes import Question, sized
+from understudy.cli.plan.pool_sizes import Question, calculate
 from understudy.cli.plan.size_text import size_text
-from understudy.cli.plan.text_wrap import fitted
+from understudy.cli.plan.text_wrap import wrap_labelled
 
 SUCCESS, ERROR = 0, 2
 """Exit statuses."""
@@ -32,7 +32,9 @@ def main(arguments: list[str]) -> int:
     """Run the command. The result goes to standard output."""
     parser = _parser()
     given = parser.parse_args(arguments)
-    option_rules.only(parser, given, given.risk is not None, "--risk-of", "applies to --risk, which is not given")
+    option_rules.reject_unless(
+        parser, given, given.risk is not None, "--risk-of", "applies to --risk, which is not given"
+    )
     question = Question(
         robots=given.robots,
         failures_per_robot_hour=given.failures_per_robot_hour,
@@ -44,9 +46,9 @@ def main(arguments: list[str]) -> int:
     try:
         if given.plot is not None:
             plot_files.check_plot_file(given.plot)
-        size = sized(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
+        size = calculate(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
         if given.output == "text":
-            print(fitted(size_text(size), terminal.columns(sys.stdout)))
+            print(wrap_labelled(size_text(size), terminal.columns(sys.stdout)))
         else:
             print(structured(size.data(), given.output))
         if given.plot is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from understudy.advice import order_explanation
-from understudy.advice.strategy_order import Judged, Order
+from understudy.advice.strategy_order import Order, RatedStrategy
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 
@@ -18,12 +18,12 @@ def lines(found: Recommendation) -> str:
     where = f"{found.workload.namespace}/" if found.workload.namespace else ""
     text = [
         f"{where}{found.workload.name}, FailurePolicy {found.policy.name}",
-        f"required   {order_explanation.asked(order.requirements)}",
+        f"required   {order_explanation.describe_requirements(order.requirements)}",
         "",
         *_table(order),
         "",
     ]
-    text += [f"not met    {problem}" for problem in order_explanation.unmet(order)]
+    text += [f"not met    {problem}" for problem in order_explanation.unmet_requirements(order)]
     text.append(f"policy     {_policy(found)}")
     if any(one.seconds.source == "published" for one in (*order.chosen, *order.left_out)):
         text.append(
@@ -53,9 +53,9 @@ def _table(order: Order) -> list[str]:
     ]
 
 
-def _row(place: str, order: Order, one: Judged) -> tuple[str, str, str, str, str, str, str]:
+def _row(place: str, order: Order, one: RatedStrategy) -> tuple[str, str, str, str, str, str, str]:
     # A restart reserves nothing.
     cpu, known = (f"{one.cost * 100:.3g} %", one.cpu.source) if one.candidate.pool else ("0 %", "")
     seconds = duration(float(f"{one.seconds.value:.3g}"))
-    why = order_explanation.why(order, one)
-    return place, order_explanation.named(one.candidate), seconds, one.seconds.source, cpu, known, why
+    why = order_explanation.describe_choice(order, one)
+    return place, order_explanation.strategy_name(one.candidate), seconds, one.seconds.source, cpu, known, why

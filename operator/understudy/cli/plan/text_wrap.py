@@ -10,7 +10,7 @@ _LONGEST = 12
 """Most characters of a label with the blanks after it; longer ones are table cells."""
 
 
-def fitted(text: str, columns: int | None) -> str:
+def wrap_labelled(text: str, columns: int | None) -> str:
     """Wrap a text, and indent the lines after a label to the text of the label. Returns it unchanged if there is no width.
 
     Table rows without a label stay unchanged.

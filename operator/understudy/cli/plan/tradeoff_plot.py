@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from understudy.advice import order_explanation
-from understudy.advice.strategy_order import Judged, Order, soon, spent
+from understudy.advice.strategy_order import Order, RatedStrategy, most_cost, required_time
 from understudy.cli.common.errors import CommandError
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
@@ -32,14 +32,14 @@ def draw(file: str, found: Recommendation) -> None:
     times = [max(_LEAST, one.seconds.value) for one in every]
     bottom, top = min(times) / 2.5, max(times) * 2.5
     right = max(1.1, 1.25 * max(one.cost for one in every))
-    within, most = soon(order.requirements), spent(order.requirements)
+    within, most = required_time(order.requirements), most_cost(order.requirements)
     axes.fill_between(
         [-0.06 * right, min(most, right)], bottom, min(within, top), color=_ALLOWED, alpha=0.10, linewidth=0,
         label="fast enough and cheap enough",
     )  # fmt: skip
     for one in every:
         _mark(axes, order, one, below=_crowded(one, every), left=one.cost > 0.6 * right)
-    first = order_explanation.named(order.first.candidate)
+    first = order_explanation.strategy_name(order.first.candidate)
     axes.plot([], [], "o", color=_CHOSEN, label=f"in the order, first {first}")
     axes.plot([], [], "o", color=_LEFT_OUT, markerfacecolor="white", label="left out")
     axes.set_yscale("log")
@@ -61,7 +61,7 @@ def draw(file: str, found: Recommendation) -> None:
         raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error
 
 
-def _mark(axes: Any, order: Order, one: Judged, *, below: bool, left: bool) -> None:
+def _mark(axes: Any, order: Order, one: RatedStrategy, *, below: bool, left: bool) -> None:
     """Draw a strategy with its label, which is below or left of the mark if it would overlap another or the border."""
     chosen = one in order.chosen
     colour = _CHOSEN if chosen else _LEFT_OUT
@@ -72,13 +72,13 @@ def _mark(axes: Any, order: Order, one: Judged, *, below: bool, left: bool) -> N
     )  # fmt: skip
     place = f"{order.chosen.index(one) + 1}. " if chosen else ""
     axes.annotate(
-        f"{place}{order_explanation.named(one.candidate)}, {order_explanation.expected(one)}", where,
+        f"{place}{order_explanation.strategy_name(one.candidate)}, {order_explanation.describe_time(one)}", where,
         xytext=(-9 if left else 9, -13 if below else 6), textcoords="offset points", ha="right" if left else "left", fontsize=8.5,
         color=colour if chosen else "#666666",
     )  # fmt: skip
 
 
-def _crowded(one: Judged, every: Sequence[Judged]) -> bool:
+def _crowded(one: RatedStrategy, every: Sequence[RatedStrategy]) -> bool:
     """Return whether another strategy takes only a little longer."""
     return any(1 < other.seconds.value / max(_LEAST, one.seconds.value) < _NEAR for other in every)
 

@@ -11,7 +11,7 @@ from understudy.cli.common.wording import clock, counted
 from understudy.cli.report.axes import ROOM, figure, grid, marks, percent, tick, ticks
 from understudy.cli.report.html_markup import Markup, element, joined
 from understudy.cli.report.html_tables import span
-from understudy.cli.report.recovery_records import Course, Entry, Findings, Group, Span
+from understudy.cli.report.recovery_records import Entry, Findings, Group, RobotPeriod, Span
 from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.cli.report.sample_statistics import Spread
 
@@ -48,7 +48,7 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
         rows += _dots(group.entries, group.times, place, top + 65)
     return figure(
         "Recovery time by strategy",
-        "; ".join(_said(group.name, group.spread) for group in groups),
+        "; ".join(_describe(group.name, group.spread) for group in groups),
         joined(grid(((place(s), tick(s)) for s in steps), 8, len(groups) * height), *rows),
         len(groups) * height + 34,
     )
@@ -73,7 +73,7 @@ def gaps(groups: Sequence[Group]) -> Markup:
         rows += _dots(entries, group.gaps, place, top + 45)
     return figure(
         "Gap by strategy",
-        "; ".join(_said(group.name, Spread.of(group.gaps)) for group in groups),
+        "; ".join(_describe(group.name, Spread.of(group.gaps)) for group in groups),
         joined(grid(((place(10.0**e), tick(10.0**e)) for e in range(low, high + 1)), 8, len(groups) * height), *rows),
         len(groups) * height + 34,
     )
@@ -132,16 +132,21 @@ def timeline(findings: Findings) -> Markup:
         return 1.5 + (moment - period.begin) / period.length * (ROOM - 1.5)
 
     rows, height = [], 50
-    for number, course in enumerate(findings.eventful):
+    for number, robot_period in enumerate(findings.eventful):
         top = 8 + number * height
-        rows.append(element("text", findings.named(course.robot), x="0", y=top + 14, class_="head"))
-        rows.append(element("text", _told_of(course), x="100%", y=top + 14, text_anchor="end", class_="note"))
-        rows += _lane(course, period, place, top + 20)
+        rows.append(element("text", findings.named(robot_period.robot), x="0", y=top + 14, class_="head"))
+        rows.append(
+            element("text", _recovery_count(robot_period), x="100%", y=top + 14, text_anchor="end", class_="note")
+        )
+        rows += _lane(robot_period, period, place, top + 20)
     ends = [(place(period.begin + period.length * share), "") for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     bottom = len(findings.eventful) * height + 8
     return figure(
         "Recoveries over time",
-        "; ".join(f"{findings.named(course.robot)}: {_told_of(course)}" for course in findings.eventful),
+        "; ".join(
+            f"{findings.named(robot_period.robot)}: {_recovery_count(robot_period)}"
+            for robot_period in findings.eventful
+        ),
         joined(
             grid(ends, 8, bottom - 8),
             *rows,
@@ -184,13 +189,13 @@ def kind_of(entry: Entry) -> str:
     return "failed" if entry.failed else "recovered" if entry.of_failure else "planned"
 
 
-def told(entry: Entry) -> str:
+def describe_recovery(entry: Entry) -> str:
     """Describe a recovery in a few words."""
     how = f"{length(entry.down)} by {entry.group}" if entry.recovered else "failed"
     return f"{entry.name} #{entry.recovery.number}, {clock(entry.began)}: {how}"
 
 
-def _lane(course: Course, period: Span, place: Callable[[float], float], top: int) -> Iterator[Markup]:
+def _lane(robot_period: RobotPeriod, period: Span, place: Callable[[float], float], top: int) -> Iterator[Markup]:
     yield element(
         "rect",
         x=percent(place(period.begin)),
@@ -199,10 +204,10 @@ def _lane(course: Course, period: Span, place: Callable[[float], float], top: in
         height=18,
         class_="unknown",
     )
-    if course.known is not None:
-        begin, end = place(course.known.begin), place(course.known.end)
+    if robot_period.known is not None:
+        begin, end = place(robot_period.known.begin), place(robot_period.known.end)
         yield element("rect", x=percent(begin), y=top, width=percent(end - begin), height=18, class_="known")
-    for outage in course.outages:
+    for outage in robot_period.outages:
         begin, end = place(outage.span.begin), place(outage.span.end)
         yield element(
             "rect",
@@ -213,12 +218,12 @@ def _lane(course: Course, period: Span, place: Callable[[float], float], top: in
             height=18,
             class_="outage",
         )
-    for entry in reversed(course.entries):
-        yield _at(percent(place(entry.began)), top + 9, kind_of(entry), told(entry))
+    for entry in reversed(robot_period.entries):
+        yield _at(percent(place(entry.began)), top + 9, kind_of(entry), describe_recovery(entry))
 
 
-def _told_of(course: Course) -> str:
-    return counted(len(course.entries), "recovery", "recoveries")
+def _recovery_count(robot_period: RobotPeriod) -> str:
+    return counted(len(robot_period.entries), "recovery", "recoveries")
 
 
 def _heading(group: Group, spread: Spread, top: int) -> Markup:
@@ -238,7 +243,7 @@ def _dots(
     entries: Sequence[Entry], values: Sequence[float], place: Callable[[float], float], middle: int
 ) -> Iterator[Markup]:
     for entry, value, number in zip(entries, values, count(), strict=False):
-        yield _at(percent(place(value)), middle + _JITTER[number % len(_JITTER)], "dot", told(entry))
+        yield _at(percent(place(value)), middle + _JITTER[number % len(_JITTER)], "dot", describe_recovery(entry))
 
 
 def _at(x: str, y: float, mark: str, words: str) -> Markup:
@@ -248,5 +253,5 @@ def _at(x: str, y: float, mark: str, words: str) -> Markup:
     )
 
 
-def _said(name: str, spread: Spread) -> str:
+def _describe(name: str, spread: Spread) -> str:
     return f"{name}: n = {spread.count}, mean {length(spread.mean)}, p50 {length(spread.p50)}, p95 {length(spread.p95)}"

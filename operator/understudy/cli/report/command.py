@@ -44,7 +44,7 @@ def main(arguments: list[str]) -> int:
     except CommandError as error:
         print(f"understudy report: {error}", file=sys.stderr)
         return ERROR
-    print(_told(found, given, told))
+    print(_summary(found, given, told))
     return SUCCESS
 
 
@@ -88,7 +88,7 @@ def _measured(found: Findings, given: argparse.Namespace) -> Measured | None:
                 raise CommandError(f"--{option.replace('_', '-')} applies to --prometheus URL, which is not given")
         return None
     prometheus = Prometheus(given.prometheus, token_file=given.prometheus_token_file, ca_file=given.prometheus_ca_file)
-    namespace = None if given.all_namespaces else found.courses[0].robot.namespace
+    namespace = None if given.all_namespaces else found.robot_periods[0].robot.namespace
     return measured(prometheus, found.period, namespace=namespace, names=given.names)
 
 
@@ -122,8 +122,8 @@ def _moment(option: str, text: str) -> float:
 
 def _where(found: Findings, given: argparse.Namespace) -> str:
     if given.names:
-        return ", ".join(found.named(course.robot) for course in found.courses)
-    namespaces = sorted({course.robot.namespace for course in found.courses})
+        return ", ".join(found.named(robot_period.robot) for robot_period in found.robot_periods)
+    namespaces = sorted({robot_period.robot.namespace for robot_period in found.robot_periods})
     return "all namespaces" if given.all_namespaces else f"namespace {namespaces[0]}"
 
 
@@ -135,10 +135,10 @@ def _write(path: Path, text: str) -> None:
         raise CommandError(f"{path} cannot be written: {error.strerror}; give another path") from error
 
 
-def _told(found: Findings, given: argparse.Namespace, from_prometheus: Measured | None) -> str:
+def _summary(found: Findings, given: argparse.Namespace, from_prometheus: Measured | None) -> str:
     entries, lost = found.entries, len(found.incomplete)
     told = (
-        f"{given.output}: {counted(len(found.courses), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
+        f"{given.output}: {counted(len(found.robot_periods), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
         f"{clock(found.period.begin)} to {clock(found.period.end)}"
     )
     if lost:

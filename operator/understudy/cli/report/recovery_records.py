@@ -107,7 +107,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Course:
+class RobotPeriod:
     """One robot in the period."""
 
     robot: Robot
@@ -180,7 +180,7 @@ class Findings:
     """The evaluation of all robots."""
 
     period: Span
-    courses: Sequence[Course]
+    robot_periods: Sequence[RobotPeriod]
     """By namespace and name."""
     shares: Sequence[Share] = ()
     """Current resource requests of their pods."""
@@ -190,12 +190,16 @@ class Findings:
     @cached_property
     def entries(self) -> Sequence[Entry]:
         """The recoveries of all robots, newest first."""
-        return sorted((e for course in self.courses for e in course.entries), key=lambda e: e.began, reverse=True)
+        return sorted(
+            (e for robot_period in self.robot_periods for e in robot_period.entries),
+            key=lambda e: e.began,
+            reverse=True,
+        )
 
     @cached_property
-    def eventful(self) -> Sequence[Course]:
+    def eventful(self) -> Sequence[RobotPeriod]:
         """The robots with a recovery or an outage in the period."""
-        return [course for course in self.courses if course.entries or course.outages]
+        return [robot_period for robot_period in self.robot_periods if robot_period.entries or robot_period.outages]
 
     @cached_property
     def groups(self) -> Sequence[Group]:
@@ -208,23 +212,27 @@ class Findings:
         return sorted(groups, key=lambda group: (-group.spread.mean, group.name))
 
     @cached_property
-    def incomplete(self) -> Sequence[Course]:
+    def incomplete(self) -> Sequence[RobotPeriod]:
         """Robots for which recoveries of this period may no longer be recorded."""
-        return [course for course in self.courses if course.known is None or course.known.begin > self._since(course)]
+        return [
+            robot_period
+            for robot_period in self.robot_periods
+            if robot_period.known is None or robot_period.known.begin > self._since(robot_period)
+        ]
 
     @cached_property
     def availability(self) -> float | None:
         """The share of all robots' recorded time without an outage."""
-        known = sum(course.known.length for course in self.courses if course.known is not None)
-        return 1 - sum(course.down for course in self.courses) / known if known else None
+        known = sum(robot_period.known.length for robot_period in self.robot_periods if robot_period.known is not None)
+        return 1 - sum(robot_period.down for robot_period in self.robot_periods) / known if known else None
 
     def named(self, whose: Robot | Entry) -> str:
         """Return a robot's name, with its namespace if there are several namespaces."""
-        several = len({course.robot.namespace for course in self.courses}) > 1
+        several = len({robot_period.robot.namespace for robot_period in self.robot_periods}) > 1
         return f"{whose.namespace}/{whose.name}" if several else whose.name
 
-    def _since(self, course: Course) -> float:
-        created = course.robot.created
+    def _since(self, robot_period: RobotPeriod) -> float:
+        created = robot_period.robot.created
         return max(self.period.begin, unix(created) if created else self.period.begin)
 
 
@@ -235,12 +243,14 @@ def findings(
 
     Raises CommandError if a status does not match this version.
     """
-    courses = sorted((course(item, period) for item in items), key=lambda one: (one.robot.namespace, one.robot.name))
-    found = [] if pods_unknown else shares([one.robot for one in courses], pods)
-    return Findings(period, courses, found, pods_unknown)
+    robot_periods = sorted(
+        (robot_period(item, period) for item in items), key=lambda one: (one.robot.namespace, one.robot.name)
+    )
+    found = [] if pods_unknown else shares([one.robot for one in robot_periods], pods)
+    return Findings(period, robot_periods, found, pods_unknown)
 
 
-def course(item: Mapping[str, Any], period: Span) -> Course:
+def robot_period(item: Mapping[str, Any], period: Span) -> RobotPeriod:
     """Evaluate one RobotWorkload for a period. Raises CommandError."""
     shown, status = robot(item), status_of(item)
     records = [
@@ -253,7 +263,7 @@ def course(item: Mapping[str, Any], period: Span) -> Course:
     if ever > kept:
         begin = max(begin, min((entry.began for entry in records), default=period.end))
     known = Span(begin, period.end).within(period)
-    return Course(
+    return RobotPeriod(
         robot=shown,
         ever=ever,
         kept=kept,

@@ -12,7 +12,7 @@ from understudy.cli.common.wording import clock, counted, listed, unix
 from understudy.cli.report import charts, html_tables
 from understudy.cli.report.html_markup import Markup, element
 from understudy.cli.report.html_tables import Cell, moment, number, seconds, span
-from understudy.cli.report.recovery_records import Course, Entry, Findings
+from understudy.cli.report.recovery_records import Entry, Findings, RobotPeriod
 from understudy.cli.report.reserved_resources import ROLES, Amounts
 from understudy.cli.report.sample_statistics import Spread
 
@@ -29,8 +29,8 @@ HOW = (
 
 def known(findings: Findings) -> Iterator[Markup]:
     """Describe the records, and for which part of the period they are incomplete."""
-    ever = sum(course.ever for course in findings.courses)
-    kept = sum(course.kept for course in findings.courses)
+    ever = sum(robot_period.ever for robot_period in findings.robot_periods)
+    kept = sum(robot_period.kept for robot_period in findings.robot_periods)
     if not ever:
         yield element("p", "These robots have had no recovery since they were created.", class_="card")
         return
@@ -43,7 +43,7 @@ def known(findings: Findings) -> Iterator[Markup]:
         why = " No record of this period is missing." if ever > kept else ""
         yield element("section", element("p", told + why), class_="card")
         return
-    lost = [element("li", _lost(course, findings)) for course in findings.incomplete]
+    lost = [element("li", _lost(robot_period, findings)) for robot_period in findings.incomplete]
     yield element(
         "section",
         element(
@@ -57,20 +57,24 @@ def known(findings: Findings) -> Iterator[Markup]:
     )
 
 
-def _lost(course: Course, findings: Findings) -> str:
-    name = findings.named(course.robot)
-    since = f"known since {clock(course.known.begin)}" if course.known is not None else "no data on the period"
-    return f"{name}: {course.forgotten} of {course.ever} are no longer recorded; {since}"
+def _lost(robot_period: RobotPeriod, findings: Findings) -> str:
+    name = findings.named(robot_period.robot)
+    since = (
+        f"known since {clock(robot_period.known.begin)}" if robot_period.known is not None else "no data on the period"
+    )
+    return f"{name}: {robot_period.forgotten} of {robot_period.ever} are no longer recorded; {since}"
 
 
 def tiles(findings: Findings) -> Markup:
     """Build the tiles with the most important figures."""
     entries = findings.entries
     failures = [entry for entry in entries if entry.of_failure]
-    longest = max((outage.span.length for course in findings.courses for outage in course.outages), default=None)
-    protected = sum(course.robot.protected for course in findings.courses)
-    robots = len(findings.courses)
-    known = sum(course.known.length for course in findings.courses if course.known is not None)
+    longest = max(
+        (outage.span.length for robot_period in findings.robot_periods for outage in robot_period.outages), default=None
+    )
+    protected = sum(robot_period.robot.protected for robot_period in findings.robot_periods)
+    robots = len(findings.robot_periods)
+    known = sum(robot_period.known.length for robot_period in findings.robot_periods if robot_period.known is not None)
     shown = (
         ("Robots", str(robots), f"{protected} protected now, {robots - protected} not"),
         ("Failures recovered", str(sum(entry.recovered for entry in failures)), f"of {len(failures)}"),
@@ -99,7 +103,7 @@ def availability(share: float | None) -> str:
 def robots(findings: Findings) -> Iterator[Markup]:
     """Build the table of robots: their current state, and their recoveries in the period."""
     yield element("h2", "Robots")
-    yield element("p", summary([course.robot for course in findings.courses]) + " (current state).")
+    yield element("p", summary([robot_period.robot for robot_period in findings.robot_periods]) + " (current state).")
     head = (
         "Robot",
         "Health now",
@@ -116,13 +120,13 @@ def robots(findings: Findings) -> Iterator[Markup]:
     yield html_tables.table(
         "Robots: current state, and recoveries in the period",
         head,
-        [_robot(c, findings) for c in findings.courses],
+        [_robot(c, findings) for c in findings.robot_periods],
         sortable=True,
     )
-    for course in findings.courses:
-        if course.robot.problems:
-            told = [element("li", f"{p.about} ({p.reason}): {p.message}") for p in course.robot.problems]
-            name = findings.named(course.robot)
+    for robot_period in findings.robot_periods:
+        if robot_period.robot.problems:
+            told = [element("li", f"{p.about} ({p.reason}): {p.message}") for p in robot_period.robot.problems]
+            name = findings.named(robot_period.robot)
             yield element("section", element("h3", f"{name} now"), element("ul", *told), class_="card warn")
     yield element(
         "details",
@@ -133,9 +137,9 @@ def robots(findings: Findings) -> Iterator[Markup]:
     )
 
 
-def _robot(course: Course, findings: Findings) -> list[Cell]:
-    robot, known = course.robot, course.known
-    failures = [entry for entry in course.entries if entry.of_failure]
+def _robot(robot_period: RobotPeriod, findings: Findings) -> list[Cell]:
+    robot, known = robot_period.robot, robot_period.known
+    failures = [entry for entry in robot_period.entries if entry.of_failure]
     return [
         Cell(findings.named(robot)),
         Cell(robot.health, state="good" if robot.is_well else "warned" if robot.health != "Failed" else "bad"),
@@ -143,15 +147,15 @@ def _robot(course: Course, findings: Findings) -> list[Cell]:
         number(len(failures)),
         number(sum(entry.recovered for entry in failures)),
         number(sum(entry.failed for entry in failures)),
-        number(len(course.entries) - len(failures)),
-        seconds(course.down if known is not None else None, at_least=course.down_at_least),
+        number(len(robot_period.entries) - len(failures)),
+        seconds(robot_period.down if known is not None else None, at_least=robot_period.down_at_least),
         Cell(
-            f"{'≤ ' if course.down_at_least else ''}{availability(course.availability)}",
-            course.availability,
+            f"{'≤ ' if robot_period.down_at_least else ''}{availability(robot_period.availability)}",
+            robot_period.availability,
             number=True,
         ),
         Cell(span(known.length), known.length, number=True) if known is not None else Cell("none", 0.0, number=True),
-        Cell(f"{course.kept} of {course.ever}", course.ever, number=True),
+        Cell(f"{robot_period.kept} of {robot_period.ever}", robot_period.ever, number=True),
     ]
 
 
@@ -190,7 +194,7 @@ def over_time(findings: Findings) -> Iterator[Markup]:
     if not findings.eventful:
         yield element("p", "No recovery or outage of these robots is recorded in this period.", class_="card")
         return
-    quiet = len(findings.courses) - len(findings.eventful)
+    quiet = len(findings.robot_periods) - len(findings.eventful)
     others = f" {counted(quiet, 'robot')} without an event {'is' if quiet == 1 else 'are'} not shown." if quiet else ""
     yield element(
         "figure",
@@ -297,7 +301,7 @@ def recoveries(findings: Findings) -> Iterator[Markup]:
     """Build the table of all recoveries."""
     yield element("h2", "Recoveries")
     if not findings.entries:
-        lasts = [course.robot.last_recovery for course in findings.courses]
+        lasts = [robot_period.robot.last_recovery for robot_period in findings.robot_periods]
         newest = max((unix(last.ended) for last in lasts if last is not None and last.ended), default=None)
         before = f" The last recorded one ended at {clock(newest)}." if newest is not None else ""
         yield element("p", f"No recovery that began in this period is recorded.{before}", class_="card")

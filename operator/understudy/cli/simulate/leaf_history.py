@@ -40,7 +40,7 @@ class Failure:
 
 
 @dataclass
-class Course:
+class Evaluation:
     """Evaluates a policy's tree as the monitor does, and records the results. Times are unix seconds."""
 
     tree: HealthTree

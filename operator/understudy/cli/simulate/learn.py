@@ -81,7 +81,7 @@ def _tried(leaves: list[dict[str, Any]], bag: Bag) -> list[Failure]:
         tree = load({"parallel": [{"topic": leaf} for leaf in leaves]}, path="learned", grace=bag.end - bag.start)
     except TreeError as error:  # for example for an invalid ROS name
         raise CommandError(f"{bag.path}: these are not valid leaves: {error.in_short()}") from error
-    return replay(tree, 0.0, bag).course.failures
+    return replay(tree, 0.0, bag).evaluation.failures
 
 
 def _text(bag: Bag, learned: list[Learned], factor: float, margin: float) -> Iterator[str]:
@@ -94,8 +94,8 @@ def _text(bag: Bag, learned: list[Learned], factor: float, margin: float) -> Ite
     yield "parallel:"
     for leaf, measures, bounds in learned:
         yield (
-            f"  # {measures.count} messages, {hertz(measures.rate)}; gaps: median {_told(measures.median)}, "
-            f"p99.9 {_told(measures.quantile)}, longest {_told(measures.longest)}"
+            f"  # {measures.count} messages, {hertz(measures.rate)}; gaps: median {_duration_text(measures.median)}, "
+            f"p99.9 {_duration_text(measures.quantile)}, longest {_duration_text(measures.longest)}"
         )
         if bounds.band is not None:
             yield f"  # over {duration(bounds.window)}: {hertz(bounds.slowest)} to {hertz(bounds.fastest)}"
@@ -105,7 +105,7 @@ def _text(bag: Bag, learned: list[Learned], factor: float, margin: float) -> Ite
         yield f"  - topic: {{{fields}}}"
 
 
-def _told(seconds: float) -> str:
+def _duration_text(seconds: float) -> str:
     return duration(float(f"{seconds:.3g}"))
 
 

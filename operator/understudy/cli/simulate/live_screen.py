@@ -8,7 +8,7 @@ from typing import Protocol, TextIO
 from understudy.cli.common import terminal
 from understudy.cli.common.tree_text import WORDS, Rates, coloured, plain, rough, tree_lines
 from understudy.cli.simulate.clock_text import wall
-from understudy.cli.simulate.leaf_history import Course, Failure
+from understudy.cli.simulate.leaf_history import Evaluation, Failure
 from understudy.trees.core.observations import Observations
 from understudy.trees.core.snapshots import Shown, snapshot
 
@@ -22,7 +22,7 @@ COUNTED = 2.0
 class Display(Protocol):
     """Displays the state of a tree."""
 
-    def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
+    def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
         """Show the state at ``now`` (unix seconds); ``notes`` say what is not watched and why."""
         ...
 
@@ -40,20 +40,20 @@ class Lines:
         self._notes: set[str] = set()
         self._detected = 0
 
-    def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
+    def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
         """Print the changes."""
         for note in notes:
             if note not in self._notes:
                 self._line(now, note)
         self._notes = set(notes)
-        for path, spans in sorted(course.spans.items()):
+        for path, spans in sorted(evaluation.spans.items()):
             for span in spans[self._told.get(path, 0) :]:
                 why = f": {span.reason}" if span.reason else ""
                 self._line(span.begun, f"{path or 'the tree'} is {WORDS[span.state]}{why}")
             self._told[path] = len(spans)
-        for failure in course.detections[self._detected :]:
+        for failure in evaluation.detections[self._detected :]:
             self._line(failure.detected or now, f"DETECTED {failure.leaf}: {failure.reason}")
-        self._detected = len(course.detections)
+        self._detected = len(evaluation.detections)
 
     def close(self) -> None:
         """Do nothing."""
@@ -72,17 +72,17 @@ class Screen:
         self._rates = Rates()
         self._out.write(terminal.BEGIN)
 
-    def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
+    def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
         """Redraw at once after a change, and else twice a second for the figures."""
-        states: list[Shown] = [spans[-1].state for spans in course.spans.values()]
+        states: list[Shown] = [spans[-1].state for spans in evaluation.spans.values()]
         if states == self._before and now - self._drawn < PERIOD:
             return
         self._before, self._drawn = states, now
-        tree = snapshot(course.tree, observations, now)
+        tree = snapshot(evaluation.tree, observations, now)
         if now - self._counted >= COUNTED:
             self._counted = now
             self._rates.look({"tree": tree, "time": now})
-        lines = [plain(self._title), *_summary(course, now), "", *tree_lines(tree, self._rates, colours=True)]
+        lines = [plain(self._title), *_summary(evaluation, now), "", *tree_lines(tree, self._rates, colours=True)]
         lines += ["", *(plain(note) for note in notes)] if notes else []
         terminal.draw(self._out, lines)
 
@@ -92,11 +92,11 @@ class Screen:
         self._out.flush()
 
 
-def _summary(course: Course, now: float) -> Iterator[str]:
-    span = course.spans[""][-1]
+def _summary(evaluation: Evaluation, now: float) -> Iterator[str]:
+    span = evaluation.spans[""][-1]
     why = f": {plain(span.reason)}" if span.reason else ""
     yield f"{coloured(WORDS[span.state], span.state, colours=True)} for {rough(now - span.begun)}{why}"
-    failures, watched = course.detections, rough(now - course.since)
+    failures, watched = evaluation.detections, rough(now - evaluation.since)
     if failures:
         count = f"{len(failures)} {'failure' if len(failures) == 1 else 'failures'}"
         yield f"{count} in {watched}; the last one: {describe(failures[-1])}"

@@ -32,16 +32,16 @@ def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets
     """Draw the picture into a file. Times are unix seconds. Raises CommandError if it cannot be written."""
     from matplotlib.figure import Figure
 
-    course = replay.course
+    evaluation = replay.evaluation
     lanes = list(replay.topics.items())
     figure = Figure(figsize=(WIDTH, REST + LANE * (len(lanes) + 1)), dpi=DOTS, layout="constrained")
     axes: Any = figure.subplots()
     length = max(end - start, 1e-3)
-    _bands(axes, 0, course.spans[""], start, 0.7)
+    _bands(axes, 0, evaluation.spans[""], start, 0.7)
     for row, (path, _) in enumerate(lanes, 1):
-        _bands(axes, row, course.spans[path], start, 0.7)
+        _bands(axes, row, evaluation.spans[path], start, 0.7)
         _messages(axes, row, replay.received(path), start, length)
-    _marks(axes, course.failures, onsets, start, length, len(lanes))
+    _marks(axes, evaluation.failures, onsets, start, length, len(lanes))
     axes.set_yticks(range(len(lanes) + 1), ["whole tree", *(_lane(path, topic) for path, topic in lanes)])
     axes.get_yticklabels()[0].set_fontweight("bold")
     axes.set_ylim(len(lanes) + 0.6, -0.6)
@@ -54,7 +54,7 @@ def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
     figure.legend(
-        handles=list(_legend(course.spans, bool(course.detections), bool(onsets))),
+        handles=list(_legend(evaluation.spans, bool(evaluation.detections), bool(onsets))),
         loc="outside lower center",
         ncols=7,
         frameon=False,

@@ -76,7 +76,7 @@ def read(file: str, name: str | None = None, grace: str | None = None) -> Policy
         raise CommandError(f"{KIND} {manifest.name or '(no name)'} is invalid\n" + "\n".join(wrong))
     spec = FailurePolicySpec.model_validate(manifest.data["spec"])
     if spec.monitoring.config_map_key_ref is not None:
-        spec = _lent(shown, manifest, spec, [one for one in manifests if one.kind == "ConfigMap"])
+        spec = _with_config_map_tree(shown, manifest, spec, [one for one in manifests if one.kind == "ConfigMap"])
     policy = Policy(manifest, spec)
     if grace is None:
         return policy
@@ -87,7 +87,9 @@ def read(file: str, name: str | None = None, grace: str | None = None) -> Policy
     return policy.with_grace(grace)
 
 
-def _lent(file: str, policy: Manifest, spec: FailurePolicySpec, config_maps: list[Manifest]) -> FailurePolicySpec:
+def _with_config_map_tree(
+    file: str, policy: Manifest, spec: FailurePolicySpec, config_maps: list[Manifest]
+) -> FailurePolicySpec:
     """Return the policy with the health tree of its ConfigMap, from the same file or from the policy's status as kubectl prints it.
 
     Raises CommandError.

@@ -13,7 +13,7 @@ from typing import Any
 
 from understudy.cli.common.errors import CommandError
 from understudy.cli.simulate.bags import Bag, Recorded, Taken
-from understudy.cli.simulate.leaf_history import Course
+from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.ros.observe.message_contents import ours
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
 from understudy.trees.core.observations import RecordedObservations as Observed
@@ -35,7 +35,7 @@ class LeftOut:
 class Replay:
     """The result of evaluating a policy over a bag."""
 
-    course: Course
+    evaluation: Evaluation
     left_out: list[LeftOut]
     arrivals: Mapping[str, array[float]]
     """Times of receipt of each topic of the tree, in unix seconds."""
@@ -59,10 +59,10 @@ def replay(tree: HealthTree, debounce: float, bag: Bag) -> Replay:
     wanted = {topic.name: topic for topic in heard if _without(tree, out, topic.name)}
     types = {name: _type(topic, bag) for name, topic in wanted.items()}
     received = _Received(wanted, types, bag)
-    course = Course(tree, debounce, bag.start)
-    _run(course, received, bag, types)
-    course.end(bag.end)
-    return Replay(course, left_out, received.arrivals, {leaf.name: leaf.topic for leaf in tree.leaves})
+    evaluation = Evaluation(tree, debounce, bag.start)
+    _run(evaluation, received, bag, types)
+    evaluation.end(bag.end)
+    return Replay(evaluation, left_out, received.arrivals, {leaf.name: leaf.topic for leaf in tree.leaves})
 
 
 class _Received:
@@ -99,7 +99,7 @@ class _Received:
             self._tasks.pop(taken.topic, None)
 
 
-def _run(course: Course, received: _Received, bag: Bag, types: Mapping[str, str]) -> None:
+def _run(evaluation: Evaluation, received: _Received, bag: Bag, types: Mapping[str, str]) -> None:
     observations, now = received.observations, bag.start
     following: Iterator[Taken] = bag.messages(types)
     coming = next(following, None)
@@ -107,8 +107,8 @@ def _run(course: Course, received: _Received, bag: Bag, types: Mapping[str, str]
         while coming is not None and coming.received <= now:
             received.take(coming)
             coming = next(following, None)
-        course.look(observations, now)
-        change = course.next_look(observations, now)
+        evaluation.look(observations, now)
+        change = evaluation.next_look(observations, now)
         moments = [moment for moment in (change, coming.received if coming else None) if moment is not None]
         if not moments or min(moments) > bag.end:
             return

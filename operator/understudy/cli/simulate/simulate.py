@@ -55,7 +55,7 @@ def _simulated(given: argparse.Namespace) -> tuple[str, bool]:
             from understudy.cli.simulate import plots
 
             plots.draw(given.plot, f"Policy {policy.name} over {Path(bag.path).name}", found, bag.start, bag.end, times)
-        return told, bool(found.course.detections)
+        return told, bool(found.evaluation.detections)
 
 
 def _parser() -> argparse.ArgumentParser:

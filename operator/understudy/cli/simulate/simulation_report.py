@@ -40,7 +40,7 @@ class Report:
         )
 
     def _head(self) -> Iterator[str]:
-        policy, bag, course = self._policy, self._bag, self._replay.course
+        policy, bag, evaluation = self._policy, self._bag, self._replay.evaluation
         looked = sum(len(times) for times in self._replay.arrivals.values())
         debounce = f"debounce {duration(policy.debounce)}" if policy.debounce else "no debounce"
         yield f"policy     {policy.name}: {debounce}, grace {duration(policy.grace)} at the start"
@@ -52,15 +52,15 @@ class Report:
             yield f"{'' if index else 'assumed':11}{assumed}"
         for index, left in enumerate(self._replay.left_out):
             yield f"{'' if index else 'LEFT OUT':11}{', '.join(left.leaves) or 'no leaf'}: {left.why}"
-        if course.healthy is None:
+        if evaluation.healthy is None:
             yield "healthy    never"
         else:
-            yield f"healthy    from {self._at(course.healthy)}"
+            yield f"healthy    from {self._at(evaluation.healthy)}"
         yield ""
 
     def _found(self) -> Iterator[str]:
-        course = self._replay.course
-        onsets, others = matched(self._onsets, course.detections)
+        evaluation = self._replay.evaluation
+        onsets, others = matched(self._onsets, evaluation.detections)
         rows = [("DETECTED", "WALL TIME (UTC)", "LEAF", "LAST HEALTHY", "RECOVERED", "REASON")]
         rows += [
             (
@@ -71,13 +71,13 @@ class Report:
                 self._at(one.recovered, never="not in this bag"),
                 one.reason,
             )
-            for one in course.detections
+            for one in evaluation.detections
         ]
-        if course.detections:
+        if evaluation.detections:
             yield from _table(rows)
         else:
             yield "Nothing was detected."
-        for one in course.failures:
+        for one in evaluation.failures:
             if one.detected is None:
                 ended = one.recovered if one.recovered is not None else self._bag.end
                 why = "the policy's debounce" if one.recovered is not None else "the debounce when the bag ended"
@@ -95,7 +95,7 @@ class Report:
     def _leaves(self) -> Iterator[str]:
         rows = [("LEAF", "TOPIC", "MESSAGES", "RATE", "LONGEST GAP", "FAILED", "FINAL STATE")]
         for path, topic in self._replay.topics.items():
-            times, spans = self._replay.received(path), self._replay.course.spans[path]
+            times, spans = self._replay.received(path), self._replay.evaluation.spans[path]
             failed = [span for span in spans if span.state == "Failed"]
             total = sum(_ended(span) - span.begun for span in failed)
             rows.append(
@@ -118,8 +118,8 @@ class Report:
 
     def data(self) -> dict[str, Any]:
         """Return the result as JSON data. Times with ``At`` are seconds from the bag's start; wall times are named so."""
-        policy, bag, replay, course = self._policy, self._bag, self._replay, self._replay.course
-        onsets, others = matched(self._onsets, course.detections)
+        policy, bag, replay, evaluation = self._policy, self._bag, self._replay, self._replay.evaluation
+        onsets, others = matched(self._onsets, evaluation.detections)
         return {
             "policy": {"name": policy.name, "debounce": policy.debounce, "startupGrace": policy.grace},
             "bag": {
@@ -131,9 +131,9 @@ class Report:
             },
             "assumed": list(ASSUMED),
             "leftOut": [{"leaves": list(one.leaves), "why": one.why} for one in replay.left_out],
-            "healthyAt": self._seconds(course.healthy),
-            "detections": [self._failure(one) for one in course.detections],
-            "passedOver": [self._failure(one) for one in course.failures if one.detected is None],
+            "healthyAt": self._seconds(evaluation.healthy),
+            "detections": [self._failure(one) for one in evaluation.detections],
+            "passedOver": [self._failure(one) for one in evaluation.failures if one.detected is None],
             "onsets": [
                 {"at": self._seconds(one.at), "delay": _exact(one.delay) if one.delay is not None else None}
                 for one in onsets
@@ -152,7 +152,7 @@ class Report:
                             "toAt": self._seconds(span.ended),
                             "reason": span.reason,
                         }
-                        for span in course.spans[path]
+                        for span in evaluation.spans[path]
                     ],
                 }
                 for path, topic in replay.topics.items()

@@ -15,7 +15,7 @@ from understudy.api.base import seconds
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.tree_text import plain
 from understudy.cli.simulate import policy_file
-from understudy.cli.simulate.leaf_history import Course
+from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.cli.simulate.live_screen import Display, Lines, Screen, describe
 from understudy.cli.simulate.policy_file import Policy
 
@@ -37,21 +37,21 @@ def main(arguments: list[str]) -> int:
     try:
         policy = policy_file.read(given.policy_file, given.policy, given.grace)
         with _joined() as watching:
-            course = _watch(policy, watching, given.length)
+            evaluation = _watch(policy, watching, given.length)
     except CommandError as error:
         print(f"understudy watch: {error}", file=sys.stderr)
         return ERROR
-    return _end(course)
+    return _end(evaluation)
 
 
-def _end(course: Course) -> int:
+def _end(evaluation: Evaluation) -> int:
     """Print the result and return the exit status."""
-    for failure in course.detections:
+    for failure in evaluation.detections:
         print(f"understudy watch: failure: {describe(failure)}", file=sys.stderr)
-    if course.detections:
+    if evaluation.detections:
         return FAILED
-    last = course.spans[""][-1] if course.spans else None
-    if course.healthy is None:
+    last = evaluation.spans[""][-1] if evaluation.spans else None
+    if evaluation.healthy is None:
         why = f": {plain(last.reason)}" if last is not None and last.reason else ""
         print(f"understudy watch: no failure was detected, but the tree was never healthy{why}", file=sys.stderr)
     else:
@@ -87,7 +87,7 @@ def _joined() -> Iterator[TopicWatch]:
         graph.close()
 
 
-def _watch(policy: Policy, watching: TopicWatch, length: float | None) -> Course:
+def _watch(policy: Policy, watching: TopicWatch, length: float | None) -> Evaluation:
     """Evaluate the tree until the time is over or the command is interrupted. Raises CommandError."""
     from understudy.ros.runtime.interface_types import message_fields
 
@@ -101,21 +101,21 @@ def _watch(policy: Policy, watching: TopicWatch, length: float | None) -> Course
     watching.follow(tree.topics)
     begun = time.time()
     tree.begin(begun)
-    course = Course(tree, policy.debounce, begun)
+    evaluation = Evaluation(tree, policy.debounce, begun)
     end = time.monotonic() + length if length is not None else None
     display = _display(policy)
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
-            _look(course, watching, display, end, unseen)
+            _look(evaluation, watching, display, end, unseen)
     finally:
         signal.signal(signal.SIGTERM, before)
         with contextlib.suppress(BrokenPipeError):
             display.close()
-    return course
+    return evaluation
 
 
-def _look(course: Course, watching: TopicWatch, display: Display, end: float | None, unseen: set[str]) -> None:
+def _look(evaluation: Evaluation, watching: TopicWatch, display: Display, end: float | None, unseen: set[str]) -> None:
     from understudy.monitor.observe.wakeups import STALL_MOST, STALLED, TICK, WAKE_LATE
 
     due, trusted = time.time(), 0.0
@@ -126,13 +126,13 @@ def _look(course: Course, watching: TopicWatch, display: Display, end: float | N
         if (late := now - due) > STALLED:
             trusted = now + min(late, STALL_MOST)
         watching.drain()
-        course.tree.leave_out(watching.unwatchable | unseen)
+        evaluation.tree.leave_out(watching.unwatchable | unseen)
         now = time.time()
         due = now + TICK
         if now >= trusted:
-            course.look(watching, now)
-            display.show(course, watching, now, [*watching.problems, *watching.waiting, *notes])
-            if (change := course.next_look(watching, now)) is not None:
+            evaluation.look(watching, now)
+            display.show(evaluation, watching, now, [*watching.problems, *watching.waiting, *notes])
+            if (change := evaluation.next_look(watching, now)) is not None:
                 due = min(due, change + WAKE_LATE)
         rest = max(LEAST_REST, due - time.time())
         if end is not None:

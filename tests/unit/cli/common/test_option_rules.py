@@ -72,7 +72,11 @@ def test_every_fault_is_among_those_that_were_tried() -> None:
             ["--no-pods", "--image", "monitor"],
             "doctor: error: --image says what the pods are made of: leave",
         ),
-        (timeline.main, [ROBOT, "-o", "json", "--last", "3"], "timeline: error: --last applies to text only: json contains all"),
+        (
+            timeline.main,
+            [ROBOT, "-o", "json", "--last", "3"],
+            "timeline: error: --last applies to text only: json contains all",
+        ),
         (
             size.main,
             [*SIZE, "--fallbacks", "3", "--risk-of", "loss"],

@@ -40,7 +40,7 @@ def test_what_failed_who_took_over_and_what_was_tried_in_vain() -> None:
     assert row(found, "state").endswith(
         "/amcl_pose 612 ms old, propagated by 0.21 m · /map NOT restored: it never came"
     )
-    assert "Fallback/Executing: not available: robot-17-navigation-v4d9s" in row(found, "in vain")
+    assert "Fallback/Executing: not available: robot-17-navigation-v4d9s" in row(found, "failed")
 
 
 def test_all_that_are_kept_are_compared_to_one_scale() -> None:
@@ -72,7 +72,7 @@ def test_one_that_came_to_nothing() -> None:
     found = told(failed)
     assert found[2].endswith("FAILED: no strategy was verified")
     assert not any(line.startswith("    control") for line in found)
-    assert row(found, "in vain").endswith("Restart with robot-17-abc: not verified: not verified within 60 s")
+    assert row(found, "failed").endswith("Restart with robot-17-abc: not verified: not verified within 60 s")
 
 
 def test_a_hand_over_that_was_planned_and_one_that_another_monitor_finished() -> None:

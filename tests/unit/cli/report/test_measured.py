@@ -90,7 +90,7 @@ def test_bars_are_as_high_as_there_are_many() -> None:
     ("more", "words"),
     [
         ({"recovered": 9}, "The operator's own count, which outlives monitors, grew by 9: 3 recoveries are missing"),
-        ({"seen": [DAY.begin + 7200]}, "Monitors were told of at 1 of 5 moments, first at 2026-11-21 16:06:24Z, last at"),
+        ({"seen": [DAY.begin + 7200]}, "There is data of monitors at 1 of 5 times, first at 2026-11-21 16:06:24Z, last at"),
         ({"seen": []}, "Prometheus has no data on these robots in this period."),
         ({"counts": [], "recovered": None}, "No monitor counted a recovery in this period."),
         ({"times": []}, "There are no times of recoveries in this period."),
