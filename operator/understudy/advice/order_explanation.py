@@ -79,7 +79,8 @@ def unmet_requirements(order: Order) -> list[str]:
     if not order.is_fast_enough:
         found.append(
             f"{_sooner(order.requirements)} requires {_time(required_time(order.requirements))}, but "
-            f"{strategy_name(first.candidate)}, the fastest that may go first, needs {_time(first.seconds.value)} ({first.seconds.source}): {_remedy(order)}"
+            f"{strategy_name(first.candidate)}, the fastest that may go first, needs "
+            f"{_time(first.seconds.value)} ({first.seconds.source}): {_remedy(order)}"
         )
     if not order.is_safe_enough:
         wanted = "Executing" if order.requirements.safety == "High" else "Executing or Initialized"
