@@ -87,11 +87,11 @@ def main() -> int:
     if verb is None:
         print(f"understudy: unknown verb {arguments[0]!r}{_suggestion(arguments[0])}", file=sys.stderr)
         return 2
-    result: int = _import(verb.module).main(arguments[1:])
+    result: int = import_frozen(verb.module).main(arguments[1:])
     return result
 
 
-def _import(module: str) -> ModuleType:
+def import_frozen(module: str) -> ModuleType:
     """Import a module without garbage collection, and exempt what it loads from later collections.
 
     Scanning objects that stay for the life of the process took a tenth of the start of a monitor.

@@ -19,7 +19,7 @@ def test_nobody_drives_a_robot_that_was_fenced_until_somebody_resumes(executing:
 
     asked = understudy(kubectl, "fence", name, "--reason", "it is in the wrong aisle")
     assert asked.returncode == 2, "there is no terminal to ask in"
-    assert "say that it is meant with --yes" in asked.stderr
+    assert "give --yes to confirm" in asked.stderr
     assert not executing.get()["spec"].get("pause")
 
     done = understudy(kubectl, "fence", name, "--reason", "it is in the wrong aisle", "--owner", "ann", "--yes")

@@ -57,7 +57,7 @@ def test_what_a_part_is_made_of_is_not_looked_through_for_garbage() -> None:
     code = (
         "import gc\n"
         "from understudy import main\n"
-        "main._import('understudy.agent.process')\n"
+        "main.import_frozen('understudy.agent.process')\n"
         "made = [value for value in vars(main).values() if gc.is_tracked(value)]\n"
         "looked_at = set(map(id, gc.get_objects()))\n"
         "print(gc.isenabled(), bool(made), any(id(value) in looked_at for value in made))\n"

@@ -1,4 +1,4 @@
-"""How many fallbacks a fleet needs and in which order strategies are tried, with the explanations.
+"""Calculates how many fallbacks a fleet needs and the order of strategies, with explanations.
 
-Pure arithmetic; it knows no cluster and no robot.
+Pure functions without access to a cluster or a robot.
 """

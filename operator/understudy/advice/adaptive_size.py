@@ -1,7 +1,7 @@
-"""Has the size of a pool follow the failures: it grows at once, and shrinks late, one by one, where that is sure to be enough.
+"""Adapts the size of a pool to the failures: it grows at once, and shrinks slowly, by one, if the smaller size surely suffices.
 
-The two don't meet, so a size at the border of two isn't left again and again: it grows by the rate that is to be expected, and
-shrinks by the highest that it may well be.
+It grows by the expected rate and shrinks by the upper bound of the rate. This hysteresis prevents a size that alternates between
+two values.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from understudy.advice.demand import Demand
 from understudy.advice.failure_rate import Rate
 
 REST = 600.0
-"""Seconds from one change of the size to the next smaller one."""
+"""Least seconds from a change of the size to the next decrease."""
 
 COUNTED = 1024
-"""More fallbacks than these aren't told apart."""
+"""Largest size that is calculated."""
 
 
 @dataclass(frozen=True)
-class Aim:
-    """What is asked of a pool. Times in seconds."""
+class SizingTarget:
+    """The requirements of a pool. Times in seconds."""
 
     risk: float
     measure: str
@@ -30,12 +30,12 @@ class Aim:
     least: int
     most: int
     kept_back: int = 0
-    """Fallbacks that not every robot may take: they come on top."""
+    """Fallbacks reserved for some robots, in addition to the calculated ones."""
 
 
 @dataclass(frozen=True)
-class Held:
-    """The size that a pool has, and since when."""
+class CurrentSize:
+    """The current size of a pool, and since when."""
 
     size: int
     since: float
@@ -43,23 +43,23 @@ class Held:
 
 @dataclass(frozen=True)
 class Decision:
-    """The size that it is to have, and why."""
+    """The new size of a pool, and the reasons."""
 
     size: int
     since: float
     needed: int
-    """Enough for the risk at the rate that is to be expected, whatever the limits."""
+    """Sufficient for the risk at the expected rate, regardless of limits."""
     safe: int
-    """Enough for it even at the highest rate that it may well be."""
+    """Sufficient at the upper bound of the rate."""
 
     @property
     def shrinks(self) -> bool:
-        """Whether it is more than surely needed."""
+        """Whether the size is larger than surely needed."""
         return self.safe < self.size
 
 
-def decided(aim: Aim, robots: int, rate: Rate, before: Held | None, now: float) -> Decision:
-    """The size for so many robots that fail so often."""
+def decide_size(aim: SizingTarget, robots: int, rate: Rate, before: CurrentSize | None, now: float) -> Decision:
+    """Decide on the size for a number of robots and their failure rate."""
     needed, safe = (_enough(aim, robots, one) for one in (rate.expected, rate.high))
     size = needed if before is None else before.size
     if needed > size:
@@ -70,12 +70,12 @@ def decided(aim: Aim, robots: int, rate: Rate, before: Held | None, now: float) 
     return Decision(size, before.since if before is not None and before.size == size else now, needed, safe)
 
 
-def _enough(aim: Aim, robots: int, rate: float) -> int:
-    """The fewest fallbacks for the risk."""
+def _enough(aim: SizingTarget, robots: int, rate: float) -> int:
+    """Return the fewest fallbacks for the risk."""
     offered = Demand(robots, rate, aim.refill).offered
     if offered == 0:
         return aim.kept_back
     try:
-        return shortage_risk.enough(aim.measure, offered, aim.risk, most=COUNTED) + aim.kept_back
+        return shortage_risk.fewest_fallbacks(aim.measure, offered, aim.risk, most=COUNTED) + aim.kept_back
     except ValueError:
         return COUNTED

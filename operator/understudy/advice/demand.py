@@ -1,4 +1,4 @@
-"""What a fleet asks of its fallbacks."""
+"""The demand of a fleet for fallbacks."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ _HOUR = 3600.0
 
 @dataclass(frozen=True)
 class Demand:
-    """Robots that fail independently of each other, each at the same rate: failures of the fleet are a Poisson process.
+    """Robots with independent failures at the same rate: the failures of the fleet are a Poisson process.
 
-    That holds while far fewer are down than there are, and not where one cause makes many fail at once.
+    This holds while most robots work, and not if one cause makes many robots fail at once.
     """
 
     robots: int
-    """How many share the fallbacks."""
+    """Number of robots that share the fallbacks."""
     failures_per_robot_hour: float
     refill: float
-    """Seconds from a failure until another fallback waits in place of the one that it took."""
+    """Seconds from a failure until the used fallback is replaced."""
 
     @property
     def rate(self) -> float:
@@ -27,5 +27,5 @@ class Demand:
 
     @property
     def offered(self) -> float:
-        """Fallbacks that would be away on average if there were always one left (erlangs)."""
+        """Mean number of fallbacks in use if there were always one left (erlangs)."""
         return self.rate * self.refill

@@ -1,4 +1,4 @@
-"""How often robots fail, as far as that is known: what is assumed at first, and what was seen since."""
+"""Estimates the failure rate of robots from a prior assumption and from observations."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from dataclasses import dataclass
 from understudy.advice import shortage_risk
 
 SURE = 0.95
-"""How sure it is that the rate is no higher than the upper limit, and as sure that it is no lower than the lower one."""
+"""Confidence that the rate is not above the upper bound, and the same for the lower bound."""
 
 
 @dataclass(frozen=True)
 class Rate:
-    """Failures per robot and hour: what is to be expected, and between which limits it is (90 %)."""
+    """Failures per robot and hour: expected value and 90 % credible interval."""
 
     expected: float
     low: float
     high: float
 
 
-def estimated(assumed: float, failures: int, hours: float) -> Rate:
-    """The rate after so many failures in so many robot hours.
+def estimate_rate(assumed: float, failures: int, hours: float) -> Rate:
+    """Estimate the rate after a number of failures in a number of robot hours.
 
-    What is assumed counts as one failure, in the time in which one would be expected: it decides while nothing was seen, and
-    soon doesn't matter any more (a gamma distribution, the conjugate prior of Poisson's).
+    The assumption counts as one failure in the time in which one is expected: it dominates without observations and soon loses
+    its weight (a gamma distribution, the conjugate prior of the Poisson distribution).
     """
     shape, over = failures + 1, 1 / assumed + hours
     return Rate(shape / over, _quantile(shape, 1 - SURE) / over, _quantile(shape, SURE) / over)
@@ -32,12 +32,12 @@ def estimated(assumed: float, failures: int, hours: float) -> Rate:
 
 @functools.lru_cache(maxsize=1024)
 def _quantile(shape: int, chance: float) -> float:
-    """Below which a gamma distributed number of scale 1 is with such a chance.
+    """Return a quantile of the gamma distribution with scale 1.
 
-    As often as so many events or more happen where that many are expected (Poisson), which only grows with it.
+    Solved by bisection: its distribution function equals a Poisson tail probability, which is monotonic.
     """
     low, high = 0.0, 2.0 * shape + 10.0
     for _ in range(40):
         middle = (low + high) / 2
-        low, high = (low, middle) if shortage_risk.crowded(middle, shape - 1) >= chance else (middle, high)
+        low, high = (low, middle) if shortage_risk.window_risk(middle, shape - 1) >= chance else (middle, high)
     return high

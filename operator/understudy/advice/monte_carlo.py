@@ -1,4 +1,4 @@
-"""The same by trial: failures are drawn, fallbacks are taken and come back, and what becomes of each failure is counted."""
+"""Estimates the risks by simulation: random failures use fallbacks, which are refilled, and the outcome of each is counted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from random import Random
 from understudy.advice.demand import Demand
 
 BATCHES = 20
-"""Parts that the failures are divided into, to tell how sure a mean is."""
+"""Number of batches of failures, for confidence intervals."""
 
 _SURE = 2.093
 """Student's t for 95 % with one less than :data:`BATCHES` degrees of freedom."""
@@ -21,7 +21,7 @@ _SURE = 2.093
 
 @dataclass(frozen=True)
 class Estimate:
-    """A mean and half the width of its interval of confidence of 95 %."""
+    """A mean, and half the width of its 95 % confidence interval."""
 
     mean: float
     within: float
@@ -29,32 +29,32 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Trials:
-    """What came of it, with a refill that always takes the same time."""
+    """The results of a simulation with a constant refill time."""
 
     failures: int
     window: Estimate
-    """Windows as long as a refill with more failures than there are fallbacks."""
+    """Share of windows of one refill time with more failures than fallbacks."""
     loss: Estimate
-    """Failures that found no fallback, where they then go without one."""
+    """Share of failures that find no fallback, if failures do not wait."""
     waiting: Estimate
-    """Failures that had to wait, where they then wait for one."""
+    """Share of failures that have to wait, if failures wait."""
     wait: Estimate
-    """Seconds that all failures waited, on average."""
+    """Mean wait of all failures in seconds."""
     interval: Estimate
-    """Intervals (of the paper's length) that hold a window with more failures than there are fallbacks."""
+    """Share of intervals (of the paper's length) with a window that has more failures than fallbacks."""
 
 
-def tried(demand: Demand, fallbacks: int, interval: float, *, failures: int = 200_000, seed: int = 1) -> Trials:
-    """Try it. The rate has to be above 0."""
+def simulate(demand: Demand, fallbacks: int, interval: float, *, failures: int = 200_000, seed: int = 1) -> Trials:
+    """Run the simulation. The rate must be above 0."""
     times = list(_arrivals(demand.rate, failures, Random(seed)))
-    waited = waits(times, fallbacks, lambda: demand.refill)
+    waited = wait_times(times, fallbacks, lambda: demand.refill)
     return Trials(
         failures=failures,
         window=_share(
             [index for index, found in _spells(times, demand.refill) if len(found) > fallbacks],
             _whole(times, demand.refill),
         ),
-        loss=_estimate(lost(times, fallbacks, lambda: demand.refill)),
+        loss=_estimate(losses(times, fallbacks, lambda: demand.refill)),
         waiting=_estimate([float(wait > 0) for wait in waited]),
         wait=_estimate(waited),
         interval=_share(
@@ -64,8 +64,8 @@ def tried(demand: Demand, fallbacks: int, interval: float, *, failures: int = 20
     )
 
 
-def lost(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
-    """Of failures at these times, for each 1 where it found no fallback and goes without, else 0."""
+def losses(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
+    """Return 1 for each failure that finds no fallback and does not wait, else 0."""
     away: list[float] = []
     found = []
     for time in times:
@@ -78,8 +78,8 @@ def lost(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) ->
     return found
 
 
-def waits(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
-    """Of failures at these times, how long each waits for a fallback, first come first served."""
+def wait_times(times: Sequence[float], fallbacks: int, refill: Callable[[], float]) -> list[float]:
+    """Return how long each failure waits for a fallback, first come first served."""
     if fallbacks == 0:
         return [math.inf] * len(times)
     back = [0.0] * fallbacks
@@ -99,12 +99,12 @@ def _arrivals(rate: float, failures: int, draw: Random) -> Iterator[float]:
 
 
 def _whole(times: Sequence[float], length: float) -> int:
-    """Spells of a length that the time up to the last failure holds, at least one."""
+    """Return the number of whole intervals of a length until the last failure, at least one."""
     return max(1, int(times[-1] / length))
 
 
 def _spells(times: Sequence[float], length: float) -> Iterator[tuple[int, Sequence[float]]]:
-    """The failures in each of the whole spells with any, by its number. Where failures are rare or spells short, nearly all have none."""
+    """Yield index and failures of the intervals with any. With rare failures or short intervals, most have none."""
     number = _whole(times, length)
     for index, found in groupby(times, lambda time: int(time / length)):
         if index < number:
@@ -112,12 +112,12 @@ def _spells(times: Sequence[float], length: float) -> Iterator[tuple[int, Sequen
 
 
 def _is_crowded(failures: Sequence[float], window: float, fallbacks: int) -> bool:
-    """Whether any window among these has more of them than there are fallbacks."""
+    """Return whether any window has more failures than fallbacks."""
     return any(later - one < window for one, later in zip(failures, failures[fallbacks:], strict=False))
 
 
 def _share(found: Sequence[int], number: int) -> Estimate:
-    """How many of so many spells are those of these numbers (in order), which are all that needs to be known: see :func:`_estimate`."""
+    """Estimate the share of ``number`` intervals whose indices (in order) are in ``found``; see :func:`_estimate`."""
     size = number / BATCHES
     if size < 1:
         return Estimate(len(found) / number, math.inf)
@@ -128,7 +128,7 @@ def _share(found: Sequence[int], number: int) -> Estimate:
 
 
 def _estimate(values: Sequence[float]) -> Estimate:
-    """By the means of batches in their order, since neighbours depend on each other."""
+    """Estimate by the means of batches in order, because neighbouring values are correlated."""
     mean = math.fsum(values) / len(values)
     if not math.isfinite(mean):
         return Estimate(mean, 0.0)
@@ -141,6 +141,6 @@ def _estimate(values: Sequence[float]) -> Estimate:
 
 
 def _within(means: Sequence[float], mean: float) -> float:
-    """Half the width of the interval of confidence, by the means of the batches and that of all."""
+    """Return half the width of the confidence interval from the means of the batches."""
     spread = math.sqrt(sum((each - mean) ** 2 for each in means) / (BATCHES - 1))
     return _SURE * spread / math.sqrt(BATCHES)

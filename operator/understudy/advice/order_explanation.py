@@ -1,109 +1,120 @@
-"""Tells an order and the reasons for it, as conditions and ``understudy recommend`` show them."""
+"""Explains an order of strategies for conditions and ``understudy recommend``."""
 
 from __future__ import annotations
 
 import math
 
-from understudy.advice.strategy_order import NEXT_TO_NOTHING, SOON, Candidate, Judged, Order, soon, usage
+from understudy.advice.strategy_order import (
+    NEGLIGIBLE,
+    SOON,
+    Candidate,
+    Order,
+    RatedStrategy,
+    effective_resource_usage,
+    required_time,
+)
 from understudy.api.kinds.requirements_spec import Requirements
 from understudy.trees.core.leaf import duration
 
 
-def named(candidate: Candidate) -> str:
-    """A strategy with its pool, such as ``Executing (hot)``."""
+def strategy_name(candidate: Candidate) -> str:
+    """Return a strategy with its pool, such as ``Executing (hot)``."""
     return f"{candidate.way} ({candidate.pool})" if candidate.pool else candidate.way
 
 
-def in_short(order: Order) -> str:
-    """The order in one line, such as ``Executing (hot), Restart``."""
-    return ", ".join(named(one.candidate) for one in order.chosen)
+def one_line(order: Order) -> str:
+    """Return the order in one line, such as ``Executing (hot), Restart``."""
+    return ", ".join(strategy_name(one.candidate) for one in order.chosen)
 
 
-def expected(judged: Judged) -> str:
-    """How soon a strategy recovers, and how that is known."""
+def describe_time(judged: RatedStrategy) -> str:
+    """Return the expected time of a strategy and its source."""
     return f"{_time(judged.seconds.value)}, {judged.seconds.source}"
 
 
-def asked(requirements: Requirements) -> str:
-    """What is asked for, each part with the requirement that it is from."""
-    within = soon(requirements)
+def describe_requirements(requirements: Requirements) -> str:
+    """Describe the requirements, each with its field."""
+    within = required_time(requirements)
     cost = {
-        "Low": f"with standbys that take at most {NEXT_TO_NOTHING:g} of a working instance's CPU",
-        "Medium": "with no more standbys than that takes",
-        "High": "whatever its standbys take",
-    }[usage(requirements)]
-    time = "however long it takes" if within == math.inf else f"within {_time(within)} of the detection"
+        "Low": f"with standbys that use at most {NEGLIGIBLE:g} of a working instance's CPU",
+        "Medium": "with no more standbys than required for that",
+        "High": "regardless of the cost of standbys",
+    }[effective_resource_usage(requirements)]
+    time = "without a time limit" if within == math.inf else f"within {_time(within)} after detection"
     parts = [f"a recovery {time} ({_sooner(requirements)})", f"{cost} ({_payer(requirements)})"]
     if requirements.safety == "Medium":
-        parts.append("first by an instance that is up already (safety Medium)")
+        parts.append("first by an instance that runs already (safety Medium)")
     if requirements.safety == "High":
-        parts.append("first by an instance that was seen to be healthy while it waited (safety High)")
+        parts.append("first by an instance that was observed to be healthy while it waited (safety High)")
     return ", ".join(parts)
 
 
-def why(order: Order, judged: Judged) -> str:
-    """Why a strategy has its place, or none."""
+def describe_choice(order: Order, judged: RatedStrategy) -> str:
+    """Return the reason for the place of a strategy, or for leaving it out."""
     if judged == order.first:
         return _why_first(order)
     cost = f"{judged.cost:.2g} of a working instance's CPU"
     if judged in order.costly:
-        return f"would take {cost}, and {_payer(order.requirements)} allows {NEXT_TO_NOTHING:g}"
+        return f"would use {cost}, but {_payer(order.requirements)} allows {NEGLIGIBLE:g}"
     if judged in order.spared:
-        return f"would take {cost}, and behind the first one come only those that take {NEXT_TO_NOTHING:g} at most"
-    return "if those before it fail"
+        return f"would use {cost}, but strategies after the first may use at most {NEGLIGIBLE:g}"
+    return "if the strategies before it fail"
 
 
 def _why_first(order: Order) -> str:
-    known = "" if order.requirements.safety == "Low" or not order.safe_enough else " of those that safety asks for"
-    if not order.soon_enough:
-        return f"the soonest{known}, though not as soon as asked for"
-    if usage(order.requirements) == "High":
-        return f"the soonest{known}"
-    return f"the cheapest{known} that is soon enough"
+    known = (
+        "" if order.requirements.safety == "Low" or not order.is_safe_enough else " that meets the safety requirement"
+    )
+    if not order.is_fast_enough:
+        return f"the fastest{known}, but slower than required"
+    if effective_resource_usage(order.requirements) == "High":
+        return f"the fastest{known}"
+    return f"the cheapest{known} that is fast enough"
 
 
-def unmet(order: Order) -> list[str]:
-    """What is asked for and can't be had."""
+def unmet_requirements(order: Order) -> list[str]:
+    """Return the requirements that cannot be met."""
     found = []
     first = order.first
-    if not order.soon_enough:
+    if not order.is_fast_enough:
         found.append(
-            f"{_sooner(order.requirements)} asks for {_time(soon(order.requirements))}, and {named(first.candidate)}, the soonest that may "
-            f"go first, needs {_time(first.seconds.value)} ({first.seconds.source}): {_way_out(order)}"
+            f"{_sooner(order.requirements)} requires {_time(required_time(order.requirements))}, but "
+            f"{strategy_name(first.candidate)}, the fastest that may go first, needs "
+            f"{_time(first.seconds.value)} ({first.seconds.source}): {_remedy(order)}"
         )
-    if not order.safe_enough:
+    if not order.is_safe_enough:
         wanted = "Executing" if order.requirements.safety == "High" else "Executing or Initialized"
         found.append(
-            f"safety {order.requirements.safety} asks for a standby that is {wanted}, and there is none that may be taken: "
+            f"safety {order.requirements.safety} requires a standby that is {wanted}, but none is available: "
             "add a FallbackPool that serves the workload"
         )
     if order.requirements.safety == "High" and not order.safe_commands:
-        found.append(
-            "safety High, and nothing says what the robot is told while no instance is in control: give the policy spec.safety"
-        )
+        found.append("safety High requires safe commands while no instance is active: set spec.safety in the policy")
     return found
 
 
-def reason(order: Order) -> str:
-    """All of it in some sentences, for a condition."""
-    told = [f"{in_short(order)}. Asked for: {asked(order.requirements)}"]
-    told.append(f"{named(order.first.candidate)} is {why(order, order.first)} ({expected(order.first)})")
-    left_out = [f"{named(one.candidate)} {why(order, one)}" for one in order.left_out]
+def explain(order: Order) -> str:
+    """Describe the order in a few sentences, for a condition."""
+    told = [f"{one_line(order)}. Required: {describe_requirements(order.requirements)}"]
+    told.append(
+        f"{strategy_name(order.first.candidate)} is {describe_choice(order, order.first)} ({describe_time(order.first)})"
+    )
+    left_out = [f"{strategy_name(one.candidate)} {describe_choice(order, one)}" for one in order.left_out]
     if left_out:
         told.append(f"Left out: {'; '.join(left_out)}")
-    told += [f"Not met: {one}" for one in unmet(order)]
+    told += [f"Not met: {one}" for one in unmet_requirements(order)]
     return ". ".join(told) + "."
 
 
 def _sooner(requirements: Requirements) -> str:
-    """The requirement that asks for the sooner recovery."""
+    """Return the requirement that determines the time."""
     if SOON[requirements.task_criticality] < SOON[requirements.availability]:
         return f"taskCriticality {requirements.task_criticality}"
     return f"availability {requirements.availability}"
 
 
 def _payer(requirements: Requirements) -> str:
-    """The requirement that says what may be spent."""
+    """Return the requirement that determines the cost."""
     if requirements.safety == "High":
         return "safety High"
     if requirements.task_criticality == "High":
@@ -111,13 +122,13 @@ def _payer(requirements: Requirements) -> str:
     return f"resourceUsage {requirements.resource_usage}"
 
 
-def _way_out(order: Order) -> str:
+def _remedy(order: Order) -> str:
     sooner = [one for one in order.costly if one.seconds.value < order.first.seconds.value]
     if sooner:
-        return f"{named(sooner[0].candidate)} would be, with a higher resourceUsage"
+        return f"{strategy_name(sooner[0].candidate)} would be fast enough with a higher resourceUsage"
     if order.first.candidate.way == "Executing":
-        return "see in its recoveries what takes so long, or ask for less"
-    return "add a FallbackPool of a higher readiness that serves the workload, or ask for less"
+        return "check in its recoveries what takes this long, or lower the requirement"
+    return "add a FallbackPool with a higher readiness that serves the workload, or lower the requirement"
 
 
 def _time(seconds: float) -> str:

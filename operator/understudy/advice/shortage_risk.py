@@ -1,7 +1,7 @@
-"""The chance that failures find too few fallbacks, by three measures; ``offered`` is in erlangs (:class:`Demand`).
+"""Probabilities of a shortage of fallbacks, by three measures; ``offered`` is the load in erlangs (:class:`Demand`).
 
-Erlang's formulas, by their usual recursion (A. K. Erlang, 1917; for instance ITU-T E.501), which neither overflows nor
-cancels however many fallbacks there are.
+Erlang's formulas by the usual recursion (A. K. Erlang, 1917; ITU-T E.501), which is numerically stable for any number of
+fallbacks.
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ import math
 from collections.abc import Callable, Mapping
 
 MOST = 1_000_000
-"""Most fallbacks that are thought about."""
+"""Largest number of fallbacks that is calculated."""
 
 
-def crowded(offered: float, fallbacks: int) -> float:
-    """The chance that more failures than there are fallbacks fall into a window as long as the refill takes."""
+def window_risk(offered: float, fallbacks: int) -> float:
+    """Return the probability of more failures than fallbacks within one refill time."""
     if offered == 0:
         return 0.0
     likeliest = fallbacks + 1
-    if likeliest <= offered:  # then the head is the smaller part
+    if likeliest <= offered:  # the sum over the head has fewer terms
         return max(0.0, 1.0 - _poisson_sum(offered, range(fallbacks, -1, -1)))
     return _poisson_sum(offered, range(likeliest, MOST + 2))
 
 
-def lost(offered: float, fallbacks: int) -> float:
-    """The chance that a failure finds no fallback, where it then goes without one (Erlang B).
+def loss_risk(offered: float, fallbacks: int) -> float:
+    """Return the probability that a failure finds no fallback, if failures do not wait (Erlang B).
 
-    Holds for any distribution of the refill's time around its mean.
+    It holds for any distribution of the refill time.
     """
     blocked = 1.0
     for count in range(1, fallbacks + 1):
@@ -34,32 +34,36 @@ def lost(offered: float, fallbacks: int) -> float:
     return blocked if offered > 0 else 0.0
 
 
-def waits(offered: float, fallbacks: int) -> float:
-    """The chance that a failure has to wait, where it then waits for the next fallback (Erlang C, exponential refill)."""
+def waiting_risk(offered: float, fallbacks: int) -> float:
+    """Return the probability that a failure has to wait, if failures wait (Erlang C, exponential refill time)."""
     if offered >= fallbacks:
         return 1.0 if offered > 0 else 0.0
-    blocked = lost(offered, fallbacks)
+    blocked = loss_risk(offered, fallbacks)
     return blocked / (1.0 - offered / fallbacks * (1.0 - blocked))
 
 
-def wait(offered: float, fallbacks: int, refill: float) -> float:
-    """Mean wait of all failures in seconds, those that don't wait included; infinite where they come faster than refills.
+def mean_wait(offered: float, fallbacks: int, refill: float) -> float:
+    """Return the mean wait of all failures in seconds, including those that do not wait; infinite if failures are faster than refills.
 
-    For a refill of exponential length; one that always takes the same time makes for about half of it.
+    It assumes an exponential refill time; a constant one leads to about half of it.
     """
     if offered >= fallbacks:
         return math.inf if offered > 0 else 0.0
-    return waits(offered, fallbacks) * refill / (fallbacks - offered)
+    return waiting_risk(offered, fallbacks) * refill / (fallbacks - offered)
 
 
-MEASURES: Mapping[str, Callable[[float, int], float]] = {"loss": lost, "waiting": waits, "window": crowded}
-"""Each falls as fallbacks are added."""
+MEASURES: Mapping[str, Callable[[float, int], float]] = {
+    "loss": loss_risk,
+    "waiting": waiting_risk,
+    "window": window_risk,
+}
+"""Each decreases with the number of fallbacks."""
 
 
-def enough(measure: str, offered: float, risk: float, *, most: int = MOST) -> int:
-    """The fewest fallbacks whose risk, by one of the :data:`MEASURES`, is at most so high.
+def fewest_fallbacks(measure: str, offered: float, risk: float, *, most: int = MOST) -> int:
+    """Return the fewest fallbacks with at most this risk, by one of the :data:`MEASURES`.
 
-    Raises ValueError where not even ``most`` are enough, and for a risk outside of 0 to 1.
+    Raises ValueError if ``most`` are not enough, or for a risk outside 0 to 1.
     """
     if not 0 < risk < 1:
         raise ValueError(f"the risk must be above 0 and below 1, found {risk:g}")
@@ -68,7 +72,7 @@ def enough(measure: str, offered: float, risk: float, *, most: int = MOST) -> in
     while function(offered, high) > risk:
         high *= 2
         if high > most:
-            raise ValueError(f"not even {most} fallbacks are enough for {offered:g} that are away on average")
+            raise ValueError(f"{most} fallbacks are not enough for {offered:g} in use on average")
     low = high // 2  # not enough, or none
     if function(offered, low) <= risk:
         return low
@@ -79,7 +83,7 @@ def enough(measure: str, offered: float, risk: float, *, most: int = MOST) -> in
 
 
 def _poisson_sum(mean: float, counts: range) -> float:
-    """The sum of the Poisson probabilities of counts that get less likely one by one, as far as that matters."""
+    """Sum Poisson probabilities of counts in order of decreasing probability, until the rest is negligible."""
     total = 0.0
     for count in counts:
         term = math.exp(count * math.log(mean) - mean - math.lgamma(count + 1))

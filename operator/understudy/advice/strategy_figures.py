@@ -1,4 +1,4 @@
-"""How long strategies take and what their standbys cost: as measured where it was, and else as published."""
+"""Recovery times of strategies and CPU of their standbys: measured if available, otherwise published."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from understudy.api.kinds.fallback_pool import Readiness
 from understudy.api.kinds.robot_workload import Recovery
 
 Way = Literal[Readiness, "Restart"]
-"""What takes over: a standby of a readiness, or a pod that is started."""
+"""What takes over: a standby with a readiness, or a restarted pod."""
 
 LEAST = 3
-"""Recoveries by a strategy from which on their times count: one that took long for once changes no order."""
+"""Least number of recoveries for a measurement, so that a single slow recovery does not change the order."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure and where it is from."""
+    """A figure and its source."""
 
     value: float
     source: str = "published"
-    """Where it is from, in words."""
+    """The source, in words."""
 
 
 PUBLISHED_SECONDS: Mapping[Way, float] = {
@@ -32,40 +32,39 @@ PUBLISHED_SECONDS: Mapping[Way, float] = {
     "Uninitialized": 3.96,
     "Restart": 4.67,
 }
-"""From the detection of a failure to the recovery: means of this project's navigation stack (bench/results/navigation.json, the
-table in examples/navigation/README.md without t_detection, which no strategy changes). Of its two initialized standbys the slower.
+"""Seconds from detection to recovery: means of this project's navigation stack (bench/results/navigation.json, and the table in
+examples/navigation/README.md without t_detection, which is independent of the strategy). The slower of two initialized standbys.
 
-The paper tells fewer: 100 ms for a patch against 2.9 s for a restart on the cluster's part, 6 s in all for an uninitialized
-fallback, and ten times less down-time in full execution than with a restart. They come in the same order.
+The paper gives fewer figures: 100 ms for a patch and 2.9 s for a restart (cluster part), 6 s in total for an uninitialized
+fallback, and ten times less downtime in full execution than with a restart. The order is the same.
 """
 
 PUBLISHED_CPU: Mapping[Way, float] = {"Executing": 0.96, "Initialized": 0.68, "Uninitialized": 0.0, "Restart": 0.0}
-"""What a waiting instance uses of what a working one does, from the same runs. The paper has 1 in full execution and 0.6 for one
-that waits uninitialized, whose processes run there; here they are held before they start.
+"""CPU of a waiting instance as a share of a working one's, from the same runs. The paper has 1 in full execution and 0.6 for an
+uninitialized one, whose processes run there; here they are held before they start.
 """
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What is known; what isn't measured is as published."""
+    """Measured figures, with published ones as a fallback."""
 
     measured_seconds: Mapping[Way, Figure] = field(default_factory=dict)
     measured_cpu: Mapping[Way, Figure] = field(default_factory=dict)
 
     def seconds(self, way: Way) -> Figure:
-        """From a failure's detection to its recovery."""
+        """Return the seconds from detection to recovery."""
         return self.measured_seconds.get(way) or Figure(PUBLISHED_SECONDS[way])
 
     def cpu(self, way: Way) -> Figure:
-        """What one waiting instance uses of what a working one does."""
+        """Return the CPU of a waiting instance as a share of a working one's."""
         return self.measured_cpu.get(way) or Figure(PUBLISHED_CPU[way])
 
 
-def seen(recoveries: Iterable[Recovery]) -> dict[Way, Figure]:
-    """What recorded recoveries say: for each strategy with :data:`LEAST` of them the median of all that comes after the detection.
+def measured_times(recoveries: Iterable[Recovery]) -> dict[Way, Figure]:
+    """Return the median time after detection by strategy, from at least :data:`LEAST` recorded recoveries each.
 
-    Left out are those that failed, that were planned, that another monitor had begun, in which another strategy was tried in vain
-    before, and the reflex's, which is a way of its own.
+    Failed, planned and resumed recoveries, recoveries after a failed attempt, and reflex recoveries do not count.
     """
     taken: dict[Way, list[float]] = {}
     for one in recoveries:

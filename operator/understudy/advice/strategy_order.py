@@ -1,16 +1,17 @@
-"""From requirements to an order.
+"""Chooses the order of strategies from requirements.
 
-The rules, in full:
+The rules:
 
-1. A strategy costs what its standbys take of a working instance's CPU. With resourceUsage Low those that cost more than next to nothing
-   are left out. With safety or taskCriticality High it counts as High. A restart costs nothing, so it's never left out.
-2. Of the rest, those go first of whose instances is known what ``safety`` asks for, if there are any.
-3. The first strategy is the cheapest of these that recovers as soon as ``availability`` and ``taskCriticality`` ask for, whichever asks
-   for more. If none does, or with resourceUsage High, it's the one that recovers soonest.
-4. Behind it come those that cost next to nothing, with resourceUsage High all: as safety asks for, then the soonest first.
+1. The cost of a strategy is the CPU of its standbys, as a share of a working instance's. With resourceUsage Low, strategies that cost
+   more than a negligible share are left out. With safety or taskCriticality High, resourceUsage counts as High. A restart costs
+   nothing and is never left out.
+2. Strategies whose instances meet ``safety`` go first, if there are any.
+3. The first strategy is the cheapest of these that is as fast as ``availability`` and ``taskCriticality`` require. If none is, or with
+   resourceUsage High, it is the fastest one.
+4. After it come those with negligible cost, or all with resourceUsage High: by safety, then the fastest first.
 
-So whoever asks for more availability never gets a slower first strategy, since the cheapest of fewer that are fast enough is never
-slower than the cheapest of more. Requirements that can't be met don't stop anything: what lacks is told.
+A higher availability therefore never leads to a slower first strategy. Requirements that cannot be met do not prevent an order;
+they are reported.
 """
 
 from __future__ import annotations
@@ -23,50 +24,50 @@ from understudy.advice.strategy_figures import Figure, Figures, Way
 from understudy.api.kinds.requirements_spec import Level, Requirements
 
 SOON: Mapping[Level, float] = {"Low": math.inf, "Medium": 2.0, "High": 0.5}
-"""Seconds from a failure's detection to its recovery. Medium: a short stop. High: as long as many bases go on by themselves after
-their last command, so that they hardly stop.
+"""Seconds from detection to recovery. Medium: a short stop. High: about as long as many mobile bases continue after their last
+command, so that they hardly stop.
 """
 
-NEXT_TO_NOTHING = 0.1
-"""What standbys may take, as a share of a working instance's CPU, that nobody minds: processes that only wait."""
+NEGLIGIBLE = 0.1
+"""Negligible CPU of standbys, as a share of a working instance's: processes that only wait."""
 
 _UP: Mapping[Way, int] = {"Executing": 0, "Initialized": 1, "Uninitialized": 2, "Restart": 2}
-"""How far what takes over is from having been seen to be healthy. One that only has to start is as far as any other."""
+"""Rank of confidence that the new instance is healthy: 0 means that it was observed to be healthy."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A strategy that could be taken."""
+    """A possible strategy."""
 
     way: Way
     pool: str = ""
     standbys: float = 0.0
-    """Instances that wait for one workload; of a shared pool its share of them."""
+    """Waiting instances per workload; for a shared pool, the workload's share."""
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A candidate, and what is expected of it."""
+class RatedStrategy:
+    """A candidate with its expected time and CPU."""
 
     candidate: Candidate
     seconds: Figure
     """From a failure's detection to its recovery."""
     cpu: Figure
-    """Of one standby, as a share of a working instance's."""
+    """CPU of one standby, as a share of a working instance's."""
 
     @property
     def cost(self) -> float:
-        """What its standbys take, as a share of a working instance's CPU."""
+        """CPU of its standbys, as a share of a working instance's."""
         return self.candidate.standbys * self.cpu.value
 
     @property
     def speed(self) -> tuple[float, float, int, str]:
-        """By which the soonest is least; never the same for two."""
+        """Sort key for the fastest; unique."""
         return self.seconds.value, self.cost, *self._name
 
     @property
     def thrift(self) -> tuple[float, float, int, str]:
-        """By which the cheapest is least; never the same for two."""
+        """Sort key for the cheapest; unique."""
         return self.cost, self.seconds.value, *self._name
 
     @property
@@ -76,73 +77,73 @@ class Judged:
 
 @dataclass(frozen=True)
 class Order:
-    """Which strategies are tried, in which order, and what becomes of the others."""
+    """The strategies in order, and those left out."""
 
     requirements: Requirements
-    chosen: tuple[Judged, ...]
-    """In order, and never empty."""
-    costly: tuple[Judged, ...] = ()
-    """Left out, since they cost more than next to nothing, and no more is allowed."""
-    spared: tuple[Judged, ...] = ()
-    """Left out, since behind the first one they aren't worth what they cost."""
+    chosen: tuple[RatedStrategy, ...]
+    """In order; never empty."""
+    costly: tuple[RatedStrategy, ...] = ()
+    """Left out because they cost more than the requirements allow."""
+    spared: tuple[RatedStrategy, ...] = ()
+    """Left out because they are not worth their cost after the first one."""
     safe_commands: bool = True
-    """Whether the robot is told something while no instance is in control."""
+    """Whether the policy defines safe commands while no instance is active."""
 
     @property
-    def left_out(self) -> tuple[Judged, ...]:
-        """All that aren't taken."""
+    def left_out(self) -> tuple[RatedStrategy, ...]:
+        """All strategies that were left out."""
         return (*self.costly, *self.spared)
 
     @property
-    def first(self) -> Judged:
-        """The one that is counted on."""
+    def first(self) -> RatedStrategy:
+        """The first strategy."""
         return self.chosen[0]
 
     @property
-    def soon_enough(self) -> bool:
-        """Whether the first one recovers as soon as is asked for."""
-        return self.first.seconds.value <= soon(self.requirements)
+    def is_fast_enough(self) -> bool:
+        """Whether the first strategy is as fast as required."""
+        return self.first.seconds.value <= required_time(self.requirements)
 
     @property
-    def safe_enough(self) -> bool:
-        """Whether of the first one is known what safety asks for."""
-        return lacks(self.requirements, self.first.candidate.way) == 0
+    def is_safe_enough(self) -> bool:
+        """Whether the first strategy meets the safety requirement."""
+        return safety_gap(self.requirements, self.first.candidate.way) == 0
 
 
-def soon(requirements: Requirements) -> float:
-    """Seconds within which a failure is to be recovered from after its detection."""
+def required_time(requirements: Requirements) -> float:
+    """Return the required seconds from detection to recovery."""
     return min(SOON[requirements.availability], SOON[requirements.task_criticality])
 
 
-def usage(requirements: Requirements) -> Level:
-    """How much standbys may take: what is said of it counts less than a robot's safety and what would be lost."""
+def effective_resource_usage(requirements: Requirements) -> Level:
+    """Return the effective resourceUsage: safety and taskCriticality High override it."""
     if "High" in (requirements.safety, requirements.task_criticality):
         return "High"
     return requirements.resource_usage
 
 
-def spent(requirements: Requirements) -> float:
-    """The most that a strategy's standbys may take, as a share of a working instance's CPU."""
-    return NEXT_TO_NOTHING if usage(requirements) == "Low" else math.inf
+def most_cost(requirements: Requirements) -> float:
+    """Return the most CPU of a strategy's standbys, as a share of a working instance's."""
+    return NEGLIGIBLE if effective_resource_usage(requirements) == "Low" else math.inf
 
 
-def lacks(requirements: Requirements, way: Way) -> int:
-    """How far an instance is from what safety asks to be known of it; 0 where all is known."""
+def safety_gap(requirements: Requirements, way: Way) -> int:
+    """Return how far a strategy is from the safety requirement; 0 if it meets it."""
     allowed = {"High": 0, "Medium": 1, "Low": 2}[requirements.safety]
     return max(0, _UP[way] - allowed)
 
 
-def ordered(
+def order_strategies(
     requirements: Requirements, pools: Iterable[Candidate], figures: Figures, *, safe_commands: bool = True
 ) -> Order:
-    """The order of a restart and of fallbacks from these pools."""
+    """Return the order of a restart and of fallbacks from these pools."""
     candidates = {*pools, Candidate("Restart")}
-    judged = [Judged(one, figures.seconds(one.way), figures.cpu(one.way)) for one in candidates]
-    allowed = [one for one in judged if one.cost <= spent(requirements)]
+    judged = [RatedStrategy(one, figures.seconds(one.way), figures.cpu(one.way)) for one in candidates]
+    allowed = [one for one in judged if one.cost <= most_cost(requirements)]
     first = _first(requirements, allowed)
-    most = math.inf if usage(requirements) == "High" else NEXT_TO_NOTHING
+    most = math.inf if effective_resource_usage(requirements) == "High" else NEGLIGIBLE
     behind = [one for one in allowed if one is not first and one.cost <= most]
-    behind.sort(key=lambda one: (lacks(requirements, one.candidate.way), one.speed))
+    behind.sort(key=lambda one: (safety_gap(requirements, one.candidate.way), one.speed))
     chosen = (first, *behind)
     return Order(
         requirements,
@@ -153,10 +154,10 @@ def ordered(
     )
 
 
-def _first(requirements: Requirements, allowed: list[Judged]) -> Judged:
-    least = min(lacks(requirements, one.candidate.way) for one in allowed)
-    known = [one for one in allowed if lacks(requirements, one.candidate.way) == least]
-    enough = [one for one in known if one.seconds.value <= soon(requirements)]
-    if enough and usage(requirements) != "High":
+def _first(requirements: Requirements, allowed: list[RatedStrategy]) -> RatedStrategy:
+    least = min(safety_gap(requirements, one.candidate.way) for one in allowed)
+    known = [one for one in allowed if safety_gap(requirements, one.candidate.way) == least]
+    enough = [one for one in known if one.seconds.value <= required_time(requirements)]
+    if enough and effective_resource_usage(requirements) != "High":
         return min(enough, key=lambda one: one.thrift)
     return min(known, key=lambda one: one.speed)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from understudy.advice.strategy_figures import PUBLISHED_CPU, PUBLISHED_SECONDS, Figure, Figures, seen
+from understudy.advice.strategy_figures import PUBLISHED_CPU, PUBLISHED_SECONDS, Figure, Figures, measured_times
 from understudy.api.kinds.robot_workload import Attempt, Parts, Recovery
 
 RESULTS = Path(__file__).parents[3] / "bench" / "results" / "navigation.json"
@@ -26,12 +26,15 @@ def recovery(by: str, seconds: float, **more: Any) -> Recovery:
 
 
 def test_the_median_of_what_comes_after_the_detection_counts():
-    found = seen([recovery("Fallback/Executing", seconds) for seconds in (0.02, 0.03, 0.9)])
+    found = measured_times([recovery("Fallback/Executing", seconds) for seconds in (0.02, 0.03, 0.9)])
     assert found == {"Executing": Figure(pytest.approx(0.03), "measured 3 times")}
 
 
 def test_two_recoveries_are_too_few():
-    assert seen([recovery("Restart", 1.0), recovery("Restart", 2.0), recovery("Fallback/Uninitialized", 3.0)]) == {}
+    assert (
+        measured_times([recovery("Restart", 1.0), recovery("Restart", 2.0), recovery("Fallback/Uninitialized", 3.0)])
+        == {}
+    )
 
 
 @pytest.mark.parametrize(
@@ -47,12 +50,15 @@ def test_two_recoveries_are_too_few():
     ids=lambda other: next(iter(other)),
 )
 def test_what_tells_nothing_of_a_strategys_time_is_left_out(other):
-    assert seen([recovery("Restart", 1.0, **other) for _ in range(5)]) == {}
+    assert measured_times([recovery("Restart", 1.0, **other) for _ in range(5)]) == {}
 
 
 def test_a_strategy_without_means_took_no_time():
     passed = [Attempt(strategy="Fallback/Executing", result="NotAvailable")]
-    assert seen([recovery("Restart", 1.0, attempts=passed) for _ in range(3)])["Restart"].source == "measured 3 times"
+    assert (
+        measured_times([recovery("Restart", 1.0, attempts=passed) for _ in range(3)])["Restart"].source
+        == "measured 3 times"
+    )
 
 
 def test_what_was_not_measured_is_as_published_and_says_so():

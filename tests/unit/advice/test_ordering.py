@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.advice.given import LEVELS, WAYS, figures, levels, pools, requirements
-from understudy.advice.order_explanation import in_short, reason, unmet
+from understudy.advice.order_explanation import explain, one_line, unmet_requirements
 from understudy.advice.strategy_figures import Figure, Figures
-from understudy.advice.strategy_order import NEXT_TO_NOTHING, Candidate, Order, ordered, usage
+from understudy.advice.strategy_order import NEGLIGIBLE, Candidate, Order, effective_resource_usage, order_strategies
 from understudy.api.kinds.requirements_spec import Requirements
 
 HOT = Candidate("Executing", "hot", 1)
@@ -24,11 +24,11 @@ tried = settings(max_examples=300, deadline=None)
 
 
 def order(*candidates: Candidate, known: Figures = PUBLISHED, **levels: str) -> Order:
-    return ordered(Requirements.model_validate(levels), candidates, known)
+    return order_strategies(Requirements.model_validate(levels), candidates, known)
 
 
 def short(*candidates: Candidate, known: Figures = PUBLISHED, **levels: str) -> str:
-    return in_short(order(*candidates, known=known, **levels))
+    return one_line(order(*candidates, known=known, **levels))
 
 
 # -- what holds of every order ------------------------------------------------------------------------------------------
@@ -37,18 +37,18 @@ def short(*candidates: Candidate, known: Figures = PUBLISHED, **levels: str) -> 
 @tried
 @given(requirements, pools, figures)
 def test_it_is_never_empty_and_a_restart_is_always_in_it(asked, offered, known):
-    found = ordered(asked, offered, known)
+    found = order_strategies(asked, offered, known)
     assert [one.candidate.way for one in found.chosen].count("Restart") == 1
 
 
 @tried
 @given(requirements, pools, figures)
 def test_every_pool_is_in_it_once_or_is_said_to_be_left_out(asked, offered, known):
-    found = ordered(asked, offered, known)
+    found = order_strategies(asked, offered, known)
     told = [one.candidate for one in (*found.chosen, *found.costly, *found.spared)]
     assert sorted(told, key=repr) == sorted([*offered, Candidate("Restart")], key=repr)
     for one in (*found.costly, *found.spared):
-        assert one.candidate.pool in reason(found)
+        assert one.candidate.pool in explain(found)
 
 
 @tried
@@ -56,14 +56,14 @@ def test_every_pool_is_in_it_once_or_is_said_to_be_left_out(asked, offered, know
 def test_the_same_is_asked_for_the_same_is_answered(asked, offered, known, random):
     shuffled = list(offered)
     random.shuffle(shuffled)
-    assert ordered(asked, offered, known) == ordered(asked, shuffled, known)
+    assert order_strategies(asked, offered, known) == order_strategies(asked, shuffled, known)
 
 
 @tried
 @given(requirements, pools, figures)
 def test_more_availability_never_gives_a_slower_first_strategy(asked, offered, known):
     times = [
-        ordered(asked.model_copy(update={"availability": level}), offered, known).first.seconds.value
+        order_strategies(asked.model_copy(update={"availability": level}), offered, known).first.seconds.value
         for level in LEVELS
     ]
     assert all(sooner <= later for later, sooner in pairwise(times))
@@ -74,7 +74,7 @@ def test_more_availability_never_gives_a_slower_first_strategy(asked, offered, k
 def test_a_more_critical_task_never_gives_a_slower_first_strategy(asked, offered, known):
     asked = asked.model_copy(update={"safety": "Low"})
     times = [
-        ordered(asked.model_copy(update={"task_criticality": level}), offered, known).first.seconds.value
+        order_strategies(asked.model_copy(update={"task_criticality": level}), offered, known).first.seconds.value
         for level in LEVELS
     ]
     assert all(sooner <= later for later, sooner in pairwise(times))
@@ -83,19 +83,19 @@ def test_a_more_critical_task_never_gives_a_slower_first_strategy(asked, offered
 @tried
 @given(requirements, pools, figures)
 def test_no_strategy_costs_more_than_may_be_spent(asked, offered, known):
-    found = ordered(asked, offered, known)
-    if usage(asked) == "Low":
-        assert all(one.cost <= NEXT_TO_NOTHING for one in found.chosen)
-    if usage(asked) == "Medium":
-        assert all(one.cost <= NEXT_TO_NOTHING for one in found.chosen[1:])
-    if usage(asked) == "High":
+    found = order_strategies(asked, offered, known)
+    if effective_resource_usage(asked) == "Low":
+        assert all(one.cost <= NEGLIGIBLE for one in found.chosen)
+    if effective_resource_usage(asked) == "Medium":
+        assert all(one.cost <= NEGLIGIBLE for one in found.chosen[1:])
+    if effective_resource_usage(asked) == "High":
         assert len(found.chosen) == len(offered) + 1
 
 
 @tried
 @given(requirements, pools, figures)
 def test_safety_high_lets_one_that_was_seen_to_be_healthy_go_first_whatever_it_costs(asked, offered, known):
-    found = ordered(asked.model_copy(update={"safety": "High"}), offered, known)
+    found = order_strategies(asked.model_copy(update={"safety": "High"}), offered, known)
     if any(one.way == "Executing" for one in offered):
         assert found.first.candidate.way == "Executing"
     assert not found.costly
@@ -112,7 +112,7 @@ def _up(offered: list[Candidate]) -> int:
 @given(requirements, pools, figures, levels)
 def test_safety_medium_lets_one_that_is_up_go_first_where_it_may_be_kept(asked, offered, known, usage):
     asked = asked.model_copy(update={"safety": "Medium", "resource_usage": usage})
-    found = ordered(asked, offered, known)
+    found = order_strategies(asked, offered, known)
     left = {one.candidate for one in found.costly}
     if any(one.way in ("Executing", "Initialized") for one in offered if one not in left):
         assert found.first.candidate.way in ("Executing", "Initialized")
@@ -121,8 +121,8 @@ def test_safety_medium_lets_one_that_is_up_go_first_where_it_may_be_kept(asked, 
 @tried
 @given(requirements, pools, figures)
 def test_what_is_not_met_is_told_and_nothing_else(asked, offered, known):
-    found = ordered(asked, offered, known)
-    assert bool(unmet(found)) == (not found.soon_enough or not found.safe_enough)
+    found = order_strategies(asked, offered, known)
+    assert bool(unmet_requirements(found)) == (not found.is_fast_enough or not found.is_safe_enough)
 
 
 # -- the paper's own cases ----------------------------------------------------------------------------------------------
@@ -153,11 +153,11 @@ def test_high_availability_gets_the_one_standby_that_it_takes():
 
 def test_high_availability_has_to_be_paid_for():
     found = order(*ALL, availability="High", resource_usage="Low")
-    assert in_short(found) == "Uninitialized (spare), Restart"
-    (told,) = unmet(found)
+    assert one_line(found) == "Uninitialized (spare), Restart"
+    (told,) = unmet_requirements(found)
     assert told == (
-        "availability High asks for 500 ms, and Uninitialized (spare), the soonest that may go first, needs 3.96 s (published): "
-        "Executing (hot) would be, with a higher resourceUsage"
+        "availability High requires 500 ms, but Uninitialized (spare), the fastest that may go first, needs 3.96 s (published): "
+        "Executing (hot) would be fast enough with a higher resourceUsage"
     )
 
 
@@ -167,30 +167,30 @@ def test_all_that_there_is_is_kept_where_resources_are_no_object():
 
 
 def test_safety_high_wants_safe_commands_too():
-    found = ordered(Requirements(safety="High"), ALL, PUBLISHED, safe_commands=False)
-    assert unmet(found) == [
-        "safety High, and nothing says what the robot is told while no instance is in control: give the policy spec.safety"
+    found = order_strategies(Requirements(safety="High"), ALL, PUBLISHED, safe_commands=False)
+    assert unmet_requirements(found) == [
+        "safety High requires safe commands while no instance is active: set spec.safety in the policy"
     ]
 
 
 @pytest.mark.parametrize(("standbys", "expected"), [(1, "Initialized (warm)"), (2, "Executing (hot)")])
 def test_two_standbys_cost_twice_as_much(standbys, expected):
     found = order(Candidate("Initialized", "warm", standbys), HOT)
-    assert in_short(found).split(", ")[0] == expected
+    assert one_line(found).split(", ")[0] == expected
 
 
 def test_what_was_measured_goes_before_what_is_published():
     """An application that starts in a second needs no standby to be back in two."""
     quick = Figures(measured_seconds={"Restart": Figure(1.2, "measured 4 times")})
     found = order(*ALL, known=quick)
-    assert in_short(found) == "Restart, Uninitialized (spare)"
-    assert "Restart is the cheapest that is soon enough (1.2 s, measured 4 times)" in reason(found)
+    assert one_line(found) == "Restart, Uninitialized (spare)"
+    assert "Restart is the cheapest that is fast enough (1.2 s, measured 4 times)" in explain(found)
 
 
 def test_the_reason_says_what_was_asked_for_and_what_was_left_out():
-    assert reason(order(*ALL)) == (
-        "Initialized (warm), Uninitialized (spare), Restart. Asked for: a recovery within 2 s of the detection (availability Medium), "
-        "with no more standbys than that takes (resourceUsage Medium). Initialized (warm) is the cheapest that is soon enough (830 ms, "
-        "published). Left out: Executing (hot) would take 0.96 of a working instance's CPU, and behind the first one come only those "
-        "that take 0.1 at most."
+    assert explain(order(*ALL)) == (
+        "Initialized (warm), Uninitialized (spare), Restart. Required: a recovery within 2 s after detection (availability Medium), with "
+        "no more standbys than required for that (resourceUsage Medium). Initialized (warm) is the cheapest that is fast enough (830 ms, "
+        "published). Left out: Executing (hot) would use 0.96 of a working instance's CPU, but strategies after the first may use "
+        "at most 0.1."
     )

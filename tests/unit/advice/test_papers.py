@@ -4,14 +4,14 @@ from itertools import combinations_with_replacement
 
 import pytest
 
-from understudy.advice.paper_model import argued
+from understudy.advice.paper_model import estimate
 
 RATE = 1000 / 3600
 
 
 def test_the_papers_figures_come_out():
     """Section IV.D: 1000 failures an hour are 8.3 in 30 s; with 4 fallbacks about 5 remain, in 6 s of 30 in 1.2 %."""
-    argument = argued(RATE, 6.0, 4)
+    argument = estimate(RATE, 6.0, 4)
     assert argument.expected == pytest.approx(8.33, abs=0.01)
     assert argument.remaining == 5
     assert (argument.together, argument.ways) == (3276, 278256)
@@ -22,12 +22,12 @@ def test_the_papers_figures_come_out():
     ("fallbacks", "window", "interval"), [(4, 6, 12), (5, 3, 12), (6, 2, 10), (2, 20, 12), (7, 1, 9)]
 )
 def test_ways_are_counted_as_if_each_were_written_down(fallbacks, window, interval):
-    argument = argued(RATE * 3, window, fallbacks, interval)
+    argument = estimate(RATE * 3, window, fallbacks, interval)
     ways = list(combinations_with_replacement(range(interval), argument.remaining))
     within = [way for way in ways if not way or way[-1] - way[0] < window]
     assert (argument.together, argument.ways) == (len(within), len(ways))
 
 
 def test_nothing_remains_where_there_are_as_many_fallbacks():
-    argument = argued(RATE, 6.0, 9)
+    argument = estimate(RATE, 6.0, 9)
     assert (argument.remaining, argument.chance) == (0, 1.0)

@@ -4,11 +4,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy.advice.failure_rate import estimated
+from understudy.advice.failure_rate import estimate_rate
 
 
 def test_what_was_assumed_is_the_rate_while_nothing_was_seen():
-    rate = estimated(2.0, 0, 0.0)
+    rate = estimate_rate(2.0, 0, 0.0)
     assert rate.expected == pytest.approx(2.0)
     assert (rate.low, rate.high) == (pytest.approx(2.0 * 0.0513, rel=1e-3), pytest.approx(2.0 * 2.9957, rel=1e-3))
 
@@ -24,23 +24,23 @@ def test_what_was_assumed_is_the_rate_while_nothing_was_seen():
     ],
 )
 def test_the_limits_are_those_of_the_tables(failures, low, high):
-    rate = estimated(1.0, failures, 99.0)
+    rate = estimate_rate(1.0, failures, 99.0)
     assert (rate.low, rate.high) == (pytest.approx(low / 100, rel=1e-3), pytest.approx(high / 100, rel=1e-3))
 
 
 def test_a_fleet_that_does_not_fail_is_taken_to_fail_less_and_less():
-    rates = [estimated(1.0, 0, hours).high for hours in (0, 10, 100, 1000)]
+    rates = [estimate_rate(1.0, 0, hours).high for hours in (0, 10, 100, 1000)]
     assert rates == sorted(rates, reverse=True)
     assert rates[-1] < 0.01
 
 
 def test_what_was_assumed_soon_does_not_matter_any_more():
-    low, high = estimated(0.01, 100, 1000.0).expected, estimated(10.0, 100, 1000.0).expected
+    low, high = estimate_rate(0.01, 100, 1000.0).expected, estimate_rate(10.0, 100, 1000.0).expected
     assert low == pytest.approx(high, rel=0.11)
 
 
 @settings(deadline=None)
 @given(st.floats(0.0001, 3600), st.integers(0, 3000), st.floats(0, 1e6))
 def test_the_expected_rate_is_between_its_limits(assumed, failures, hours):
-    rate = estimated(assumed, failures, hours)
+    rate = estimate_rate(assumed, failures, hours)
     assert 0 < rate.low < rate.expected < rate.high

@@ -6,14 +6,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy.advice.shortage_risk import MEASURES, crowded, enough, lost, wait, waits
+from understudy.advice.shortage_risk import MEASURES, fewest_fallbacks, loss_risk, mean_wait, waiting_risk, window_risk
 
 OFFERED = st.floats(0.01, 200.0)
 COUNTS = st.integers(0, 300)
 
 
 def test_a_fleet_that_never_fails_risks_nothing():
-    assert (crowded(0, 0), lost(0, 0), waits(0, 0), wait(0, 0, 6)) == (0, 0, 0, 0)
+    assert (window_risk(0, 0), loss_risk(0, 0), waiting_risk(0, 0), mean_wait(0, 0, 6)) == (0, 0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -21,25 +21,25 @@ def test_a_fleet_that_never_fails_risks_nothing():
     [(1.0, 1, 1 / 2), (1.0, 2, 1 / 5), (2.0, 2, 2 / 5), (10.0, 10, 0.2146), (20.0, 30, 0.00846), (100.0, 117, 0.0098)],
 )
 def test_losses_are_those_of_the_tables_of_erlang_b(offered, fallbacks, expected):
-    assert lost(offered, fallbacks) == pytest.approx(expected, rel=5e-3)
+    assert loss_risk(offered, fallbacks) == pytest.approx(expected, rel=5e-3)
 
 
 def test_one_fallback_makes_robots_wait_as_long_as_one_server_does():
     """M/M/1: a failure waits with the chance that the server is busy, and for that over what is left."""
-    assert waits(0.5, 1) == pytest.approx(0.5)
-    assert wait(0.5, 1, refill=6.0) == pytest.approx(6.0)
+    assert waiting_risk(0.5, 1) == pytest.approx(0.5)
+    assert mean_wait(0.5, 1, refill=6.0) == pytest.approx(6.0)
 
 
 def test_waiting_has_no_end_where_failures_come_as_fast_as_refills():
-    assert waits(4.0, 4) == 1
-    assert wait(4.0, 4, 6.0) == math.inf
+    assert waiting_risk(4.0, 4) == 1
+    assert mean_wait(4.0, 4, 6.0) == math.inf
 
 
 @settings(deadline=None)
 @given(OFFERED, COUNTS)
 def test_a_window_is_crowded_with_what_is_left_of_the_poisson_distribution(offered, fallbacks):
     terms = (math.exp(n * math.log(offered) - offered - math.lgamma(n + 1)) for n in range(fallbacks + 1))
-    assert crowded(offered, fallbacks) == pytest.approx(1 - math.fsum(terms), abs=1e-9)
+    assert window_risk(offered, fallbacks) == pytest.approx(1 - math.fsum(terms), abs=1e-9)
 
 
 @settings(deadline=None)
@@ -53,13 +53,13 @@ def test_each_further_fallback_lowers_each_risk_and_all_are_chances(offered, fal
 @settings(deadline=None)
 @given(OFFERED, COUNTS)
 def test_waiting_for_a_fallback_is_likelier_than_finding_none_where_others_gave_up(offered, fallbacks):
-    assert waits(offered, fallbacks) >= lost(offered, fallbacks) * (1 - 1e-9)
+    assert waiting_risk(offered, fallbacks) >= loss_risk(offered, fallbacks) * (1 - 1e-9)
 
 
 @settings(deadline=None)
 @given(OFFERED, st.floats(1e-9, 0.999), st.sampled_from(sorted(MEASURES)))
 def test_enough_is_the_fewest_that_are(offered, risk, measure):
-    count = enough(measure, offered, risk)
+    count = fewest_fallbacks(measure, offered, risk)
     assert MEASURES[measure](offered, count) <= risk
     assert count == 0 or MEASURES[measure](offered, count - 1) > risk
 
@@ -67,9 +67,9 @@ def test_enough_is_the_fewest_that_are(offered, risk, measure):
 @pytest.mark.parametrize("risk", [0.0, 1.0, -0.1, math.nan])
 def test_a_risk_is_a_chance_between_none_and_certainty(risk):
     with pytest.raises(ValueError, match="above 0 and below 1"):
-        enough("loss", 1.0, risk)
+        fewest_fallbacks("loss", 1.0, risk)
 
 
 def test_more_than_can_be_thought_about_is_said():
-    with pytest.raises(ValueError, match="not even 1000000 fallbacks"):
-        enough("loss", 3e6, 0.01)
+    with pytest.raises(ValueError, match="1000000 fallbacks are not enough"):
+        fewest_fallbacks("loss", 3e6, 0.01)

@@ -7,26 +7,26 @@ import pytest
 
 from understudy.advice import shortage_risk
 from understudy.advice.demand import Demand
-from understudy.advice.monte_carlo import _arrivals, _estimate, _share, lost, tried, waits
+from understudy.advice.monte_carlo import _arrivals, _estimate, _share, losses, simulate, wait_times
 
 FLEET = Demand(1000, 1.0, 6.0)
 
 
 def test_failures_take_what_is_there_and_go_without_what_is_not():
-    assert lost([0, 1, 2, 6, 6.5], 2, lambda: 6.0) == [0, 0, 1, 0, 1]
+    assert losses([0, 1, 2, 6, 6.5], 2, lambda: 6.0) == [0, 0, 1, 0, 1]
 
 
 def test_failures_wait_in_their_order():
-    assert waits([0, 1, 2, 3], 1, lambda: 6.0) == [0, 5, 10, 15]
-    assert waits([0, 1, 2, 9], 2, lambda: 6.0) == [0, 0, 4, 0]
+    assert wait_times([0, 1, 2, 3], 1, lambda: 6.0) == [0, 5, 10, 15]
+    assert wait_times([0, 1, 2, 9], 2, lambda: 6.0) == [0, 0, 4, 0]
 
 
 @pytest.mark.parametrize("fallbacks", [1, 4, 7])
 def test_drawn_failures_lose_and_crowd_as_the_formulas_say(fallbacks):
-    trial = tried(FLEET, fallbacks, 30.0, failures=60_000)
+    trial = simulate(FLEET, fallbacks, 30.0, failures=60_000)
     for estimate, expected in (
-        (trial.loss, shortage_risk.lost(FLEET.offered, fallbacks)),
-        (trial.window, shortage_risk.crowded(FLEET.offered, fallbacks)),
+        (trial.loss, shortage_risk.loss_risk(FLEET.offered, fallbacks)),
+        (trial.window, shortage_risk.window_risk(FLEET.offered, fallbacks)),
     ):
         assert estimate.mean == pytest.approx(expected, abs=3 * estimate.within)
         assert estimate.within < 0.01
@@ -36,26 +36,28 @@ def test_drawn_failures_lose_and_crowd_as_the_formulas_say(fallbacks):
 def test_drawn_failures_wait_as_the_formulas_say_where_refills_vary_as_these_take_it(fallbacks):
     draw = Random(7)
     times = list(_arrivals(FLEET.rate, 60_000, draw))
-    waited = waits(times, fallbacks, lambda: draw.expovariate(1 / FLEET.refill))
+    waited = wait_times(times, fallbacks, lambda: draw.expovariate(1 / FLEET.refill))
     for values, expected in (
-        ([float(wait > 0) for wait in waited], shortage_risk.waits(FLEET.offered, fallbacks)),
-        (waited, shortage_risk.wait(FLEET.offered, fallbacks, FLEET.refill)),
+        ([float(wait > 0) for wait in waited], shortage_risk.waiting_risk(FLEET.offered, fallbacks)),
+        (waited, shortage_risk.mean_wait(FLEET.offered, fallbacks, FLEET.refill)),
     ):
         estimate = _estimate(values)
         assert estimate.mean == pytest.approx(expected, abs=3 * estimate.within)
 
 
 def test_refills_that_always_take_the_same_time_make_for_less_waiting():
-    assert tried(FLEET, 4, 30.0, failures=60_000).wait.mean < 0.7 * shortage_risk.wait(FLEET.offered, 4, FLEET.refill)
+    assert simulate(FLEET, 4, 30.0, failures=60_000).wait.mean < 0.7 * shortage_risk.mean_wait(
+        FLEET.offered, 4, FLEET.refill
+    )
 
 
 def test_an_interval_is_crowded_at_least_as_often_as_one_of_its_windows():
-    trial = tried(FLEET, 4, 30.0, failures=60_000)
+    trial = simulate(FLEET, 4, 30.0, failures=60_000)
     assert trial.interval.mean > trial.window.mean
 
 
 def test_the_same_trial_comes_to_the_same():
-    assert tried(FLEET, 4, 30.0, failures=2_000) == tried(FLEET, 4, 30.0, failures=2_000)
+    assert simulate(FLEET, 4, 30.0, failures=2_000) == simulate(FLEET, 4, 30.0, failures=2_000)
 
 
 @pytest.mark.parametrize("number", [1, 19, 20, 21, 997])
@@ -69,9 +71,9 @@ def test_robots_that_seldom_fail_and_are_soon_back_cost_no_memory():
     """Of windows as long as a refill there are millions then, and failures in few."""
     tracemalloc.start()
     try:
-        trial = tried(Demand(1, 1.0, 7.0), 1, 30.0, failures=20_000)
+        trial = simulate(Demand(1, 1.0, 7.0), 1, 30.0, failures=20_000)
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert trial.window.mean == pytest.approx(shortage_risk.crowded(7 / 3600, 1), abs=1e-6)
+    assert trial.window.mean == pytest.approx(shortage_risk.window_risk(7 / 3600, 1), abs=1e-6)
     assert most < 20e6

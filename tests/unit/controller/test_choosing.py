@@ -186,7 +186,7 @@ def test_the_status_says_which_order_was_chosen_and_why() -> None:
     assert status["standby"] == "Initialized (1/1)"
     said = made.condition("StrategiesChosen")
     assert (said["status"], said["reason"]) == ("True", "Chosen")
-    assert "a recovery within 2 s of the detection (availability Medium)" in said["message"]
+    assert "a recovery within 2 s after detection (availability Medium)" in said["message"]
     assert "Left out: Executing (hot) would take 0.96" in said["message"]
     assert made.condition("Protected")["message"] == (
         "If it failed now, Fallback from pool warm would be used: pod w-w (Initialized)."
@@ -196,7 +196,7 @@ def test_the_status_says_which_order_was_chosen_and_why() -> None:
 def test_requirements_that_are_not_met_are_told() -> None:
     said = world(auto(availability="High", resourceUsage="Low")).condition("StrategiesChosen")
     assert (said["status"], said["reason"]) == ("False", "RequirementsNotMet")
-    assert "Executing (hot) would be, with a higher resourceUsage" in said["message"]
+    assert "Executing (hot) would be fast enough with a higher resourceUsage" in said["message"]
 
 
 def test_where_the_strategies_are_written_out_the_order_is_told_without_a_reason() -> None:

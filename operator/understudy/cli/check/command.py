@@ -1,7 +1,4 @@
-"""``understudy check FILE...``: says of manifests, without a cluster, what is wrong with them and what would be right.
-
-Exit status: 0 without errors, 1 with errors (with ``--strict`` also with warnings), 2 where it can't be done as asked for.
-"""
+"""``understudy check FILE...``: validates manifests without a cluster."""
 
 from __future__ import annotations
 
@@ -16,6 +13,7 @@ from typing import Any
 from understudy.api.output_formats import structured
 from understudy.cli.check import reference_check
 from understudy.cli.common.errors import CommandError
+from understudy.cli.common.wording import counted
 from understudy.cli.manifests import config_map_trees, manifest_reader, object_check
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest
@@ -23,15 +21,15 @@ from understudy.cli.manifests.manifest_reader import Manifest
 
 @dataclass
 class Result:
-    """What came of a check."""
+    """The result of a check."""
 
     findings: list[Finding] = field(default_factory=list)
     """In the order of the files, and of the lines in each."""
     files: int = 0
     checked: int = 0
-    """Objects of our kinds."""
-    passed_over: int = 0
-    """Objects of others."""
+    """Objects of Understudy's kinds."""
+    skipped: int = 0
+    """Objects of other kinds."""
 
     @property
     def errors(self) -> int:
@@ -44,20 +42,20 @@ class Result:
         return len(self.findings) - self.errors
 
     def totals(self) -> str:
-        """All in one line."""
-        others = f" ({_count(self.passed_over, 'object')} of other kinds passed over)" if self.passed_over else ""
-        found = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
-        return f"{_count(self.checked, 'object')} checked in {_count(self.files, 'file')}{others}: {found}"
+        """Summarize the result in one line."""
+        others = f" ({counted(self.skipped, 'object')} of other kinds skipped)" if self.skipped else ""
+        found = f"{counted(self.errors, 'error')}, {counted(self.warnings, 'warning')}"
+        return f"{counted(self.checked, 'object')} checked in {counted(self.files, 'file')}{others}: {found}"
 
     def to_wire(self) -> dict[str, Any]:
-        """All of it, for programs."""
-        counts = {"files": self.files, "checked": self.checked, "passedOver": self.passed_over}
+        """Return the result as JSON data."""
+        counts = {"files": self.files, "checked": self.checked, "passedOver": self.skipped}
         found = [finding.to_wire() for finding in self.findings]
         return {**counts, "errors": self.errors, "warnings": self.warnings, "findings": found}
 
 
 def check(files: Sequence[tuple[str, bytes]]) -> Result:
-    """Check the contents of files, each with what findings call it."""
+    """Check the contents of files, each with the name that findings show."""
     result = Result(files=len(files))
     ours: list[Manifest] = []
     config_maps: list[Manifest] = []
@@ -69,7 +67,7 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
                 ours.append(manifest)
                 result.findings += object_check.check(manifest)
             else:
-                result.passed_over += 1
+                result.skipped += 1
                 if manifest.kind == "ConfigMap":
                     config_maps.append(manifest)
                 result.findings += _other(manifest)
@@ -83,19 +81,15 @@ def check(files: Sequence[tuple[str, bytes]]) -> Result:
 
 def _other(manifest: Manifest) -> Iterator[Finding]:
     if not manifest.kind and not _has_parameters(manifest.data):
-        message = "missing, so this is passed over; if it is meant to be an object, give apiVersion and kind"
+        message = "missing, so this document is skipped; if it should be an object, add apiVersion and kind"
         yield manifest.finding("kind", message, warning=True)
 
 
 def _has_parameters(data: Any) -> bool:
-    """Whether it is a file of ROS parameters, of nodes or of namespaces with nodes: those lie beside manifests."""
+    """Return whether a document has ROS parameters, by node or by namespace: such files often lie next to manifests."""
     nodes = [one for one in data.values() if isinstance(one, Mapping)] if isinstance(data, Mapping) else []
     deeper = [one for node in nodes for one in node.values() if isinstance(one, Mapping)]
     return any("ros__parameters" in one for one in [*nodes, *deeper])
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _lines(result: Result, form: str) -> Iterator[str]:
@@ -106,27 +100,27 @@ def _lines(result: Result, form: str) -> Iterator[str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Check what the arguments name; the findings go to standard output, one line each, the totals to standard error."""
+    """Run the command. The findings go to standard output, one line each, and the totals to standard error."""
     parser = argparse.ArgumentParser(
         prog="understudy check",
-        description="Checks manifests of RobotWorkloads, FailurePolicies and FallbackPools without a cluster: by the rules of the API "
-        "server, by the loaders of the trees, and what the given files say of each other. Other objects are passed over.",
-        epilog="Exit status: 0 without errors, 1 with errors, 2 where a file can't be read.",
+        description="Checks manifests of RobotWorkloads, FailurePolicies and FallbackPools without a cluster: against the rules of the API "
+        "server, with the loaders of the trees, and for references between the given files. Objects of other kinds are skipped.",
+        epilog="Exit status: 0 without errors, 1 with errors, 2 if a file cannot be read.",
     )
     parser.add_argument(
         "files", nargs="+", metavar="FILE", help="a manifest, a folder (its *.yaml and *.yml), or - for standard input"
     )
-    parser.add_argument("--strict", action="store_true", help="exit with 1 for warnings too")
+    parser.add_argument("--strict", action="store_true", help="exit with 1 also for warnings")
     parser.add_argument(
         "-o",
         "--output",
         choices=("text", "json", "yaml"),
         default="text",
-        help="one line for each finding, or everything as JSON or YAML",
+        help="one line per finding, or all details as JSON or YAML",
     )
     given = parser.parse_args(arguments)
     try:
-        # What is named twice, as by a folder and a pattern, is read once.
+        # Read a file once that is named twice, as by a folder and a pattern.
         files = dict(entry for argument in dict.fromkeys(given.files) for entry in manifest_reader.contents(argument))
     except CommandError as error:
         print(f"understudy check: {error}", file=sys.stderr)
@@ -138,7 +132,7 @@ def main(arguments: list[str]) -> int:
         for line in _lines(result, given.output):
             print(line)
         sys.stdout.flush()
-    except BrokenPipeError:  # read by something like head, which has seen enough
+    except BrokenPipeError:  # a reader such as head has exited
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     print(f"understudy check: {result.totals()}", file=sys.stderr)
     return 1 if result.errors or (given.strict and result.warnings) else 0

@@ -1,4 +1,4 @@
-"""Checks what the objects of some files say of each other. What isn't in them may be in the cluster, so these are warnings."""
+"""Checks references between the objects of the given files. Missing objects may be in the cluster, so these are warnings."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
 
 _MOST_SHOWN = 5
-_IN_THE_CLUSTER = "If it is in the cluster already, all is well"
+_IN_THE_CLUSTER = "Ignore this if it is in the cluster already"
 
 
 def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
-    """The names and selectors with nothing behind them, and the workloads that no pool of their policy serves."""
+    """Yield references and selectors without a target, and workloads that no pool of their policy serves."""
     workloads, policies, pools = (
         [one for one in manifests if one.kind == kind] for kind in ("RobotWorkload", "FailurePolicy", "FallbackPool")
     )
     for workload in workloads:
         yield from _names(workload, "spec.failurePolicyRef.name", "FailurePolicy", policies)
-        yield from _unserved(workload, policies, pools)
-        yield from _unmet(workload, policies, pools)
+        yield from _no_pool_serves(workload, policies, pools)
+        yield from _requirements_not_met(workload, policies, pools)
         yield from _never_idle(workload, policies)
-        yield from _unheard(workload, policies)
+        yield from _outputs_not_watched(workload, policies)
         yield from _depends(workload, workloads)
     for policy in policies:
         for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
@@ -44,14 +44,14 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
         yield from situation_check.unreachable(policy)
         yield from situation_check.empty(policy, pools)
         yield from _not_prewarmed(policy, pools)
-        yield from _waits_for_nothing(policy, pools)
+        yield from _wait_without_shared_pool(policy, pools)
     for pool in pools:
         yield from _names(pool, "spec.templateFrom.workload", "RobotWorkload", workloads)
         yield from _selects(pool, workloads)
 
 
 def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) -> Iterator[Finding]:
-    """A name that a field gives must be one of these objects'."""
+    """Report a reference to an object that is not among the given ones."""
     name = _field(manifest.data, path)
     if not isinstance(name, str) or not name:
         return
@@ -59,14 +59,14 @@ def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) 
     if name not in near:
         hint = f" ({kube_objects.hint(name, near)})" if near else ""
         message = (
-            f'no {kind} "{name}" in the files that were given{hint}; correct the name, or give the file that it is in as well. '
+            f'no {kind} "{name}" in the given files{hint}; correct the name, or give the file that contains it. '
             f"{_IN_THE_CLUSTER}"
         )
         yield manifest.finding(path, message, warning=True)
 
 
 def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
-    """What a workload depends on must be there, and must not depend on it in turn, which needs no cluster to be wrong."""
+    """Report missing dependencies and dependency cycles. A cycle is an error without a cluster, too."""
     near = [one for one in workloads if workload.together(one)]
     known = {one.name: dependency_graph.named(one.data) for one in near}
     found = dependency_graph.circle(known, workload.name)
@@ -75,30 +75,32 @@ def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Find
         yield from _names(workload, path, "RobotWorkload", workloads)
         if (
             found is not None and len(found) > 2 and name == found[found.index(workload.name) + 1]
-        ):  # itself the API server refuses
+        ):  # the API server refuses a workload that depends on itself
             message = (
-                f"{dependency_graph.drawn(found)} is a circle, in which none can be recovered first; "
-                "take one of these dependencies out"
+                f"{dependency_graph.drawn(found)} is a cycle, in which no workload can be recovered first; "
+                "remove one of these dependencies"
             )
             yield workload.finding(path, message)
 
 
 def _selects(pool: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
-    """A pool's selector must match a workload."""
+    """Report a pool whose selector matches no workload."""
     if _selector(pool) is None or any(pool.together(one) and _serves(pool, one) for one in workloads):
         return
     shown = [f"{one.name} has {_labels(one)}" for one in workloads if pool.together(one)][:_MOST_SHOWN]
     if shown:
         there = "; ".join(shown)
-        found = f"matches none of the RobotWorkloads in the files that were given ({there}); correct it or the workload's labels, or"
+        found = (
+            f"matches none of the RobotWorkloads in the given files ({there}); correct it or the workload's labels, or"
+        )
     else:
-        found = "there is no RobotWorkload in the files that were given that it could match;"
-    message = f"{found} give the file of the workload that it is for as well. {_IN_THE_CLUSTER}"
+        found = "there is no RobotWorkload in the given files that it could match;"
+    message = f"{found} give the file of the workload that it serves. {_IN_THE_CLUSTER}"
     yield pool.finding("spec.workloadSelector", message, warning=True)
 
 
-def _unserved(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
-    """One of the pools that the workload's policy counts on must serve the workload too; told where all of them are given."""
+def _no_pool_serves(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """Report a workload that no pool of its policy serves, if all of these pools are given."""
     name = _field(workload.data, "spec.failurePolicyRef.name")
     for policy in policies:
         if policy.name != name or not workload.together(policy):
@@ -109,14 +111,16 @@ def _unserved(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[
         known = {pool.name for pool in given} == named and all(_selector(pool) is not None for pool in given)
         if named and known and not any(_serves(pool, workload) for pool in given):
             message = (
-                f"found {_labels(workload)}, which no pool of FailurePolicy {policy.name} has in its workloadSelector "
-                f"({', '.join(sorted(named))}), so this workload has no standby; give it the labels that one of them selects"
+                f"found {_labels(workload)}, which no pool of FailurePolicy {policy.name} selects "
+                f"({', '.join(sorted(named))}), so this workload has no standby; add the labels that one of them selects"
             )
             yield workload.finding("metadata.labels", message, warning=True)
 
 
-def _unmet(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
-    """The pools that serve a workload must give what its policy requires, where that chooses from them."""
+def _requirements_not_met(
+    workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]
+) -> Iterator[Finding]:
+    """Report requirements that the pools of a workload cannot meet, if the policy chooses its strategies automatically."""
     name = _field(workload.data, "spec.failurePolicyRef.name")
     for policy in policies:
         if policy.name != name or not workload.together(policy) or not strategy_selection.is_auto(policy.data):
@@ -125,17 +129,17 @@ def _unmet(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Man
         order = strategy_selection.order(policy.data, workload.data, serving)
         if order is None:
             continue
-        # What the pools of these files don't give, another that is in the cluster may.
-        hint = "" if order.soon_enough and order.safe_enough else f". {_IN_THE_CLUSTER}"
-        for problem in order_explanation.unmet(order):
+        # A pool in the cluster may meet what the pools of these files do not.
+        hint = "" if order.is_fast_enough and order.is_safe_enough else f". {_IN_THE_CLUSTER}"
+        for problem in order_explanation.unmet_requirements(order):
             message = (
-                f"for RobotWorkload {workload.name} it comes to {order_explanation.in_short(order)}: {problem}{hint}"
+                f"for RobotWorkload {workload.name} the result is {order_explanation.one_line(order)}: {problem}{hint}"
             )
             yield policy.finding("spec.requirements", message, warning=True)
 
 
 def _never_idle(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
-    """A policy that hands over at idle moments needs to know of some."""
+    """Report a policy that reschedules at idle times although nothing defines when the workload is idle."""
     name = _field(workload.data, "spec.failurePolicyRef.name")
     if _list(_at(workload.data, "spec", "tasks")):
         return
@@ -145,14 +149,14 @@ def _never_idle(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Fi
         for index, action in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
             if isinstance(found := _at(action, "reschedule"), Mapping) and not found.get("idle"):
                 message = (
-                    f"FailurePolicy {policy.name} reschedules at an idle moment, and nothing tells when this workload is idle, so it never "
-                    f"is: give it spec.tasks, or the policy spec.degraded.actions[{index}].reschedule.idle"
+                    f"FailurePolicy {policy.name} reschedules at an idle time, but nothing defines when this workload is idle, so it never "
+                    f"does: set spec.tasks, or in the policy spec.degraded.actions[{index}].reschedule.idle"
                 )
                 yield workload.finding("spec.tasks", message, warning=True)
 
 
-def _unheard(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
-    """A tree that judges by messages alone must look at one of the outputs: most often a name was mistyped where it doesn't."""
+def _outputs_not_watched(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
+    """Report a tree that evaluates messages only and none of the outputs: most often a name is misspelled."""
     name = _field(workload.data, "spec.failurePolicyRef.name")
     outputs = [
         topic for one in _list(_at(workload.data, "spec", "outputs")) if isinstance(topic := _at(one, "topic"), str)
@@ -163,14 +167,14 @@ def _unheard(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Findi
         watched = [topic.name for topic in tree.topics]
         if outputs and all(leaf.hears for leaf in tree.leaves) and not set(outputs) & set(watched):
             message = (
-                f"looks at {_some(watched)} and at no output of RobotWorkload {workload.name} ({_some(outputs)}), so nobody notices where "
-                f"these fall silent; watch one of them, or correct the names"
+                f"watches {_some(watched)} but no output of RobotWorkload {workload.name} ({_some(outputs)}), so a silent output is "
+                f"not detected; watch one of them, or correct the names"
             )
             yield policy.finding("spec.monitoring", message, warning=True)
 
 
 def _tree(policy: Manifest) -> HealthTree | None:
-    """The health tree of a policy; None where it isn't in it or can't be loaded, which is told elsewhere."""
+    """Return the health tree of a policy; None if it is elsewhere or cannot be loaded, which another check reports."""
     monitoring = _at(policy.data, "spec", "monitoring")
     if _at(monitoring, "configMapKeyRef") is not None:
         return None
@@ -181,7 +185,7 @@ def _tree(policy: Manifest) -> HealthTree | None:
 
 
 def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
-    """A pool that is pre-warmed must have standbys of the workload's own."""
+    """Report a pre-warmed pool that is shared: its pods belong to no workload."""
     kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
     for index, _ in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
         path = f"spec.degraded.actions[{index}].prewarm.poolRef.name"
@@ -190,8 +194,8 @@ def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Find
             yield policy.finding(path, shared(name))
 
 
-def _waits_for_nothing(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
-    """Only the pods of a shared pool are waited for."""
+def _wait_without_shared_pool(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """Report waitFor with a pool that is not shared."""
     kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
     for index, strategy in enumerate(_list(_at(policy.data, "spec", "strategies"))):
         readiness = kinds.get(_at(strategy, "poolRef", "name"))
@@ -206,7 +210,7 @@ def _serves(pool: Manifest, workload: Manifest) -> bool:
 
 
 def _selector(pool: Manifest) -> Mapping[str, Any] | None:
-    """A pool's selector; None where it can't be understood, which is told elsewhere."""
+    """Return a pool's selector; None if it is invalid, which another check reports."""
     found = _at(pool.data, "spec", "workloadSelector")
     if not isinstance(found, Mapping):
         return None
@@ -236,7 +240,7 @@ def _labels(workload: Manifest) -> str:
 
 
 def _field(data: Any, path: str) -> Any:
-    """The value of a field by its path; None where there is none."""
+    """Return the value of a field by its path; None if it is missing."""
     for part in path.replace("[", ".[").split("."):
         if part.startswith("["):
             index = int(part[1:-1])

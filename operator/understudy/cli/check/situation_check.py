@@ -1,4 +1,4 @@
-"""Checks the situations of a policy: whether each can ever be in force, and whether the pools that it counts on are there."""
+"""Checks the situations of a policy: whether each can ever apply, and whether its pools exist."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from understudy.cli.manifests.manifest_reader import Manifest
 
 
 def paths(policy: Manifest) -> Iterator[tuple[str, Any]]:
-    """Where strategies of situations name a pool, and what stands there."""
+    """Yield the paths at which strategies of situations name a pool, and the names."""
     for index, situation in enumerate(_listed(policy)):
         strategies = situation.get("strategies")
         for place, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
@@ -20,29 +20,29 @@ def paths(policy: Manifest) -> Iterator[tuple[str, Any]]:
 
 
 def unreachable(policy: Manifest) -> Iterator[Finding]:
-    """A situation that is known by the same as one before it is never the first that holds."""
+    """Report a situation with the same condition as an earlier one: it never applies."""
     before: list[tuple[str, Any]] = []
     for index, situation in enumerate(_listed(policy)):
         name, when = str(situation.get("name", "")), situation.get("when")
         first = next((other for other, known_by in before if known_by == when), None)
         if when and first is not None:
             message = (
-                f"is the same as that of the situation {first}, which comes before it, so this one is never in force; say when it is "
-                f"otherwise, or put the two together"
+                f"is the same as that of the situation {first}, which comes first, so this situation never applies; change the "
+                f"condition, or merge the two"
             )
             yield policy.finding(f"spec.situations[{index}].when", message, warning=True)
         before.append((name, when))
 
 
 def empty(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
-    """Of a pool whose perWorkload is 0 nothing is kept in a situation either."""
+    """Report situations that use a pool with perWorkload 0, which never has a standby."""
     near = {one.name: one.data.get("spec") for one in pools if policy.together(one)}
     for path, name in paths(policy):
         spec = near.get(name) if isinstance(name, str) else None
         if isinstance(spec, Mapping) and spec.get("readiness") != "Uninitialized" and spec.get("perWorkload") == 0:
             message = (
-                f"FallbackPool {name} has perWorkload 0, so that it has no standby in this situation either; give it perWorkload 1: "
-                f"standbys are kept only while what is in force names their pool"
+                f"FallbackPool {name} has perWorkload 0, so it has no standby in this situation either; set perWorkload: 1. "
+                f"Standbys exist only while the applicable strategies name their pool"
             )
             yield policy.finding(path, message, warning=True)
 

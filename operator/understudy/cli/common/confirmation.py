@@ -1,4 +1,4 @@
-"""Has a person confirm what can't be taken back, or what a robot would notice."""
+"""Asks for confirmation of actions that cannot be undone or that affect a robot."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from understudy.cli.common.errors import CommandError
 
 
 def add_option(parser: argparse.ArgumentParser) -> None:
-    """Let a command be told that it is meant."""
-    parser.add_argument("-y", "--yes", action="store_true", help="don't ask whether it is meant")
+    """Add ``--yes``."""
+    parser.add_argument("-y", "--yes", action="store_true", help="do not ask for confirmation")
 
 
 def confirm(question: str, *, yes: bool) -> None:
-    """Ask in a terminal. Raises CommandError where the answer is no, or where nobody can be asked."""
+    """Ask in the terminal. Raises CommandError if the answer is no, or if there is no terminal."""
     if yes:
         return
     if not sys.stdin.isatty():
-        raise CommandError(f"{question} There is no terminal to ask in: say that it is meant with --yes")
+        raise CommandError(f"{question} There is no terminal to ask for confirmation: give --yes to confirm")
     print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
-        raise CommandError("nothing was done")
+        raise CommandError("not confirmed; nothing was changed")

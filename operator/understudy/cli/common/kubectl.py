@@ -1,4 +1,4 @@
-"""What is asked of a cluster goes through kubectl: whoever has access by it has access here, however they prove who they are."""
+"""Runs kubectl for all requests to a cluster, so that every way to authenticate that kubectl supports works here too."""
 
 from __future__ import annotations
 
@@ -19,58 +19,58 @@ from understudy.cli.common.errors import CommandError, Forbidden
 from understudy.cli.common.kubectl_watch import Watch, waiting
 
 TIMEOUT = 15.0
-"""Seconds that the API server has to answer, and a forwarding to begin."""
+"""Seconds within which the API server must answer, and a port forwarding must start."""
 
 PATIENCE = 1.0
-"""Seconds that kubectl goes on for before what it has said is shown: a plugin may have told a code to log in by, or asked for something."""
+"""Seconds after which the output of a running kubectl is shown: a credential plugin may display a login code or ask a question."""
 
 WORKLOADS = "robotworkloads.understudy.dev"
 
 _CREDENTIALS = "getting credentials: "
-"""Part of what kubectl says where the kubeconfig's plugin gave none: one that asks for something has to have a terminal."""
+"""Part of kubectl's message if the kubeconfig's credential plugin failed. A plugin that asks questions needs a terminal."""
 
 _LOG = re.compile(rb"[IWEF]\d{4} ")
-"""How lines of kubectl's log begin: each is followed by what is meant for people."""
+"""The beginning of a line of kubectl's log. Messages for people do not have it."""
 
-_WAYS_OUT = {
-    "connection to the server localhost:8080 was refused": "no kubeconfig was found, so kubectl asked there; name yours by --kubeconfig or "
+_REMEDIES = {
+    "connection to the server localhost:8080 was refused": "kubectl found no kubeconfig and tried the default address; set --kubeconfig or "
     "KUBECONFIG",
-    "did you specify the right host or port": "look whether its API server runs, or name another cluster by --context or --kubeconfig",
-    "current-context must exist": "the kubeconfig says no context; name one by --context, or a kubeconfig by --kubeconfig or KUBECONFIG",
-    "context was not found": "kubectl config get-contexts lists those that there are",
-    'context "': "kubectl config get-contexts lists those that there are",
-    "have a resource type": "the definitions of Understudy aren't in this cluster; install the chart, or name another cluster by --context",
-    _CREDENTIALS: "log in as the kubeconfig's plugin has it, such as by kubectl get pods in a terminal, where it can ask",
-    "Unauthorized": "the cluster doesn't know who you are; log in anew, or name another user's --context or --kubeconfig",
+    "did you specify the right host or port": "check that the API server runs, or choose another cluster with --context or --kubeconfig",
+    "current-context must exist": "the kubeconfig has no current context; set --context, --kubeconfig or KUBECONFIG",
+    "context was not found": "kubectl config get-contexts lists the available contexts",
+    'context "': "kubectl config get-contexts lists the available contexts",
+    "have a resource type": "Understudy is not installed in this cluster; install the chart, or choose another cluster with --context",
+    _CREDENTIALS: "log in with the kubeconfig's credential plugin, for example by running kubectl get pods in a terminal",
+    "Unauthorized": "the cluster does not accept your credentials; log in again, or choose another user with --context or --kubeconfig",
 }
-"""What to do about what kubectl says that names nothing to do, by a part of it."""
+"""What to do about a message of kubectl that does not say it, by a part of the message."""
 
 _GUESS = " - did you specify the right host or port?"
 
-_NOBODY = "the kubeconfig has no credentials for this cluster, so kubectl asked for a user name; log in, or name another --context"
-"""What it is where kubectl says ``EOF``: it asks on standard input, of which there is none."""
+_NO_CREDENTIALS = "the kubeconfig has no credentials for this cluster, and kubectl asked for a user; log in or choose another --context"
+"""The meaning of kubectl's message ``EOF``: it asked a question on standard input, which is closed."""
 
 _FORWARDING = re.compile(r"Forwarding from 127\.0\.0\.1:(\d+) ")
 
 
 def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
-    """Let a command be told which cluster and which namespace is meant. The last thing that its parser is given."""
+    """Add the options that choose the cluster and the namespace. Call it last: it also answers shell completion."""
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("-n", "--namespace", help="the namespace, where that isn't the context's")
+    where.add_argument("-n", "--namespace", help="namespace (default: that of the kubeconfig's context)")
     if all_namespaces:
-        where.add_argument("-A", "--all-namespaces", action="store_true", help="every namespace")
-    parser.add_argument("--context", help="the kubeconfig's context")
-    parser.add_argument("--kubeconfig", help="the kubeconfig")
+        where.add_argument("-A", "--all-namespaces", action="store_true", help="all namespaces")
+    parser.add_argument("--context", help="context of the kubeconfig")
+    parser.add_argument("--kubeconfig", help="path of the kubeconfig")
     shell_completion.offer(parser, {"NAME": _robots, "NAMESPACE": _namespaces, "CONTEXT": _contexts})
 
 
 def _robots(parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """The names of RobotWorkloads, for a shell."""
+    """Return the names of RobotWorkloads, for shell completion."""
     return _named(parsed_args, WORKLOADS)
 
 
 def _namespaces(parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """The names of namespaces, for a shell."""
+    """Return the names of namespaces, for shell completion."""
     return _named(parsed_args, "namespaces")
 
 
@@ -82,7 +82,7 @@ def _named(given: argparse.Namespace, kind: str) -> list[str]:
 
 
 def _contexts(parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """The contexts of the kubeconfig, for a shell."""
+    """Return the contexts of the kubeconfig, for shell completion."""
     try:
         return Kubectl(parsed_args).contexts()
     except CommandError:
@@ -90,67 +90,69 @@ def _contexts(parsed_args: argparse.Namespace, **_: object) -> list[str]:
 
 
 class Kubectl:
-    """kubectl with the options that say which cluster and which namespace."""
+    """Runs kubectl for one cluster and one namespace."""
 
     def __init__(self, given: argparse.Namespace) -> None:
-        """``given`` are the options of :func:`add_options`. Raises CommandError where there is no kubectl."""
+        """``given`` holds the options of :func:`add_options`. Raises CommandError if kubectl is not installed."""
         if shutil.which("kubectl") is None:
-            raise CommandError("kubectl isn't on the PATH; install it, since the cluster is asked through it")
+            raise CommandError("kubectl is not on the PATH; install it, because all requests to the cluster use it")
         where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
         self._options = [f"--{key}={value}" for key, value in where.items() if value]
         self._given: str | None = given.namespace
         self._stdin: int | None = subprocess.DEVNULL
-        """Nothing that it could read: of what kubectl itself asks for, such as a user's name, nobody would see the question."""
+        """Closed, because nobody would see a question that kubectl itself asks, such as for a user name."""
 
     @property
     def namespace(self) -> str:
-        """The namespace that is meant: the one given, or the context's. Raises CommandError with what kubectl said."""
+        """The given namespace, or that of the context. Raises CommandError with kubectl's message."""
         if not self._given:
             contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
             self._given = (contexts[0].get("context") or {}).get("namespace") or "default"
         return self._given
 
     def contexts(self) -> list[str]:
-        """The names of the kubeconfig's contexts. Raises CommandError with what kubectl said."""
+        """Return the names of the kubeconfig's contexts. Raises CommandError with kubectl's message."""
         return [one["name"] for one in json.loads(self._run("config", "view", "-o", "json")).get("contexts") or []]
 
     def command(self, *arguments: str) -> list[str]:
-        """The command line of a kubectl that goes on while others are asked."""
+        """Return the command line of a kubectl process that runs in parallel to other requests."""
         return ["kubectl", *self._options, *arguments]
 
     def get(self, kind: str, *arguments: str) -> Any:
-        """An object, or a list of them. Raises CommandError with what kubectl said."""
+        """Return an object, or a list of objects. Raises CommandError with kubectl's message."""
         return json.loads(self._got(kind, *arguments))
 
     def find(self, kind: str, name: str, *arguments: str) -> Any:
-        """An object, or None where it isn't there; of several names a list of those that are. Raises CommandError."""
+        """Return an object, or None if it does not exist; for several names, a list of those that exist. Raises CommandError."""
         text = self._got(kind, name, *arguments, "--ignore-not-found")
         return json.loads(text) if text.strip() else None
 
     def patch(self, kind: str, name: str, body: Any) -> Any:
-        """Change an object by a merge patch; the object as it is then. Raises CommandError with what kubectl said."""
+        """Change an object by a merge patch and return the result. Raises CommandError with kubectl's message."""
         return json.loads(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"))
 
     def annotate(self, kind: str, name: str, note: str, value: str) -> None:
-        """Write an annotation of an object, over what it was. Raises CommandError with what kubectl said."""
+        """Set an annotation of an object. Raises CommandError with kubectl's message."""
         self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
 
     def execute(self, pod: str, container: str, *program: str) -> str:
-        """Run a program in a container; what it wrote. Raises CommandError with what it, or kubectl, said."""
+        """Run a program in a container and return its output. Raises CommandError with its message, or kubectl's."""
         command = self.command("exec", pod, "-c", container, "--", *program)
         try:
             done = subprocess.run(
                 command, stdin=self._stdin, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False
             )
         except subprocess.TimeoutExpired as error:
-            raise CommandError(f"{program[0]} in pod {pod} had not ended after {error.timeout:g} s") from error
+            raise CommandError(f"{program[0]} in pod {pod} did not finish within {error.timeout:g} s") from error
         if done.returncode:
             lines = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
-            raise CommandError(lines[-1] if lines else f"{program[0]} in pod {pod} ended with {done.returncode}")
+            raise CommandError(
+                lines[-1] if lines else f"{program[0]} in pod {pod} failed with exit status {done.returncode}"
+            )
         return done.stdout
 
     def delete(self, kinds: str, *arguments: str) -> None:
-        """Delete objects, without waiting until they are gone. Raises CommandError with what kubectl said."""
+        """Delete objects without waiting until they are gone. Raises CommandError with kubectl's message."""
         self._run("delete", kinds, *arguments, "--ignore-not-found", "--wait=false")
 
     def _got(self, kind: str, *arguments: str) -> str:
@@ -158,22 +160,21 @@ class Kubectl:
 
     def _run(self, *arguments: str) -> str:
         command = [*self.command(*arguments), f"--request-timeout={TIMEOUT:g}s"]
-        status, output, told = _done(command, self._stdin)
-        if status and _CREDENTIALS in told and self._stdin is not None and _somebody_answers():
+        status, output, errors = _run_command(command, self._stdin)
+        if status and _CREDENTIALS in errors and self._stdin is not None and _is_interactive():
             self._stdin = None
-            status, output, told = _done(command, self._stdin)
+            status, output, errors = _run_command(command, self._stdin)
         if status:
-            refused = Forbidden if "Error from server (Forbidden)" in told else CommandError
-            raise refused(said(told) or f"kubectl ended with {status}")
+            refused = Forbidden if "Error from server (Forbidden)" in errors else CommandError
+            raise refused(explain_failure(errors) or f"kubectl failed with exit status {status}")
         return output
 
     @contextlib.contextmanager
     def changes(self, kind: str, *arguments: str, also: Sequence[str] = ()) -> Iterator[Callable[[float], bool]]:
-        """While the context lasts, waits at most so many seconds for the objects of a kind to change; whether they did.
+        """Yield a function that waits up to the given seconds for a change of the objects and returns whether there was one.
 
-        It tells that they did and not how: whoever is told asks for all of them again. Where the watch ends, as API servers end every
-        one after a while, it is begun anew. ``also`` are the kind and the arguments of another watch, which isn't missed where whoever
-        asks hasn't the right to it.
+        It does not say what changed: the caller fetches all objects again. The watch restarts after the API server ends it.
+        ``also`` is the kind and the arguments of an optional second watch, for which the user may lack the permission.
         """
 
         watches = [
@@ -186,7 +187,7 @@ class Kubectl:
 
     @contextlib.contextmanager
     def forwarded(self, pod: str, port: int) -> Iterator[int]:
-        """A port on this machine that leads to one of a pod, while the context lasts. Raises CommandError."""
+        """Forward a port of this machine to a port of a pod, and yield it. Raises CommandError."""
         command = self.command("port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1")
         with subprocess.Popen(
             command, stdin=self._stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -197,45 +198,45 @@ class Kubectl:
                 running.terminate()
 
 
-def _somebody_answers() -> bool:
-    """Whether there is somebody who could be asked: not where a shell wants to know how a line may go on."""
-    # There is none at all where it was closed, as by `<&-`.
+def _is_interactive() -> bool:
+    """Return whether a person can answer questions: not during shell completion."""
+    # It is None if it was closed, as by `<&-`.
     return sys.stdin is not None and sys.stdin.isatty() and not shell_completion.is_asked()
 
 
-def _done(command: Sequence[str], stdin: int | None) -> tuple[int, str, str]:
-    """The exit status of a command, what it wrote, and what it said. What it said a while ago and goes on after is shown meanwhile."""
+def _run_command(command: Sequence[str], stdin: int | None) -> tuple[int, str, str]:
+    """Run a command; return its exit status, output and error output. Error output of a slow command is shown meanwhile."""
     shown = heard = 0
     with subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
         try:
             while True:
                 try:
-                    output, told = running.communicate(timeout=PATIENCE)
+                    output, errors = running.communicate(timeout=PATIENCE)
                 except subprocess.TimeoutExpired as waiting:
-                    told = waiting.stderr or b""
-                    _show(told[shown:heard])
-                    shown, heard = heard, len(told)
+                    errors = waiting.stderr or b""
+                    _show(errors[shown:heard])
+                    shown, heard = heard, len(errors)
                 else:
-                    return running.returncode, output.decode(), told.decode(errors="replace")
+                    return running.returncode, output.decode(), errors.decode(errors="replace")
         except BaseException:
             running.kill()
             raise
 
 
-def _show(told: bytes) -> None:
-    """Pass on what isn't of a log; a question has no end of line."""
-    words = b"".join(line for line in told.splitlines(keepends=True) if not _LOG.match(line))
+def _show(errors: bytes) -> None:
+    """Print error output except log lines. A question has no line break at its end."""
+    words = b"".join(line for line in errors.splitlines(keepends=True) if not _LOG.match(line))
     print(words.decode(errors="replace"), end="", file=sys.stderr, flush=True)
 
 
-def said(text: str) -> str:
-    """Why kubectl couldn't do it, by the last line of what it wrote, and what to do where that alone doesn't say it."""
+def explain_failure(text: str) -> str:
+    """Return the reason for a failure of kubectl from its last line of output, with what to do about it."""
     lines = text.strip().splitlines()
-    told = lines[-1].removeprefix("error: ").removeprefix("Error in configuration: ") if lines else ""
-    if told == "EOF":
-        return _NOBODY
-    way_out = next((way for part, way in _WAYS_OUT.items() if part in told), "")
-    return f"{told.removesuffix(_GUESS)}: {way_out}" if way_out else told
+    message = lines[-1].removeprefix("error: ").removeprefix("Error in configuration: ") if lines else ""
+    if message == "EOF":
+        return _NO_CREDENTIALS
+    remedy = next((text for part, text in _REMEDIES.items() if part in message), "")
+    return f"{message.removesuffix(_GUESS)}: {remedy}" if remedy else message
 
 
 def _port(running: subprocess.Popen[str]) -> int:
@@ -250,6 +251,6 @@ def _port(running: subprocess.Popen[str]) -> int:
             return int(found[1])
         if not line:
             raise CommandError(
-                f"the monitor can't be reached: {said(running.stderr.read()) or 'kubectl port-forward ended'}"
+                f"the monitor cannot be reached: {explain_failure(running.stderr.read()) or 'kubectl port-forward ended'}"
             )
-    raise CommandError(f"the monitor can't be reached: kubectl port-forward had not begun after {TIMEOUT:g} s")
+    raise CommandError(f"the monitor cannot be reached: kubectl port-forward did not start within {TIMEOUT:g} s")

@@ -1,4 +1,4 @@
-"""The API server through one kubectl that stays: where moments count, the start of a program for each question is too long."""
+"""Requests to the API server through one ``kubectl proxy``, for callers that cannot wait for a new process per request."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ from dataclasses import dataclass
 from typing import Any
 
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import TIMEOUT, Kubectl, said
+from understudy.cli.common.kubectl import TIMEOUT, Kubectl, explain_failure
 from understudy.kube.client import Object
 
 
 class Refused(CommandError):
-    """The API server refused, with its words."""
+    """The API server refused a request. The message is its own."""
 
     def __init__(self, status: int, message: str) -> None:
         super().__init__(message)
         self.status = status
-        """Of HTTP: 403 where it isn't allowed, 404 where it isn't there."""
+        """The HTTP status: 403 if forbidden, 404 if not found."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What the API server answered."""
+    """An answer of the API server."""
 
     body: Object
     date: str
-    """Its clock, in whole seconds, as HTTP has it."""
+    """The ``Date`` header: the server's clock in whole seconds."""
     asked: float
     answered: float
-    """When it was asked and had answered, in unix seconds by this machine's clock."""
+    """When the request was sent and the answer received, in unix seconds of this machine's clock."""
 
 
 class Api:
-    """Requests to the API server, one after the other."""
+    """Sends requests to the API server, one at a time."""
 
     def __init__(self, path: str) -> None:
-        """``path`` is the socket of a ``kubectl proxy``."""
+        """``path`` is the unix socket of a ``kubectl proxy``."""
         self._path = path
 
     def get(self, path: str) -> Object:
-        """An object, or a list of them. Raises Refused and CommandError."""
+        """Return an object, or a list of objects. Raises Refused and CommandError."""
         return self.request("GET", path).body
 
     def request(self, method: str, path: str, body: Any = None, *, kind: str = "application/json") -> Answer:
-        """One request; ``kind`` is the content type of its body. Raises Refused and CommandError."""
+        """Send one request; ``kind`` is the content type of its body. Raises Refused and CommandError."""
         connection = _Connection(self._path)
         asked = time.time()
         try:
@@ -61,7 +61,7 @@ class Api:
             response = connection.getresponse()
             text = response.read()
         except (OSError, http.client.HTTPException) as error:
-            raise CommandError(f"the API server doesn't answer: {error}") from error
+            raise CommandError(f"the API server does not answer: {error}") from error
         finally:
             connection.close()
         answered = time.time()
@@ -87,14 +87,14 @@ class _Connection(http.client.HTTPConnection):
 
 @contextlib.contextmanager
 def proxied(kubectl: Kubectl) -> Iterator[Api]:
-    """The API server, while the context lasts. Raises CommandError.
+    """Start a ``kubectl proxy`` for the duration of the context. Raises CommandError.
 
-    Its socket is a file in a folder that is this user's alone: a port would let everybody on this machine in.
+    It listens on a unix socket in a private folder: a TCP port would give every user of this machine access.
     """
     with tempfile.TemporaryDirectory(prefix="understudy-") as folder:
         path = f"{folder}/api"
         command = kubectl.command("proxy", f"--unix-socket={path}")
-        # Ctrl-C is for this process only, which then still has to clear up.
+        # Ctrl-C must reach this process only, which still has to clean up.
         with subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
         ) as running:
@@ -111,4 +111,6 @@ def _wait(running: subprocess.Popen[str]) -> None:
     if select.select([running.stdout], [], [], TIMEOUT)[0] and "Starting to serve" in running.stdout.readline():
         return
     running.terminate()
-    raise CommandError(f"kubectl proxy did not begin: {said(running.stderr.read()) or f'nothing after {TIMEOUT:g} s'}")
+    raise CommandError(
+        f"kubectl proxy did not start: {explain_failure(running.stderr.read()) or f'no output within {TIMEOUT:g} s'}"
+    )

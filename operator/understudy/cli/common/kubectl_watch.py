@@ -1,4 +1,4 @@
-"""Waits for objects to change, by kubectls that print a line whenever some have."""
+"""Waits for changes of objects with ``kubectl get --watch`` processes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import IO
 
 PAUSE = 10.0
-"""Seconds between two beginnings of a watch that may be one without the right to it."""
+"""Least seconds between two starts of an optional watch, which may fail at once for lack of permission."""
 
 
 class Watch:
-    """One such kubectl, to be begun anew where it has ended, as API servers end every watch after a while."""
+    """One ``kubectl get --watch`` process. The API server ends every watch after a while, so it must be restartable."""
 
     def __init__(self, command: Sequence[str]) -> None:
         self._command = command
@@ -23,24 +23,24 @@ class Watch:
         self._begun = 0.0
 
     def begin(self) -> None:
-        """Have it run."""
+        """Start the process."""
         self._begun = time.monotonic()
         self._running = subprocess.Popen(
             self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
 
-    def begin_in_time(self) -> None:
-        """The same where it has ended, but not sooner than PAUSE after it was begun last."""
+    def restart_if_due(self) -> None:
+        """Start the process again if it ended, at the earliest PAUSE after its last start."""
         if self._running is None and time.monotonic() >= self._begun + PAUSE:
             self.begin()
 
     @property
     def output(self) -> IO[bytes] | None:
-        """What it prints; None where it has ended."""
+        """Its output; None if it ended."""
         return self._running.stdout if self._running is not None else None
 
-    def told(self) -> bool:
-        """Take in what it has printed; False where it has ended instead."""
+    def read(self) -> bool:
+        """Read the pending output; return False if the process ended instead."""
         assert self.output is not None, "it runs, and it is a pipe"
         if os.read(self.output.fileno(), 65536):
             return True
@@ -48,7 +48,7 @@ class Watch:
         return False
 
     def end(self) -> None:
-        """Have it end."""
+        """Stop the process."""
         if self._running is not None:
             self._running.terminate()
             self._running.wait()
@@ -59,9 +59,9 @@ class Watch:
 
 @contextlib.contextmanager
 def waiting(first: Watch, *others: Watch) -> Iterator[Callable[[float], bool]]:
-    """While the context lasts, waits at most so many seconds for a watch to tell of a change; whether one did.
+    """Yield a function that waits up to the given seconds and returns whether a watch reported a change.
 
-    Where the first one ends, that counts as a change. The others may be such as whoever asks hasn't the right to.
+    The end of the first watch counts as a change. The others are optional: the user may lack the permission.
     """
     watches = [first, *others]
 
@@ -69,16 +69,16 @@ def waiting(first: Watch, *others: Watch) -> Iterator[Callable[[float], bool]]:
         end = time.monotonic() + within
         while True:
             for one in others:
-                one.begin_in_time()
+                one.restart_if_due()
             running = {one.output: one for one in watches if one.output is not None}
             ready = select.select(list(running), [], [], max(0.0, end - time.monotonic()))[0]
             if not ready:
                 return False
             for one in (running[output] for output in ready):
-                if one.told():
+                if one.read():
                     return True
                 if one is first:
-                    time.sleep(within)  # it may end at once again, such as for want of a right
+                    time.sleep(within)  # it may end at once again, for example for lack of permission
                     first.begin()
                     return True
 

@@ -1,6 +1,4 @@
-"""What options have in common: those that say something only beside others are refused elsewhere, since whoever gives one expects something
-of it; and durations are read alike.
-"""
+"""Rules that options of several verbs share: refuse an option that has no effect beside the others, and parse durations."""
 
 from __future__ import annotations
 
@@ -12,10 +10,12 @@ from collections.abc import Iterable
 from understudy.api.base import seconds
 
 
-def only(parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool, option: str, why: str) -> None:
-    """Refuse an option that was given where it says nothing, as argparse refuses others: exit status 2, with the usage before it.
+def reject_unless(
+    parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool, option: str, why: str
+) -> None:
+    """Refuse an option that has no effect here: print the usage and exit with status 2, as argparse does.
 
-    ``option`` is as people write it, such as ``--to``. Its default must be None, since a default can't be told from the same value given.
+    ``option`` is written as on the command line, such as ``--to``. Its default must be None, to tell a given value from the default.
     """
     (action,) = (one for one in parser._actions if option in one.option_strings)
     assert action.default is None, option
@@ -24,9 +24,7 @@ def only(parser: argparse.ArgumentParser, given: argparse.Namespace, holds: bool
 
 
 def duration(text: str) -> float:
-    """The ``type`` of an option that takes a length of time above 0: a duration as manifests have them, such as ``1m30s``, or a number
-    of seconds. Comes to seconds.
-    """
+    """Parse a duration above 0 into seconds: as in manifests, such as ``1m30s``, or a number of seconds. For ``type=`` of an option."""
     found = math.nan
     for read in (seconds, float):
         with contextlib.suppress(ValueError):
@@ -40,6 +38,6 @@ def duration(text: str) -> float:
 
 
 def listed(words: Iterable[str]) -> str:
-    """Words as a sentence lists them, such as a, b and c."""
+    """Join words into a list for a sentence, such as "a, b and c"."""
     *others, last = words
     return f"{', '.join(others)} and {last}" if others else last

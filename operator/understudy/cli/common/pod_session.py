@@ -1,4 +1,4 @@
-"""A conversation with a program in a pod, a line of JSON each way. It ends with this process: its input is over then."""
+"""A session with a program in a pod: one line of JSON per request and answer. The program ends with this process."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl import Kubectl
 
 PATIENCE = 30.0
-"""Seconds that an answer may take beyond what it was asked to take."""
+"""Seconds that an answer may take in addition to the expected time."""
 
 
 class Session:
-    """Asks a program in a pod."""
+    """Sends requests to a program in a pod."""
 
     def __init__(self, pod: str, running: subprocess.Popen[bytes]) -> None:
         self._pod, self._running = pod, running
 
     def ask(self, what: str, *, takes: float = 0.0, **given: Any) -> Any:
-        """An answer; ``takes`` is how long it may take by itself, in seconds. Raises CommandError."""
+        """Send a request and return the answer; ``takes`` is the expected time in seconds. Raises CommandError."""
         source, sink = self._running.stdout, self._running.stdin
         assert source is not None, "it is a pipe"
         assert sink is not None, "it is a pipe"
@@ -31,10 +31,10 @@ class Session:
             sink.write(json.dumps([what, given]).encode() + b"\n")
             sink.flush()
         if not select.select([source], [], [], takes + PATIENCE)[0]:
-            raise CommandError(f"pod {self._pod} doesn't answer")
+            raise CommandError(f"pod {self._pod} does not answer")
         line = source.readline()
         if not line:
-            raise CommandError(f"the program in pod {self._pod} has ended: {self._last_words()}")
+            raise CommandError(f"the program in pod {self._pod} ended: {self._last_words()}")
         answer = json.loads(line)
         if "error" in answer:
             raise CommandError(f"pod {self._pod}: {answer['error']}")
@@ -43,14 +43,14 @@ class Session:
     def _last_words(self) -> str:
         assert self._running.stderr is not None, "it is a pipe"
         said = self._running.stderr.read().decode(errors="replace").strip().splitlines()
-        return said[-1] if said else "it said nothing"
+        return said[-1] if said else "without a message"
 
 
 @contextlib.contextmanager
 def session(kubectl: Kubectl, pod: str, container: str, *program: str) -> Iterator[Session]:
-    """A program in a container, while the context lasts."""
+    """Run a program in a container for the duration of the context."""
     command = kubectl.command("exec", "-i", pod, "-c", container, "--", *program)
-    # Ctrl-C is for this process only, which then still has to clear up.
+    # Ctrl-C must reach this process only, which still has to clean up.
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
     ) as running:

@@ -1,4 +1,4 @@
-"""Recoveries as text: all of them to one scale, and each with its parts, its moments and what was tried; pure."""
+"""Formats recoveries as text: all of them to one scale, and each with its parts, moments and attempts. Pure."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from understudy.cli.common.tree_text import coloured, plain
 from understudy.cli.common.wording import age, clock, counted, unix, wrapped
 
 UNBOUNDED = 100
-"""Columns that are drawn in where there is no terminal."""
+"""Width in characters if the output is not a terminal."""
 
 _LABEL = 17
-"""Columns before a bar: its indentation and what it is called."""
+"""Width before a bar: indentation and label."""
 _FIGURE = 9
 _LEAST = 10
 
@@ -21,23 +21,23 @@ _LEAST = 10
 def lines(
     name: str, count: int, recoveries: Sequence[Recovery], *, last: int, now: float, columns: int | None, colours: bool
 ) -> Iterator[str]:
-    """All that are kept in one comparison, and so many of them one by one. They come newest first, as in the status."""
+    """Format a comparison of all recorded recoveries, and the ``last`` ones in detail. They are newest first, as in the status."""
     if not recoveries:
-        yield f"{plain(name)}: no recovery yet"
+        yield f"{plain(name)}: no recoveries yet"
         return
     width = columns or UNBOUNDED
-    kept = f", the last {len(recoveries)} of which are kept" if count > len(recoveries) else ""
+    kept = f"; the last {len(recoveries)} are recorded" if count > len(recoveries) else ""
     yield f"{plain(name)}: {counted(count, 'recovery', 'recoveries')}{kept}"
     if len(recoveries) > 1:
         yield ""
         yield from compared(recoveries, now=now, columns=width, colours=colours)
     for recovery in recoveries[:last]:
         yield ""
-        yield from told(recovery, now=now, columns=width, colours=colours)
+        yield from detailed(recovery, now=now, columns=width, colours=colours)
 
 
 def compared(recoveries: Sequence[Recovery], *, now: float, columns: int, colours: bool) -> Iterator[str]:
-    """A line for each, all to one scale."""
+    """Format a line for each recovery, all to one scale."""
     heads = [_short_head(recovery, now) for recovery in recoveries]
     label = max(map(len, heads)) + 2
     room = max(_LEAST, columns - label - _FIGURE)
@@ -51,8 +51,8 @@ def compared(recoveries: Sequence[Recovery], *, now: float, columns: int, colour
     yield from wrapped(LEGEND, columns, indent=label if label + len(LEGEND) <= columns else 2)
 
 
-def told(recovery: Recovery, *, now: float, columns: int, colours: bool) -> Iterator[str]:
-    """One with all that is recorded of it."""
+def detailed(recovery: Recovery, *, now: float, columns: int, colours: bool) -> Iterator[str]:
+    """Format one recovery with everything that is recorded about it."""
     start = start_of(recovery)
     head, ended = f"#{recovery.number}", outcome(recovery)
     if start:
@@ -66,10 +66,10 @@ def told(recovery: Recovery, *, now: float, columns: int, colours: bool) -> Iter
         ("control", _control(recovery)),
         ("moments", " · ".join(_moments(recovery, start))),
         ("state", " · ".join(_state(recovery))),
-        *(("in vain", tried(attempt)) for attempt in recovery.attempts if attempt.result != "Verified"),
+        *(("failed", tried(attempt)) for attempt in recovery.attempts if attempt.result != "Verified"),
         (
             "resumed",
-            "its monitor was replaced in the midst of it, and the new one finished it" if recovery.resumed else "",
+            "the monitor restarted during the recovery and completed it" if recovery.resumed else "",
         ),
     ):
         if text:
@@ -91,12 +91,12 @@ def _bars(recovery: Recovery, columns: int) -> Iterator[str]:
 
 
 def parts_of(recovery: Recovery) -> dict[str, float]:
-    """The parts of its time by name, in seconds; none where they aren't recorded."""
+    """Return the parts of the recovery time in seconds, by name; empty if they were not recorded."""
     return recovery.parts.model_dump() if recovery.parts is not None else {}
 
 
 def start_of(recovery: Recovery) -> str | None:
-    """What its times count from."""
+    """Return the time from which the recovery time counts."""
     return recovery.moments.last_healthy or recovery.moments.detected
 
 
@@ -107,12 +107,16 @@ def _short_head(recovery: Recovery, now: float) -> str:
 
 
 def outcome(recovery: Recovery) -> str:
-    """How it ended, in a few words."""
+    """Describe the result in a few words."""
     if recovery.result == "Running":
         return "under way"
     if recovery.result == "Failed":
-        return "NOT switched: given back" if recovery.switchover is not None else "FAILED: nothing verified"
-    what = "handed over as planned" if recovery.planned else "recovered"
+        return (
+            "NOT switched: the former instance kept control"
+            if recovery.switchover is not None
+            else "FAILED: no strategy was verified"
+        )
+    what = "switched over as planned" if recovery.planned else "recovered"
     took = f" in {length(recovery.recovery_seconds)}" if recovery.recovery_seconds is not None else ""
     return f"{what}{took} by {recovery.strategy}"
 
@@ -121,33 +125,33 @@ def _moments(recovery: Recovery, start: str | None) -> Iterator[str]:
     moments = recovery.moments.to_wire()
     for name, text in MOMENTS:
         if start and name in moments:
-            after = unix(moments[name]) - unix(start)  # what a switchover prepares comes before
+            after = unix(moments[name]) - unix(start)  # preparations of a switchover come before
             yield f"{text} {'+' if after >= 0 else '-'}{length(abs(after))}"
 
 
 def _control(recovery: Recovery) -> str:
-    """Who drove before and who drives since; when its first command came the monitor saw as the robot does."""
+    """Describe the former and the new active instance, and when the monitor saw the first command."""
     if recovery.result != "Recovered":
         return ""
     pods, moments = short([recovery.from_pod, recovery.to_pod]), recovery.moments
-    told = f"{pods[recovery.from_pod] or 'no pod'} → {pods[recovery.to_pod] or 'no pod'}, gate epoch {recovery.epoch}"
+    told = f"{pods[recovery.from_pod] or 'none'} → {pods[recovery.to_pod] or 'none'}, gate epoch {recovery.epoch}"
     if moments.first_output is None or moments.routed is None:
         return told
     after = unix(moments.first_output) - unix(moments.routed)
-    return f"{told}, first command {length(abs(after))} {'after' if after >= 0 else 'before'} the switch was seen to be done"
+    return f"{told}, first command {length(abs(after))} {'after' if after >= 0 else 'before'} the switch was confirmed"
 
 
 def _state(recovery: Recovery) -> Iterator[str]:
     for entry in recovery.state:
         if not entry.restored:
-            yield f"{entry.name} NOT given: {entry.message}"
+            yield f"{entry.name} NOT restored: {entry.message}"
             continue
         old = f" {length(entry.age_seconds)} old" if entry.age_seconds is not None else ""
-        carried = f", carried {entry.carried_metres:.2f} m" if entry.carried_metres is not None else ""
+        carried = f", propagated by {entry.carried_metres:.2f} m" if entry.carried_metres is not None else ""
         yield f"{entry.name}{old}{carried}{f' ({entry.message})' if entry.message else ''}"
 
 
 def tried(attempt: Attempt) -> str:
-    """What was tried without success, and why it came to nothing."""
+    """Describe a failed attempt and its reason."""
     how = "not verified" if attempt.result == "NotVerified" else "not available"
     return f"{attempt.strategy}{f' with {attempt.pod}' if attempt.pod else ''}: {how}: {attempt.message}"

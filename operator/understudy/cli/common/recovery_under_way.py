@@ -1,4 +1,4 @@
-"""The recovery that a workload's gate tells of: with the first commit, and so before the status does; pure."""
+"""The recovery under way according to the gate's annotation, which is written before the status. Pure."""
 
 from __future__ import annotations
 
@@ -13,23 +13,25 @@ from understudy.failover.progress import Committed, Progress, rfc3339
 from understudy.kube.client import Object
 
 _ROUNDING = 0.001
-"""Seconds by which one moment may differ in the gate and in the status."""
+"""Seconds by which the same time may differ between gate and status."""
 
 
 class UnderWay(Model):
-    """A recovery under way in short."""
+    """Summary of a recovery under way."""
 
-    reason: str = Field(description="What failed, or what else it is for.")
-    occasion: str = Field(description="The same in one word, as the reason of the condition Recovering.")
-    since: str = Field(description="When it was detected.")
-    strategy: str = Field(default="", description="The one that is tried; empty where its monitor doesn't say.")
-    pod: str | None = Field(default=None, description="The instance that is to take over, where it is known already.")
-    waits_for: str | None = Field(default=None, description="The shared pool that it waits for a pod of.")
-    tried: list[str] = Field(default_factory=list, description="The strategies that came to nothing, in order.")
+    reason: str = Field(description="What failed, or the other reason for the recovery.")
+    occasion: str = Field(description="The reason of the condition Recovering.")
+    since: str = Field(description="When the failure was detected.")
+    strategy: str = Field(
+        default="", description="The strategy that is tried; empty if the monitor does not report it."
+    )
+    pod: str | None = Field(default=None, description="The instance that takes over, if it is known.")
+    waits_for: str | None = Field(default=None, description="The shared pool whose pod it waits for.")
+    tried: list[str] = Field(default_factory=list, description="The strategies that failed, in order.")
 
     @classmethod
     def of(cls, progress: Progress) -> UnderWay:
-        """From the record."""
+        """Summarize the record."""
         return cls(
             reason=progress.reason,
             occasion=progress.occasion,
@@ -42,7 +44,7 @@ class UnderWay(Model):
 
     @property
     def message(self) -> str:
-        """Why it is recovered, and how."""
+        """Reason and progress in one sentence."""
         reason = self.reason.rstrip(".")
         if not self.strategy:
             return f"{reason}."
@@ -54,10 +56,9 @@ class UnderWay(Model):
 
 
 def under_way(status: RobotWorkloadStatus, gate: Object | None, now: float) -> UnderWay | None:
-    """The recovery that a gate tells of where the status doesn't yet, or says no more than that there is one; None for none.
+    """Return the recovery that the gate records and the status does not report yet, or not in detail; None if there is none.
 
-    A switchover is none, since the robot is driven all the while, nor is one that is held: the status tells of both at once. ``now`` is
-    unix seconds.
+    Switchovers and deferred recoveries do not count: the status reports both at once. ``now`` is in unix seconds.
     """
     notes = (gate["metadata"].get("annotations") or {}) if gate is not None else {}
     found = recoveries.beside(notes.get(names.RECOVERY, ""))
@@ -65,7 +66,7 @@ def under_way(status: RobotWorkloadStatus, gate: Object | None, now: float) -> U
         return None
     said = status.health == "Recovering"
     if said and status.failing_since is not None:
-        # The one that the status means may not have committed yet: what the gate tells of may have been given up long before.
+        # The recovery in the status may not have committed yet, and the gate may record an earlier one that was abandoned.
         said = found.moments.get("last_healthy", 0.0) >= unix(status.failing_since) - _ROUNDING
     told = recoveries.told_in(status.recoveries or [])
     under_way = recoveries.under_way(Committed.of(found), told, None if said else now)

@@ -1,6 +1,6 @@
-"""RobotWorkloads and FallbackPools as people ask for them: who drives each robot, whether it is protected, what is wrong.
+"""RobotWorkloads and FallbackPools for people: the active instance, whether the robot is protected, and the problems.
 
-Everything is taken from what operator and monitor have said in the objects' status; but of a recovery the gate tells first.
+Everything comes from the status that operator and monitor write, except a recovery under way: the gate records that first.
 """
 
 from __future__ import annotations
@@ -25,66 +25,66 @@ from understudy.kube.gates.base import GateRecord
 Object = Mapping[str, Any]
 
 DRIVEN = ("Healthy", "Degraded")
-"""What the health of a robot is that is driven as it should be."""
+"""Healths of a robot whose active instance works."""
 
 UNWATCHED = "Unwatched"
-"""Instead of the health that a monitor has said last where none is there to say another."""
+"""Shown instead of the last reported health if no monitor is running."""
 
 _UNWATCHED = ("MonitorNotReady", "GateMissing")
-"""Reasons of the condition Protected by which nobody watches the robot."""
+"""Reasons of the condition Protected that mean that no monitor watches the robot."""
 
 _ABOUT = {
     "Accepted": "not accepted",
-    "Reconciled": "not built as it says",
+    "Reconciled": "not reconciled",
     "Protected": "not protected",
-    "Monitored": "not watched as it says",
+    "Monitored": "not fully monitored",
     "Healthy": "not healthy",
     "Degraded": "degraded",
     "Recovering": "not recovered",
-    "DependencyFailed": "held",
-    "DependenciesResolved": "dependencies not followed",
+    "DependencyFailed": "suspended by a dependency",
+    "DependenciesResolved": "dependencies not resolved",
     "GateEnforced": "gate not enforced",
-    "OutputsRead": "read past the gate",
-    "BroughtUp": "not brought up",
+    "OutputsRead": "outputs bypass the gate",
+    "BroughtUp": "bring-up failed",
     "Resized": "not resized",
-    "Draining": "evictions don't wait",
+    "Draining": "evictions do not wait",
     "StrategiesChosen": "requirements not met",
-    "SituationCovered": "not as its situation asks",
-    "Available": "no pod is free",
-    "Sized": "too small for its risk",
+    "SituationCovered": "situation not covered",
+    "Available": "no pod available",
+    "Sized": "too small for the risk",
     "Updated": "not updated",
-    "Reflex": "no reflex",
+    "Reflex": "reflex not active",
     "StateKept": "state not kept",
     "StateRestored": "state not restored",
-    "TasksProxied": "goals not kept",
+    "TasksProxied": "goals not proxied",
     "Paused": "paused",
     "WithinBudget": "budget spent",
     "Ready": "not ready",
 }
-"""What it means where a condition isn't as it should be."""
+"""What a condition reports if it is not in its good state."""
 
 _LIMITED = {type_: reason for type_, _, reason, _ in LIMITED}
-"""Conditions that Protected tells of with their own words: its reason then."""
+"""Conditions that Protected repeats, with the reason that it then has."""
 
 
 class Problem(Model):
-    """One thing that isn't as it should be."""
+    """One problem of an object."""
 
-    type: str = Field(description="The condition that says so.")
-    reason: str = Field(description="One word.")
-    message: str = Field(description="What was found, and what would put it right.")
-    since: str | None = Field(default=None, description="Since when.")
+    type: str = Field(description="Type of the condition that reports it.")
+    reason: str = Field(description="Reason of the condition.")
+    message: str = Field(description="What was found, and how to solve it.")
+    since: str | None = Field(default=None, description="When the condition changed last.")
 
     @property
     def about(self) -> str:
-        """What isn't as it should be, in words."""
+        """The kind of problem, in words."""
         if self.type == "Recovering" and self.reason in ("FailureDetected", "Rescheduling", "FollowsDependency"):
             return "recovering"
         return _ABOUT.get(self.type, self.type)
 
 
 class LastRecovery(Model):
-    """The newest recovery in short."""
+    """Summary of the newest recovery."""
 
     number: int
     result: str
@@ -96,7 +96,7 @@ class LastRecovery(Model):
 
     @classmethod
     def of(cls, recovery: Recovery) -> LastRecovery:
-        """From the record."""
+        """Summarize the record."""
         moments = recovery.moments
         return cls(
             number=recovery.number,
@@ -117,24 +117,24 @@ class Robot(Model):
     policy: str
     created: str | None
     health: str
-    """Of the monitor, or UNWATCHED; Recovering also where only its gate tells so."""
+    """As the monitor reports it, or UNWATCHED; also Recovering if only the gate records a recovery."""
     protected: bool
     active: str
     epoch: int
     standby: str
     strategy: str
-    """What its monitor would use if it failed now."""
+    """The strategy that the monitor would use for a failure now."""
     situation: str
-    """Of its policy, that it is in; empty for none."""
+    """The situation of its policy that applies; empty for none."""
     recovery_count: int
     last_recovery: LastRecovery | None
     recovering: UnderWay | None = None
-    """The recovery under way, where its gate tells of one."""
+    """The recovery under way that the gate records, if any."""
     problems: list[Problem]
 
     @property
     def is_well(self) -> bool:
-        """Whether it is protected, and driven as it should be."""
+        """Whether it is protected and its active instance works."""
         return self.protected and self.health in DRIVEN
 
 
@@ -151,12 +151,12 @@ class Pool(Model):
 
     @property
     def is_short(self) -> bool:
-        """Whether fewer could take over now than should. A standby that drives its robot is one of those that should be there."""
+        """Whether fewer pods than desired are ready. A standby that became the active instance counts as ready."""
         return self.ready + (self.claimed if self.readiness != "Uninitialized" else 0) < self.desired
 
 
 def summary(robots: Sequence[Robot]) -> str:
-    """Them all in one line."""
+    """Summarize all robots in one line."""
     unprotected = sum(not robot.protected for robot in robots)
     healths = Counter(robot.health for robot in robots)
     told = listed(f"{healths[health]} {health.lower()}" for health in sorted(healths))
@@ -165,15 +165,15 @@ def summary(robots: Sequence[Robot]) -> str:
 
 
 def status_of(item: Object) -> RobotWorkloadStatus:
-    """A RobotWorkload's status. Raises CommandError where this command doesn't know what it says."""
+    """Parse the status of a RobotWorkload. Raises CommandError if it does not match this version."""
     try:
         return RobotWorkloadStatus.model_validate(item.get("status") or {})
     except ValidationError as error:
-        raise CommandError(_unknown("RobotWorkload", item, error)) from error
+        raise CommandError(_unknown_status("RobotWorkload", item, error)) from error
 
 
 def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) -> Robot:
-    """A RobotWorkload as the API server gives it, with its ``gate`` if known, at ``now`` (unix seconds). Raises CommandError."""
+    """Summarize a RobotWorkload, with its ``gate`` if it could be read, at ``now`` (unix seconds). Raises CommandError."""
     status, metadata, spec = status_of(item), item["metadata"], item.get("spec") or {}
     said = {condition.type: condition for condition in status.conditions or []}
     protected = said.get("Protected")
@@ -204,11 +204,11 @@ def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) ->
 
 
 def pool(item: Object) -> Pool:
-    """A FallbackPool as the API server gives it. Raises CommandError."""
+    """Summarize a FallbackPool. Raises CommandError."""
     try:
         status = FallbackPoolStatus.model_validate(item.get("status") or {})
     except ValidationError as error:
-        raise CommandError(_unknown("FallbackPool", item, error)) from error
+        raise CommandError(_unknown_status("FallbackPool", item, error)) from error
     return Pool(
         namespace=item["metadata"]["namespace"],
         name=item["metadata"]["name"],
@@ -223,23 +223,23 @@ def pool(item: Object) -> Pool:
 def problems(
     item: Object, conditions: Iterable[Condition], seen: int | None, recovering: UnderWay | None = None
 ) -> list[Problem]:
-    """What isn't as it should be by an object's conditions, and the recovery under way by its gate.
+    """List the problems that an object's conditions report, and the recovery under way.
 
-    ``seen`` is the generation of its spec that the conditions are about.
+    ``seen`` is the generation of the spec that the conditions refer to.
     """
-    found, conditions = list(_unseen(item, seen)), list(conditions)
-    if recovering is not None and not _knows_more(conditions, recovering):
+    found, conditions = list(_unobserved(item, seen)), list(conditions)
+    if recovering is not None and not _status_has_details(conditions, recovering):
         conditions = [condition for condition in conditions if condition.type != "Recovering"]
         reason, message = recovering.occasion, recovering.message
         found.append(Problem(type="Recovering", reason=reason, message=message, since=recovering.since))
     protected = next((c for c in conditions if c.type == "Protected" and c.status == "False"), None)
     gate = next((c.reason for c in conditions if c.type == "GateEnforced" and c.status == "False"), "")
     for condition in conditions:
-        if not _amiss(condition):
+        if not _is_problem(condition):
             continue
         same = protected is not None and protected.reason == condition.reason
         if condition.type == "Reconciled" and (same or condition.reason == "NotAccepted"):
-            continue  # it is told already
+            continue  # reported already
         if condition.type == "OutputsRead" and condition.reason == gate:
             continue
         if protected is not None and protected.reason == _LIMITED.get(condition.type):
@@ -256,30 +256,30 @@ def problems(
     return sorted(found, key=lambda problem: first.get(problem.type, len(first)))
 
 
-def is_told(problem: Problem, messages: Iterable[str]) -> bool:
-    """Whether a pool's problem is one of a pod, of which one of these messages tells already."""
+def is_reported(problem: Problem, messages: Iterable[str]) -> bool:
+    """Return whether a pool's problem concerns a pod that one of these messages reports already."""
     cause = problem.message.partition("; ")[2].rstrip(".")
     return bool(cause) and any(cause in message for message in messages)
 
 
-def _knows_more(conditions: Iterable[Condition], recovering: UnderWay) -> bool:
-    """Whether the status says more of a recovery than that it is under way, such as for whom else it waits."""
+def _status_has_details(conditions: Iterable[Condition], recovering: UnderWay) -> bool:
+    """Return whether the status says more about a recovery than that it is under way, such as what it waits for."""
     said = next((condition for condition in conditions if condition.type == "Recovering"), None)
     return said is not None and said.status == "True" and said.reason != recovering.occasion
 
 
-def _unseen(item: Object, seen: int | None) -> Iterator[Problem]:
+def _unobserved(item: Object, seen: int | None) -> Iterator[Problem]:
     generation = item["metadata"].get("generation")
     if seen is None or (generation is not None and seen < generation):
-        what = "it" if seen is None else f"its present spec (generation {generation})"
+        what = "it" if seen is None else f"its current spec (generation {generation})"
         yield Problem(
             type="Accepted",
             reason="NotSeen",
-            message=f"The operator has not looked at {what} yet. Is it running? kubectl get pods -A -l app.kubernetes.io/name=understudy",
+            message=f"The operator has not observed {what} yet. Is it running? kubectl get pods -A -l app.kubernetes.io/name=understudy",
         )
 
 
-def _amiss(condition: Condition) -> bool:
+def _is_problem(condition: Condition) -> bool:
     match condition.type:
         case "Degraded" | "Paused" | "DependencyFailed":
             return condition.status == "True"
@@ -290,10 +290,10 @@ def _amiss(condition: Condition) -> bool:
     return condition.status == "False"
 
 
-def _unknown(kind: str, item: Object, error: ValidationError) -> str:
+def _unknown_status(kind: str, item: Object, error: ValidationError) -> str:
     first = error.errors()[0]
     where = ".".join(str(part) for part in first["loc"])
     return (
         f"{kind} {item['metadata']['namespace']}/{item['metadata']['name']}: status.{where}: {first['msg']}. "
-        "Is this command as new as the operator?"
+        "Does this command have the version of the operator?"
     )

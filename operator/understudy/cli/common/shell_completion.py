@@ -1,6 +1,6 @@
-"""Answers a shell that asks what may come next on the command line, by argcomplete, which is installed with the extra ``completion``.
+"""Answers completion requests of shells with argcomplete, which is installed with the extra ``completion``.
 
-The shell starts the command with the line so far in its environment. What may be named comes from the cluster that the line says.
+The shell starts the command with the current line in its environment. Names of objects come from the cluster that the line selects.
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 _ASKED = "_ARGCOMPLETE"
-"""In the environment when a shell asks: the place of the word at which the command begins."""
+"""Environment variable of a completion request: the index of the word at which the command begins."""
 
 KUBECTL_FILES_TOO = ":0"
 KUBECTL_NO_FILES = ":4"
 KUBECTL_NO_FILES_AND_NO_SPACE = ":6"
-"""What kubectl wants to read last: whether files may be meant as well, and whether what is completed may go on, as a folder does."""
+"""The last line that kubectl reads: whether files may complete too, and whether a completed word may continue, as a folder does."""
 
 Completer = Callable[..., Sequence[str]]
 
 
 class NotInstalled(Exception):
-    """argcomplete isn't there."""
+    """argcomplete is not installed."""
 
 
 def is_asked() -> bool:
-    """Whether this process was started to answer a shell."""
+    """Return whether this process answers a completion request."""
     return _ASKED in os.environ
 
 
 def argcomplete() -> ModuleType:
-    """The package. Raises NotInstalled."""
+    """Import the package. Raises NotInstalled."""
     try:
         import argcomplete as package
     except ImportError as error:
-        raise NotInstalled("what completes is missing: pip install argcomplete (the extra `completion`)") from error
+        raise NotInstalled("argcomplete is not installed: pip install argcomplete (the extra `completion`)") from error
     return package
 
 
 def complete_verb(verbs: Sequence[str]) -> str | None:
-    """The verb of the line, whose parser then answers (:func:`offer`); None where the verb itself was asked for, which is answered."""
+    """Return the verb of the line, whose parser then answers (:func:`offer`). If it is incomplete, complete it and return None."""
     line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
     words = line.split()
     if len(words) > 2 or (len(words) == 2 and line[-1:].isspace()):
@@ -53,36 +53,40 @@ def complete_verb(verbs: Sequence[str]) -> str | None:
         return words[1]
     parser = argparse.ArgumentParser(prog="understudy", add_help=False)
     parser.add_argument("verb", choices=sorted(verbs))
-    _answer(parser)
+    answer_request(parser)
     return None
 
 
 def offer(parser: argparse.ArgumentParser, completers: Mapping[str, Completer]) -> None:
-    """Answer by a parser that is whole, where a shell asks, which ends this process; ``completers`` are for arguments and
-    options, by the word that stands for their value.
+    """Answer a completion request, if there is one, with a complete parser, and exit.
+
+    ``completers`` complete the values of arguments and options, by their metavar.
     """
     if not is_asked():
         return
     for action in parser._actions:
         if (found := completers.get(str(action.metavar or action.dest.upper()))) is not None:
             action.completer = found  # type: ignore[attr-defined]
-    _answer(parser)
+    answer_request(parser)
 
 
 def complete_arguments(main: Callable[[list[str]], int]) -> None:
-    """Answer by the parser of a verb, which ends this process. One that asks a cluster offers the names in it (:func:`offer`); of any
-    other the parser is whole, at the latest, when it is asked to parse. Values for which there is no other word are files.
+    """Answer with the parser of a verb, and exit.
+
+    A verb that uses a cluster completes names itself (:func:`offer`). The parser of any other is complete when it is asked to parse.
+    Other values complete as files.
     """
 
     def parse(self: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:
-        _answer(self)
+        answer_request(self)
         sys.exit(1)
 
     argparse.ArgumentParser.parse_args = parse  # type: ignore[method-assign]
     main([])
 
 
-def _answer(parser: argparse.ArgumentParser) -> None:
+def answer_request(parser: argparse.ArgumentParser) -> None:
+    """Print the completions of the request, and exit."""
     try:
         argcomplete().autocomplete(parser, always_complete_options="long")
     except NotInstalled:
@@ -90,7 +94,7 @@ def _answer(parser: argparse.ArgumentParser) -> None:
 
 
 def complete_for_kubectl() -> int:
-    """``kubectl_complete-understudy``: kubectl asks a program of this name, gives it the words, and reads lines."""
+    """Run ``kubectl_complete-understudy``: kubectl starts it with the words of the line and reads the completions."""
     words = sys.argv[1:]
     line = " ".join(["understudy", *words])
     with tempfile.TemporaryDirectory(prefix="understudy-") as folder:

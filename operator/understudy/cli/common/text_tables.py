@@ -11,32 +11,32 @@ _GAP = 2
 
 
 class Cell(NamedTuple):
-    """What stands in one place."""
+    """One cell of a table."""
 
     text: str
     state: str = ""
-    """By which it is coloured; empty for no colour."""
+    """The state whose colour it has; empty for none."""
 
-    def drawn(self, width: int, *, colours: bool) -> str:
-        """Padded to a width, in its colour."""
+    def format(self, width: int, *, colours: bool) -> str:
+        """Return the text padded to a width and coloured."""
         padded = plain(self.text).ljust(width)
         return coloured(padded, self.state, colours=colours and bool(self.state))
 
 
 Rows = Sequence[Sequence[Cell]]
-"""A table: its first row is the head."""
+"""A table; the first row is the header."""
 
 
 def width(rows: Rows) -> int:
-    """How many columns of a terminal a table takes."""
+    """Return the width of a table in characters."""
     return sum(_widths(rows)) + _GAP * (len(rows[0]) - 1)
 
 
-def drawn(rows: Rows, *, colours: bool) -> list[str]:
-    """A table's lines, its columns under each other."""
+def format_table(rows: Rows, *, colours: bool) -> list[str]:
+    """Return the lines of a table with aligned columns."""
     widths = _widths(rows)
     return [
-        (" " * _GAP).join(cell.drawn(w, colours=colours) for cell, w in zip(row, widths, strict=True)).rstrip()
+        (" " * _GAP).join(cell.format(w, colours=colours) for cell, w in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
 

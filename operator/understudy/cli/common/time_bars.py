@@ -1,19 +1,19 @@
-"""Lengths of time as bars to scale and as figures. Needs nothing but the standard library: the demo draws with it too."""
+"""Durations as bars and as text. Uses the standard library only, because the demo imports it too."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 NAMES = {"detection": "detection", "cluster": "cluster", "startup": "start-up", "reinitialization": "re-init"}
-"""The four parts of a recovery time (equation 1 of the paper), in their order, as they are called beside a bar."""
+"""Labels of the four parts of a recovery time (equation 1 of the paper), in order."""
 
 MOMENTS = (
     ("detected", "detected"),
-    ("held", "held by the budget"),
+    ("held", "deferred by the budget"),
     ("released", "released"),
     ("queued", "waits for a pod"),
     ("claimed", "claimed"),
-    ("lastOutput", "last command of the former"),
+    ("lastOutput", "last command of the former instance"),
     ("fenced", "fenced"),
     ("started", "started"),
     ("ready", "ready"),
@@ -21,7 +21,7 @@ MOMENTS = (
     ("firstOutput", "first command seen"),
     ("verified", "recovered"),
 )
-"""What a recovery's moments are called, in their order."""
+"""Labels of the moments of a recovery, in order."""
 
 _GLYPHS = {"detection": "░", "cluster": "█", "startup": "▓", "reinitialization": "▒"}
 _EIGHTHS = " ▏▎▍▌▋▊▉"
@@ -30,7 +30,7 @@ LEGEND = "   ".join(f"{_GLYPHS[part]} {name}" for part, name in NAMES.items())
 
 
 def length(seconds: float) -> str:
-    """A length of time with the digits that matter: 0, 0.4 ms, 6 ms, 503 ms, 2.91 s."""
+    """Format a duration in seconds with its significant digits: 0, 0.4 ms, 6 ms, 503 ms, 2.91 s."""
     milli = seconds * 1000
     if abs(milli) < 0.05:
         return "0"
@@ -40,9 +40,9 @@ def length(seconds: float) -> str:
 
 
 def bar(start: float, seconds: float, scale: float) -> str:
-    """A bar from ``start`` for ``seconds``, with ``scale`` seconds to a character.
+    """Draw a bar from ``start`` for ``seconds``, with ``scale`` seconds per character.
 
-    Its length is right to an eighth of a character, its beginning to half of one.
+    Its length is exact to an eighth of a character, its start to half a character.
     """
     if seconds <= 0:
         return ""
@@ -51,7 +51,7 @@ def bar(start: float, seconds: float, scale: float) -> str:
 
 
 def stacked(parts: Mapping[str, float], scale: float) -> str:
-    """One bar of all parts (in seconds), each drawn in its own way (:data:`LEGEND`), with ``scale`` seconds to a character."""
+    """Draw one bar of all parts (in seconds), each with its own glyph (:data:`LEGEND`), with ``scale`` seconds per character."""
     drawn, end = "", 0.0
     for part in NAMES:
         end += parts.get(part, 0.0)
@@ -60,7 +60,7 @@ def stacked(parts: Mapping[str, float], scale: float) -> str:
 
 
 def short(pods: Sequence[str]) -> dict[str, str]:
-    """Pod names by their endings, such as ``…-7k2xq``; whole where those don't tell them apart."""
+    """Shorten pod names to their suffixes, such as ``…-7k2xq``; keep them whole if the suffixes are not distinct."""
     endings = {pod: pod.rpartition("-")[2] for pod in pods}
     told = len(set(endings.values())) == len(endings) and all(len(ending) >= 5 for ending in endings.values())
     return {pod: f"…-{ending}" if told and ending != pod else pod for pod, ending in endings.items()}

@@ -1,4 +1,4 @@
-"""A live health tree as lines of text."""
+"""Formats a live health tree as lines of text."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-WORDS = {"Healthy": "healthy", "Starting": "starting", "Failed": "FAILED", "Idle": "idle", "Unasked": "not asked"}
+WORDS = {"Healthy": "healthy", "Starting": "starting", "Failed": "FAILED", "Idle": "idle", "Unasked": "not evaluated"}
 _COLOURS = {"Healthy": "32", "Starting": "33", "Degraded": "33", "Recovering": "33", "Failed": "1;31"}
 _FAINT = "2"
 
 
 @dataclass
 class Rates:
-    """How often topics were received between looks, by counters that only the monitor has."""
+    """Message rates of topics, from the monitor's counters in successive states."""
 
     _before: dict[str, tuple[int, float]] = field(default_factory=dict)
     _rates: dict[str, float] = field(default_factory=dict)
 
     def look(self, state: Mapping[str, Any]) -> None:
-        """Take in a state of the monitor."""
+        """Add a state of the monitor."""
         for path, node in _nodes(state.get("tree")):
             if "received" not in node:
                 continue
@@ -34,18 +34,18 @@ class Rates:
             self._before[path] = (count, now)
 
     def of(self, path: str) -> float | None:
-        """Messages per second of a leaf's topic between the last two looks; None before there were two."""
+        """Return the messages per second of a leaf's topic between the last two states; None before there are two."""
         return self._rates.get(path)
 
 
 def lines(state: Mapping[str, Any], rates: Rates, *, colours: bool) -> Iterator[str]:
-    """The state of a monitor, for a terminal."""
+    """Format the state of a monitor for a terminal."""
 
     health = coloured(plain(state["health"]), state["health"], colours=colours)
     yield f"{plain(state['namespace'])}/{plain(state['workload'])}  {health}"
     yield (
-        f"in control: {plain(state['active']) or 'nobody'} (epoch {state['epoch']}); policy {plain(state['policy']) or 'none'}; "
-        f"if it failed now: {plain(state['strategy']) or 'unknown'}; recoveries: {state['recoveries']}"
+        f"active instance: {plain(state['active']) or 'none'} (epoch {state['epoch']}); policy {plain(state['policy']) or 'none'}; "
+        f"next strategy: {plain(state['strategy']) or 'unknown'}; recoveries: {state['recoveries']}"
     )
     for said in state.get("conditions", ()):
         if said["type"] == "Degraded" and said["status"] == "True":
@@ -59,10 +59,10 @@ def lines(state: Mapping[str, Any], rates: Rates, *, colours: bool) -> Iterator[
 
 
 def tree_lines(tree: Mapping[str, Any] | None, rates: Rates, *, colours: bool) -> Iterator[str]:
-    """A snapshot of a tree, a line for each node: how it is, how often its topic comes, and why it isn't healthy."""
+    """Format a snapshot of a tree with a line for each node: its state, the rate of its topic, and why it is not healthy."""
     nodes = list(_nodes(tree))
     if not nodes:
-        yield "There is no health tree that could be judged."
+        yield "There is no health tree to evaluate."
     width = max((2 * path.count("/") + len(_label(node)) for path, node in nodes), default=0)
     for path, node in nodes:
         label = f"{'  ' * path.count('/')}{_label(node)}".ljust(width)
@@ -72,17 +72,17 @@ def tree_lines(tree: Mapping[str, Any] | None, rates: Rates, *, colours: bool) -
 
 
 def coloured(text: str, state: str, *, colours: bool) -> str:
-    """A text in the colour of a state."""
+    """Return a text in the colour of a state."""
     return f"\x1b[{_COLOURS.get(state, _FAINT)}m{text}\x1b[0m" if colours else text
 
 
 def plain(text: object) -> str:
-    """A text that can't move the cursor: topics and reasons are chosen by others."""
+    """Escape control characters: names and messages come from others and must not move the cursor."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
 
 
 def rough(seconds: float) -> str:
-    """A length of time in as many figures as matter."""
+    """Format a duration roughly."""
     if seconds < 1:
         return f"{seconds * 1000:.0f} ms"
     return f"{seconds:.1f} s" if seconds < 100 else f"{seconds:.0f} s"

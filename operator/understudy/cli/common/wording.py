@@ -1,4 +1,4 @@
-"""Times and sentences as a person reads them in a terminal."""
+"""Formats times, counts and paragraphs for a terminal."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ _UNITS = ((86400, "d"), (3600, "h"), (60, "m"), (1, "s"))
 
 
 def unix(moment: str) -> float:
-    """An RFC 3339 moment as unix seconds."""
+    """Parse an RFC 3339 time into unix seconds."""
     return datetime.fromisoformat(moment).timestamp()
 
 
 def age(moment: str, now: float) -> str:
-    """How long ago a moment was, in its two largest units as kubectl writes it: 12s, 4m12s, 2d3h."""
+    """Return how long ago a time was, in its two largest units as kubectl writes it: 12s, 4m12s, 2d3h."""
     left = max(0, int(now - unix(moment)))
     told: list[str] = []
     for size, unit in _UNITS:
@@ -28,21 +28,22 @@ def age(moment: str, now: float) -> str:
 
 
 def clock(moment: str | float) -> str:
-    """A moment (RFC 3339, or unix seconds) as a date and a time in UTC, as the cluster's logs have it."""
+    """Format a time (RFC 3339, or unix seconds) as date and time in UTC, as in the cluster's logs."""
     return datetime.fromtimestamp(unix(moment) if isinstance(moment, str) else moment, UTC).strftime(
         "%Y-%m-%d %H:%M:%SZ"
     )
 
 
 def wrapped(text: str, columns: int | None, *, indent: int, hanging: int | None = None) -> list[str]:
-    """A text of others (:func:`plain`) in lines of so many columns, each indented; the first one by ``indent`` and the
-    others by ``hanging``. One line where there is no width.
+    """Wrap an untrusted text (:func:`plain`) to a width; ``indent`` is for the first line and ``hanging`` for the others.
+
+    Returns one line if ``columns`` is None.
     """
     first, others = " " * indent, " " * (indent if hanging is None else hanging)
     if columns is None:
         return [f"{first}{plain(text)}"]
     width = max(columns, len(others) + 20)
-    # What can't be broken is cut by the terminal: a command that is copied from here must stay in one piece.
+    # Long words are cut by the terminal rather than broken: a command that is copied from here must stay in one piece.
     return textwrap.wrap(
         plain(text),
         width,
@@ -54,10 +55,10 @@ def wrapped(text: str, columns: int | None, *, indent: int, hanging: int | None 
 
 
 def counted(number: int, one: str, many: str = "") -> str:
-    """A number of things, in the singular where it is one."""
+    """Format a number of things, in singular or plural."""
     return f"{number} {one if number == 1 else many or f'{one}s'}"
 
 
 def listed(parts: Iterable[str]) -> str:
-    """Parts of a sentence with commas, without the empty ones."""
+    """Join the parts that are not empty with commas."""
     return ", ".join(part for part in parts if part)

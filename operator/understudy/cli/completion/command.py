@@ -1,4 +1,4 @@
-"""``understudy completion bash | zsh | fish``: what a shell has to run so that Tab completes verbs, options and names."""
+"""``understudy completion bash | zsh | fish``: prints the completion script of a shell."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 from understudy.cli.common import shell_completion
 from understudy.cli.common.shell_completion import NotInstalled
 
-DONE, CANT = 0, 2
+SUCCESS, ERROR = 0, 2
 """Exit statuses."""
 
 _COMMANDS = ("understudy", "kubectl-understudy")
@@ -23,17 +23,17 @@ def main(arguments: list[str]) -> int:
         print(shell_completion.argcomplete().shellcode(_COMMANDS, shell=given.shell))
     except NotInstalled as error:
         print(f"understudy completion: {error}", file=sys.stderr)
-        return CANT
-    return DONE
+        return ERROR
+    return SUCCESS
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy completion",
-        description="Prints what a shell has to run so that Tab completes the verbs of this command, their options, and the names of the "
-        'cluster: eval "$(understudy completion bash)" in ~/.bashrc, the same with zsh in ~/.zshrc, and '
-        "understudy completion fish | source in ~/.config/fish/config.fish. kubectl understudy needs nothing but kubectl's own completion.",
-        epilog="Exit status: 0 where it is printed, 2 where argcomplete isn't installed.",
+        description="Prints the script with which a shell completes verbs, options, and names of "
+        'objects in the cluster: eval "$(understudy completion bash)" in ~/.bashrc, the same with zsh in ~/.zshrc, and '
+        "understudy completion fish | source in ~/.config/fish/config.fish. kubectl understudy only needs kubectl's own completion.",
+        epilog="Exit status: 0 if the script was printed, 2 if argcomplete is not installed.",
     )
     parser.add_argument("shell", choices=["bash", "zsh", "fish"], help="the shell")
     return parser

@@ -1,4 +1,4 @@
-"""``understudy failback NAME``: the robot is given back to a pod of the workload's own controller."""
+"""``understudy failback NAME``: switches the robot back to a pod of the workload's own controller."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``understudy failover NAME``: an understudy takes over as planned."""
+"""``understudy failover NAME``: switches the robot to an understudy, as planned."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``understudy pause NAME``: has a workload left alone while somebody works on the robot or its application."""
+"""``understudy pause NAME``: suspends automatic recovery while somebody works on the robot or its application."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control import signature
 
-DONE, CANT = 0, 2
+SUCCESS, ERROR = 0, 2
 """Exit statuses."""
 
 
@@ -26,14 +26,16 @@ def main(arguments: list[str]) -> int:
         item = Kubectl(given).patch(WORKLOADS, given.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
     except CommandError as error:
         print(f"understudy pause: {error}", file=sys.stderr)
-        return CANT
+        return ERROR
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
-    print(f"{where}: {pause.words}. Nothing is done by itself, and no safe command is sent. understudy resume ends it.")
-    return DONE
+    print(
+        f"{where}: {pause.words}. Understudy takes no action and sends no safe command. understudy resume ends the pause."
+    )
+    return SUCCESS
 
 
 def _pause(given: argparse.Namespace, now: float) -> Pause:
-    """What is asked for. Raises CommandError."""
+    """Build the pause from the options. Raises CommandError."""
     until: str | None = given.until
     if given.length is not None:
         try:
@@ -45,26 +47,26 @@ def _pause(given: argparse.Namespace, now: float) -> Pause:
         if end is None:
             raise CommandError(f'--until "{until}": {MOMENT_MESSAGE}')
         if end <= now:
-            raise CommandError(f"--until {until} is over already")
+            raise CommandError(f"--until {until} is in the past")
     return signature.signed(given, "paused", until=until)
 
 
 def _no_end(pause: Pause) -> dict[str, None]:
-    """What takes the end of an earlier pause away, where this one has none."""
+    """Return a patch that removes the end of an earlier pause if this one has none."""
     return {} if pause.until is not None else {"until": None}
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy pause",
-        description="Has a RobotWorkload left alone (spec.pause): its monitor goes on watching and telling, and does nothing by itself, "
-        "no recovery, no hand-over and no safe command. A recovery that is under way is finished first.",
-        epilog="Exit status: 0 where it is paused now, 2 where that can't be done.",
+        description="Pauses a RobotWorkload (spec.pause): its monitor keeps watching and reporting, but does not act: "
+        "no recovery, no switchover and no safe command. A recovery that is under way is completed first.",
+        epilog="Exit status: 0 if it is paused now, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    signature.add_options(parser, reason="what is being done, for whoever asks why")
+    signature.add_options(parser, reason="what is being done, for others who find the robot paused")
     end = parser.add_mutually_exclusive_group()
-    end.add_argument("--until", metavar="MOMENT", help="when it ends by itself, such as 2026-11-22T18:00:00Z")
-    end.add_argument("--for", metavar="DURATION", dest="length", help="how long it lasts, such as 30m")
+    end.add_argument("--until", metavar="MOMENT", help="time at which the pause ends, such as 2026-11-22T18:00:00Z")
+    end.add_argument("--for", metavar="DURATION", dest="length", help="how long the pause lasts, such as 30m")
     add_options(parser)
     return parser

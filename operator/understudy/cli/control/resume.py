@@ -1,4 +1,4 @@
-"""``understudy resume NAME``: ends a workload's pause, and says that somebody has looked at what its limits stopped."""
+"""``understudy resume NAME``: ends a workload's pause and resets what its limits stopped."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control import signature
 from understudy.failover.progress import rfc3339
 
-DONE, CANT = 0, 2
+SUCCESS, ERROR = 0, 2
 """Exit statuses."""
 
 
@@ -23,21 +23,21 @@ def main(arguments: list[str]) -> int:
         why = _why(given)
         kubectl = Kubectl(given)
         before = kubectl.get(WORKLOADS, given.name)
-        # Without a reason that of an earlier time goes: it isn't this one's.
+        # Without a reason, remove that of an earlier resume.
         word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
         item = kubectl.patch(WORKLOADS, given.name, word | {"spec": {"pause": None}})
     except CommandError as error:
         print(f"understudy resume: {error}", file=sys.stderr)
-        return CANT
+        return ERROR
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     pause = (before.get("spec") or {}).get("pause")
-    was = f"no longer paused by {pause.get('owner')}: {pause.get('reason')}" if pause else "it wasn't paused"
-    print(f"{where}: {was}. Whatever fails now is recovered at once; what was spent of limits.budget is forgotten.")
-    return DONE
+    was = f"pause ended; it was paused by {pause.get('owner')}: {pause.get('reason')}" if pause else "it was not paused"
+    print(f"{where}: {was}. A failure is recovered at once again, and the budget (limits.budget) is reset.")
+    return SUCCESS
 
 
 def _why(given: argparse.Namespace) -> str | None:
-    """Who resumes it and why, in words; None where that isn't told. Raises CommandError where it is empty."""
+    """Return who resumes it and why; None if no reason is given. Raises CommandError if it is empty."""
     if given.reason is None:
         return None
     signature.refuse_empty(given, "resumed")
@@ -47,11 +47,11 @@ def _why(given: argparse.Namespace) -> str | None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy resume",
-        description="Ends the pause of a RobotWorkload. What was spent of limits.budget before doesn't count any more, and nothing that "
-        "was to be tried again later is waited for.",
-        epilog="Exit status: 0 where it goes on, 2 where that can't be done.",
+        description="Ends the pause of a RobotWorkload. It also resets the budget (limits.budget) and retries a deferred recovery "
+        "at once.",
+        epilog="Exit status: 0 if it was resumed, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    signature.add_options(parser, reason="what was found or done, for whoever asks why it goes on", required=False)
+    signature.add_options(parser, reason="what was found or done, for the record", required=False)
     add_options(parser)
     return parser

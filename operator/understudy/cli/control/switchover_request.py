@@ -1,4 +1,4 @@
-"""Asks for a planned switchover and waits for its end: ``understudy failover NAME`` and ``understudy failback NAME``."""
+"""Requests a planned switchover and waits for its end: ``understudy failover NAME`` and ``understudy failback NAME``."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from understudy.cli.common.robots import UNWATCHED, robot, status_of
 from understudy.cli.common.time_bars import length, short
 from understudy.cli.common.wording import unix, wrapped
 
-DONE, NOT_DONE, CANT = 0, 1, 2
+DONE, NOT_DONE, ERROR = 0, 1, 2
 """Exit statuses."""
 
 WORKLOADS = "robotworkloads.understudy.dev"
 
 WITHIN = 120.0
-"""Seconds that its end is waited for: longer than a monitor waits for an understudy, and most take to be ready."""
+"""Default seconds to wait for its end: longer than a monitor waits for an understudy to become ready."""
 
 LOOK = 1.0
-"""Seconds between two looks where no change is told."""
+"""Seconds between two requests without a change."""
 
 _PURPOSE: Mapping[Verb, str] = {
-    "failover": "Has an understudy of a RobotWorkload take over as planned. It is brought to where it can drive first, with the state of "
-    "the instance that drives; then the gate is switched; and when the robot is seen to be driven by it, the former instance goes. If no "
-    "understudy gets there, nothing is changed.",
-    "failback": "Gives a RobotWorkload's robot back to a pod of the workload's own controller, after a pool's pod has taken over from it. "
-    "It is done as understudy failover does it.",
+    "failover": "Switches a RobotWorkload to an understudy, as planned. The understudy first becomes ready and receives the state of "
+    "the active instance; then the gate is switched; once the monitor has verified it, the former instance is removed. If no "
+    "understudy becomes ready, nothing is changed.",
+    "failback": "Switches a RobotWorkload back to a pod of the workload's own controller, after a pool's pod has taken over. "
+    "It works as understudy failover does.",
 }
 
 
@@ -45,7 +45,7 @@ def run(verb: Verb, arguments: list[str]) -> int:
         return _switch(verb, Kubectl(given), given.name, given.within)
     except CommandError as error:
         print(f"understudy {verb}: {error}", file=sys.stderr)
-        return CANT
+        return ERROR
 
 
 def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
@@ -57,7 +57,7 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
     try:
         with kubectl.changes(WORKLOADS, name) as changed:
             kubectl.annotate(WORKLOADS, name, names.SWITCHOVER, asked)
-            print("asked for", flush=True)
+            print("requested", flush=True)
             while time.monotonic() - begun < within:
                 status = status_of(kubectl.get(WORKLOADS, name))
                 found = status.switchover
@@ -73,32 +73,30 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
                         )
                 elif found is not None and found.handled == asked:
                     raise CommandError(
-                        f"it has come to its end, and another one has begun since: understudy timeline {name}"
+                        f"the switchover has ended, and another one has started since: understudy timeline {name}"
                     )
                 changed(LOOK)
     except KeyboardInterrupt:
         print("", file=sys.stderr)
-    how_far = told[0].lower() or "its monitor has not taken it up"
+    how_far = told[0].lower() or "its monitor has not started it"
     raise CommandError(
-        f"it has not come to its end ({how_far}), and goes on without this command. To take it back: "
+        f"the switchover has not ended ({how_far}) and continues without this command. To withdraw the request: "
         f"kubectl annotate robotworkload {name} {names.SWITCHOVER}-"
     )
 
 
 def _refuse(item: Mapping[str, Any]) -> None:
-    """Raise CommandError where nobody would do it, or where it would get in the way of another one."""
+    """Raise CommandError if no monitor would carry it out, or if another switchover is under way."""
     name, status = item["metadata"]["name"], status_of(item)
     if robot(item).health == UNWATCHED:
-        raise CommandError(
-            f"the monitor of {name} doesn't run, so nobody would carry it out: understudy explain {name}"
-        )
+        raise CommandError(f"the monitor of {name} is not running and cannot carry it out: understudy explain {name}")
     found = status.switchover
     if found is not None and found.request and found.phase not in ENDED:
         raise CommandError(f'"{found.request}" is under way ({found.phase.lower()}: {found.message})')
 
 
 def _end(found: SwitchoverStatus, status: RobotWorkloadStatus, columns: int | None) -> Iterator[str]:
-    """What came of it, and what of that the robot saw."""
+    """Format the result, and what the robot received meanwhile."""
     recovery = next((one for one in status.recoveries or [] if one.id == found.recovery), None)
     done = found.phase == "Done"
     if recovery is None or not done:
@@ -110,28 +108,28 @@ def _end(found: SwitchoverStatus, status: RobotWorkloadStatus, columns: int | No
     yield from wrapped(f"at the robot: {'; '.join(_seen(recovery))}", columns, indent=2)
     for entry in recovery.state:
         old = f", {length(entry.age_seconds)} old" if entry.age_seconds is not None else ""
-        given = f"given{old}" if entry.restored else f"NOT given: {entry.message}"
+        given = f"restored{old}" if entry.restored else f"NOT restored: {entry.message}"
         yield from wrapped(f"state: {entry.name} {given}", columns, indent=2)
 
 
 def _seen(recovery: Recovery) -> Iterator[str]:
-    """What the monitor saw, which sees the robot's topics as the robot does."""
+    """Describe what the monitor received on the robot's topics."""
     moments = recovery.moments
     if moments.first_output is None:
-        yield "no topic that counts now has outputs, so nothing was there to be seen"
+        yield "no outputs were observed, because no monitored topic has outputs at present"
         return
     if moments.last_output is not None:
         yield f"no command for {length(max(0.0, unix(moments.first_output) - unix(moments.last_output)))}"
         if moments.fenced is not None and unix(moments.last_output) > unix(moments.fenced) + 0.01:
             late = length(unix(moments.last_output) - unix(moments.fenced))
-            yield f"commands of the former instance still came {late} after the switch: see GateEnforced"
+            yield f"commands of the former instance still arrived {late} after the switch: see condition GateEnforced"
 
 
 def _parser(verb: Verb) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"understudy {verb}",
         description=_PURPOSE[verb],
-        epilog="Exit status: 0 where it is done, 1 where it isn't and the robot is driven as before, 2 where it can't be told.",
+        epilog="Exit status: 0 if it succeeded, 1 if it failed and the former instance keeps control, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
@@ -139,7 +137,7 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
         metavar="DURATION",
         type=option_rules.duration,
         default=WITHIN,
-        help="how long its end is waited for (2m), such as 30s",
+        help="how long to wait for its end, such as 30s (default: 2m)",
     )
     add_options(parser)
     return parser

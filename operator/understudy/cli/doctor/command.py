@@ -40,7 +40,7 @@ def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
     given = parser.parse_args(arguments)
-    option_rules.only(
+    option_rules.reject_unless(
         parser, given, not given.no_pods, "--image", "says what the pods are made of: leave out --no-pods"
     )
     out = sys.stdout

@@ -34,11 +34,11 @@ def lines(findings: Sequence[Finding], *, columns: int | None, colours: bool) ->
     hanging = width + len("FAIL") + 4
     for finding in findings:
         row = [Cell(finding.level.ljust(len("FAIL")), _STATES[finding.level]), Cell(finding.check.ljust(width))]
-        (head,) = text_tables.drawn([row], colours=colours)
+        (head,) = text_tables.format_table([row], colours=colours)
         first, *others = wrapped(finding.found, columns, indent=hanging)
         # Colours have no width: what follows is put in its column by the width that can be seen.
         seen = text_tables.width([row])
-        padding = " " * (seen - len(text_tables.drawn([row], colours=False)[0]))
+        padding = " " * (seen - len(text_tables.format_table([row], colours=False)[0]))
         yield f"{head}{padding}  {first.lstrip()}"
         yield from others
         if finding.cure:

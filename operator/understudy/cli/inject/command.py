@@ -1,4 +1,4 @@
-"""``understudy inject NAME kill | freeze | slow | partition``: makes the instance in control fail, for who rehearses it."""
+"""``understudy inject NAME kill | freeze | slow | partition``: makes the active instance fail, to rehearse a recovery."""
 
 from __future__ import annotations
 
@@ -15,36 +15,40 @@ from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.robots import status_of
 from understudy.cli.inject import fault_commands, partition
 
-DONE, CANT = 0, 2
+SUCCESS, ERROR = 0, 2
 """Exit statuses."""
 
 ALLOWED = f"{names.GROUP}/allow-inject"
-"""On namespaces in which failures may be made (value ``true``)."""
+"""Label of namespaces in which failures may be injected (value ``true``)."""
 
 LONGEST = 600.0
-"""Seconds that a fault lasts at most."""
+"""Most seconds that a fault lasts."""
 
 LENGTH, PERCENT = "10s", 80
-"""What is meant where --for and --percent aren't given."""
+"""Defaults of --for and --percent."""
 
 FAULTS = ["kill", "freeze", "slow", "partition"]
 
-_MEANT_FOR = {
+_APPLIES_TO = {
     "--for": ("freeze", "slow", "partition"),
     "--percent": ("slow",),
     "--from": ("partition",),
     "--container": ("freeze", "slow"),
 }
-"""The faults for which an option says something."""
+"""The faults to which an option applies."""
 
 
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
     given = parser.parse_args(arguments)
-    for option, meant in _MEANT_FOR.items():
-        option_rules.only(
-            parser, given, given.fault in meant, option, f"is for {option_rules.listed(meant)}, not for {given.fault}"
+    for option, faults in _APPLIES_TO.items():
+        option_rules.reject_unless(
+            parser,
+            given,
+            given.fault in faults,
+            option,
+            f"applies to {option_rules.listed(faults)}, not to {given.fault}",
         )
     try:
         length = _length(LENGTH if given.length is None else given.length)
@@ -53,21 +57,21 @@ def main(arguments: list[str]) -> int:
         pod = _pod(kubectl, given.name)
         means = partition.means(kubectl, given.name, given.whom or ()) if given.fault == "partition" else None
         confirmation.confirm(
-            f"Pod {pod} drives the robot of {given.name}. {given.fault.capitalize()} it?", yes=given.yes
+            f"Pod {pod} is the active instance of {given.name}. {given.fault.capitalize()} it?", yes=given.yes
         )
         if given.fault == "kill":
             kubectl.delete("pod", pod, "--grace-period=0", "--force")
-            print(f"{pod} was deleted by force")
+            print(f"{pod} was force-deleted")
         elif means is not None:
             partition.cut_off(kubectl, pod, means, length)
         else:
             percent = 100 if given.fault == "freeze" else given.percent or PERCENT
             _stop(kubectl, pod, given.container or _container(kubectl, pod), length, percent)
-        print(f"What became of it: understudy timeline -n {kubectl.namespace} {given.name}")
-        return DONE
+        print(f"To see the recovery: understudy timeline -n {kubectl.namespace} {given.name}")
+        return SUCCESS
     except CommandError as error:
         print(f"understudy inject: {error}", file=sys.stderr)
-        return CANT
+        return ERROR
 
 
 def _length(given: str) -> float:
@@ -76,16 +80,16 @@ def _length(given: str) -> float:
     except ValueError as error:
         raise CommandError(f'--for "{given}": {DURATION_MESSAGE}') from error
     if not 0 < length <= LONGEST:
-        raise CommandError(f"--for {given}: a fault lasts longer than nothing, and {LONGEST:g} s at most")
+        raise CommandError(f"--for {given}: give a duration above 0 and up to {LONGEST:g} s")
     return length
 
 
 def _allowed(kubectl: Kubectl) -> None:
-    """Raise CommandError where the namespace's owner hasn't said that failures may be made."""
+    """Raise CommandError unless the namespace's label allows fault injection."""
     labels = kubectl.get("namespaces", kubectl.namespace)["metadata"].get("labels") or {}
     if labels.get(ALLOWED) != "true":
         raise CommandError(
-            f"namespace {kubectl.namespace} isn't for rehearsals, since it hasn't the label {ALLOWED}=true. Where no robot in it can do "
+            f"namespace {kubectl.namespace} does not allow fault injection (label {ALLOWED}=true). If no robot in it can do "
             f"harm: kubectl label namespace {kubectl.namespace} {ALLOWED}=true"
         )
 
@@ -93,72 +97,72 @@ def _allowed(kubectl: Kubectl) -> None:
 def _pod(kubectl: Kubectl, name: str) -> str:
     pod = status_of(kubectl.get(WORKLOADS, name)).active
     if not pod:
-        raise CommandError(
-            f"no instance of {name} is in control, so there is nothing to fail: understudy explain {name}"
-        )
+        raise CommandError(f"{name} has no active instance that could fail: understudy explain {name}")
     return pod
 
 
 def _container(kubectl: Kubectl, pod: str) -> str:
-    """The first container that isn't ours."""
+    """Return the first container of the application."""
     containers: list[Any] = kubectl.get("pods", pod)["spec"]["containers"]
     found: str = next(one["name"] for one in containers if one["name"] != names.AGENT_CONTAINER)
     return found
 
 
 def _stop(kubectl: Kubectl, pod: str, container: str, length: float, percent: int) -> None:
-    """Stop its processes, all or a part of the time, and wait until that is over. Raises CommandError."""
+    """Stop the processes all or part of the time, and wait until the fault is over. Raises CommandError."""
     given = [f"{value:g}" for value in fault_commands.cycles(length, percent)]
     said = kubectl.execute(pod, container, "sh", "-c", fault_commands.FREEZE_AND_SLOW, "sh", *given).split()
-    share = "" if percent >= 100 else f" for {percent} % of the time"
+    share = "" if percent >= 100 else f" {percent} % of the time"
     print(f"{pod}: {len(said) - 1} processes of container {container} are stopped{share}, for {length:g} s", flush=True)
     try:
         time.sleep(length)
     except KeyboardInterrupt:
         kubectl.execute(pod, container, "sh", "-c", fault_commands.UNDO, "sh", *said)
-        print(f"\n{pod}: its processes go on", flush=True)
+        print(f"\n{pod}: its processes continue", flush=True)
         return
-    print(f"{pod}: its processes go on, where it is still there", flush=True)
+    print(f"{pod}: its processes continue, if the pod still exists", flush=True)
 
 
 def _percent(text: str) -> int:
     if not text.isascii() or not text.isdigit() or not 0 < int(text) < 100:
-        raise argparse.ArgumentTypeError(
-            f"{text!r}: give a whole number from 1 to 99; what stands still all the time is a freeze"
-        )
+        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 1 to 99; use freeze for 100")
     return int(text)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy inject",
-        description="Makes the instance of a RobotWorkload fail that is in control, to see what Understudy does. Only in a namespace whose "
-        f"label {ALLOWED}=true says that this is allowed.",
-        epilog="Exit status: 0 where the fault was made, 2 where it wasn't.",
+        description="Makes the active instance of a RobotWorkload fail, to see what Understudy does. Works only in a namespace whose "
+        f"label {ALLOWED}=true allows it.",
+        epilog="Exit status: 0 if the fault was injected, 2 if it was not.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
         "fault",
         choices=FAULTS,
-        help="kill: its pod is deleted by force. freeze: its processes are stopped, and to Kubernetes they run. slow: the same for a part "
-        "of the time, a tenth of a second after the other. partition: its pod is cut off from the network",
+        help="kill: force-delete its pod. freeze: stop its processes, which Kubernetes still sees as running. slow: stop them for a part "
+        "of every tenth of a second. partition: cut its pod off from the network",
     )
     parser.add_argument(
         "--for",
         metavar="DURATION",
         dest="length",
-        help=f"how long it is frozen, slow or cut off ({LENGTH})",
+        help=f"how long the fault lasts (default: {LENGTH})",
     )
     parser.add_argument(
         "--percent", type=_percent, metavar="1..99",
-        help=f"slow: the share of the time for which it is stopped ({PERCENT})",
+        help=f"slow: the share of the time for which the processes are stopped (default: {PERCENT})",
     )  # fmt: skip
     parser.add_argument(
         "--from", metavar="WHOM", dest="whom", action="append",
-        help=f"partition: from whom alone it is cut off: {partition.MONITOR} (its monitor's pod), an address or a network; may be given "
-        "more than once. Without it, from everything",
+        help=f"partition: cut off only from this peer: {partition.MONITOR} (its monitor's pod), an address or a network; may be given "
+        "several times (default: everything)",
     )  # fmt: skip
-    parser.add_argument("-c", "--container", help="whose processes; without it, the first one of the application")
+    parser.add_argument(
+        "-c",
+        "--container",
+        help="the container whose processes are stopped (default: the first container of the application)",
+    )
     confirmation.add_option(parser)
     add_options(parser)
     return parser

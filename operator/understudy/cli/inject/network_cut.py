@@ -1,10 +1,10 @@
-"""What ``understudy inject partition`` runs in a container of a pod: cuts the pod off from the network for a time.
+"""The program that ``understudy inject partition`` runs in an ephemeral container: cuts the pod off from the network for a time.
 
-It has nf_tables drop what comes in and what goes out, at every interface but the loopback, flows that exist already too. That is
-done below the sockets: to the application it is as if a cable had been pulled, and no sending fails. The table belongs to a socket
-of this process, so that the kernel takes it away when this ends, however it ends.
+It makes nf_tables drop incoming and outgoing packets at every interface except the loopback, also of existing connections. This
+happens below the sockets: the application sees a pulled cable, and no send fails. The table belongs to a socket of this process, so
+that the kernel removes it when the process ends for any reason.
 
-A container's Python is given this file as a text, since its image may be of another version than the one that asks.
+The container's Python receives this file as text, because its image may have another version than the caller.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 
 LATEST = "UNDERSTUDY_LATEST"
-"""In the environment: the moment after which it does nothing, in unix seconds."""
+"""Environment variable: the time in unix seconds after which the program does nothing."""
 
 # From linux/netlink.h, linux/netfilter/nfnetlink.h and linux/netfilter/nf_tables.h; so are the numbers of attributes below.
 _NETLINK_NETFILTER = 12
@@ -38,20 +38,20 @@ _PROTOCOL = 1
 _NETWORK_HEADER = 1
 _ETHERTYPES = {4: 0x0800, 6: 0x86DD}
 _ADDRESSES = {4: (12, 16), 6: (8, 24)}
-"""Where an IP header has its source and its destination."""
+"""Offsets of source and destination in an IP header."""
 
-_TOO_OLD = "the node's kernel can't do it: it takes Linux 5.16 with nf_tables"
+_TOO_OLD = "the node's kernel does not support it: Linux 5.16 with nf_tables is required"
 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
 class Unable(Exception):
-    """It can't be cut off; the text says why."""
+    """The pod cannot be cut off; the message says why."""
 
 
 @contextlib.contextmanager
 def cut(networks: Sequence[Network]) -> Iterator[None]:
-    """Cut this network namespace off, from these networks or else from everything, while the context lasts. Raises Unable."""
+    """Cut this network namespace off from these networks, or from everything, for the duration of the context. Raises Unable."""
     try:
         held = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_NETFILTER)
     except OSError as error:
@@ -59,19 +59,19 @@ def cut(networks: Sequence[Network]) -> Iterator[None]:
     with held:
         held.bind((0, 0))
         held.settimeout(5.0)
-        # The kernel's number for the socket tells it from another one that cuts the same pod off at the same time.
+        # The socket's port number distinguishes it from another cut of the same pod at the same time.
         table = b"understudy_partition_%d\0" % held.getsockname()[0]
         try:
             _commit(held, _changes(table, networks))
         except PermissionError as error:
-            raise Unable("it isn't allowed to: it takes the capability NET_ADMIN in the pod's network") from error
+            raise Unable("permission denied: the capability NET_ADMIN in the pod's network is required") from error
         except OSError as error:
             raise Unable(f"{_TOO_OLD} ({error.strerror or error})") from error
         yield
 
 
 def _changes(table: bytes, networks: Sequence[Network]) -> Iterator[tuple[int, int, bytes]]:
-    """The table, its two chains, and a rule for each network: what each makes, with which flags, and its attributes."""
+    """Yield the messages for the table, its two chains and a rule per network: type, flags and attributes."""
     yield _NEW_TABLE, _CREATE, _attribute(1, table) + _number(2, _OWNED)
     devices = b"".join(_attribute(1, name.encode() + b"\0") for _, name in socket.if_nameindex() if name != "lo")
     for number, (chain, hook) in enumerate(((b"in\0", _INGRESS), (b"out\0", _EGRESS))):
@@ -90,7 +90,7 @@ def _changes(table: bytes, networks: Sequence[Network]) -> Iterator[tuple[int, i
 
 
 def _of(network: Network, offset: int) -> Iterator[bytes]:
-    """What drops the packets that have an address of a network at an offset of their header."""
+    """Yield the expressions that drop packets with an address of a network at an offset of the header."""
     mask, address = network.netmask.packed, network.network_address.packed
     yield _expression(b"meta\0", _number(1, _REGISTER) + _number(2, _PROTOCOL))
     yield _equal(struct.pack("!H", _ETHERTYPES[network.version]))
@@ -111,7 +111,7 @@ def _expression(name: bytes, data: bytes) -> bytes:
 
 
 def _attribute(kind: int, value: bytes) -> bytes:
-    """An attribute of netlink, by its number."""
+    """Encode a netlink attribute."""
     return struct.pack("=HH", 4 + len(value), kind) + value + bytes(-len(value) % 4)
 
 
@@ -124,7 +124,7 @@ def _nested(kind: int, attributes: bytes) -> bytes:
 
 
 def _commit(held: socket.socket, changes: Iterable[tuple[int, int, bytes]]) -> None:
-    """Make the changes, all of them or none. Raises OSError."""
+    """Apply all changes or none. Raises OSError."""
     made = [
         _message(_NF_TABLES << 8 | kind, flags | _ACK, _NETDEV, 0, attributes) for kind, flags, attributes in changes
     ]
@@ -149,12 +149,12 @@ def _message(kind: int, flags: int, family: int, resource: int, attributes: byte
 
 
 def run(length: float, given: Sequence[str]) -> None:
-    """Cut off from these networks for so many seconds, or until SIGTERM. Says in lines of JSON what it does. Raises Unable."""
+    """Cut off from these networks for a time, or until SIGTERM. Prints its progress as lines of JSON. Raises Unable."""
     ending = {signal.SIGTERM, signal.SIGINT}
-    # Blocked and waited for, since number 1 of a container is sent nothing that it has no handler for.
+    # Block and wait, because process 1 of a container does not receive signals without a handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)
     if time.time() > float(os.environ[LATEST]):
-        raise Unable("its container was started too late for whoever asked")
+        raise Unable("the container started too late; the caller no longer waits")
     with cut([ipaddress.ip_network(one) for one in given]):
         print(json.dumps({"cut": time.time(), "process": os.getpid()}), flush=True)
         signal.sigtimedwait(ending, length)

@@ -1,4 +1,4 @@
-"""``understudy blackbox NAME``: what a workload's monitor has recorded of its failures, and the recordings themselves."""
+"""``understudy blackbox NAME``: lists and fetches what a workload's monitor recorded around its failures."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, terminal
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl import Kubectl, add_options
-from understudy.cli.common.text_tables import Cell, drawn
+from understudy.cli.common.text_tables import Cell, format_table
 from understudy.cli.common.tree_text import plain
 from understudy.cli.common.wording import age, clock, counted, wrapped
-from understudy.cli.inspect.tree import asked, monitor_pod
+from understudy.cli.inspect.tree import fetch_json, monitor_pod
 
-DONE, NONE, CANT = 0, 1, 2
+SUCCESS, NONE, ERROR = 0, 1, 2
 """Exit statuses."""
 
 LATEST = "latest"
 
-_PATIENCE = 30.0  # seconds for a piece of a file to come
+_PATIENCE = 30.0  # seconds until the next piece of a file
 _PIECE = 1 << 16
 
 
@@ -38,9 +38,9 @@ def main(arguments: list[str]) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     fetches = given.fetch is not None
-    option_rules.only(parser, given, fetches, "--to", "says where a recording is fetched into: give --fetch too")
-    option_rules.only(
-        parser, given, not fetches, "--output", "is for the list, not for --fetch, which --to tells where to"
+    option_rules.reject_unless(parser, given, fetches, "--to", "names the file for --fetch, which is not given")
+    option_rules.reject_unless(
+        parser, given, not fetches, "--output", "applies to the list, not to --fetch; --to names the file for --fetch"
     )
     try:
         kubectl = Kubectl(given)
@@ -53,19 +53,19 @@ def main(arguments: list[str]) -> int:
             _fetch(port, recording, path)
     except CommandError as error:
         print(f"understudy blackbox: {error}", file=sys.stderr)
-        return CANT
+        return ERROR
     except KeyboardInterrupt:
-        return CANT
+        return ERROR
     print(f"{path}: {_what(recording)}")
-    return DONE
+    return SUCCESS
 
 
 def _listed(port: int) -> Recordings:
     try:
-        return Recordings.model_validate(asked(port, "/", what="a black box"))
+        return Recordings.model_validate(fetch_json(port, "/", what="a black box"))
     except ValidationError as error:
         raise CommandError(
-            f"the monitor answers otherwise than expected; is this command of its version? {error}"
+            f"the monitor's answer is not understood; does this command have the same version? {error}"
         ) from error
 
 
@@ -77,24 +77,23 @@ def _show(found: Recordings, output: str) -> int:
             found, time.time(), colours=terminal.colours(sys.stdout), columns=terminal.columns(sys.stdout)
         ):
             print(line)
-    return DONE if found.recordings else NONE
+    return SUCCESS if found.recordings else NONE
 
 
 def lines(found: Recordings, now: float, *, colours: bool, columns: int | None) -> Iterator[str]:
-    """What there is, as people read it."""
+    """Format the list of recordings."""
     if found.recordings:
         head = [
-            Cell(text)
-            for text in ("NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "WHAT FAILED")
+            Cell(text) for text in ("NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "REASON")
         ]
-        yield from drawn(
+        yield from format_table(
             [head, *([Cell(text) for text in _row(one, now)] for one in found.recordings)], colours=colours
         )
     elif found.on:
-        yield "Nothing has failed since the recordings lie where they do."
+        yield "No failure has been recorded yet."
     if not found.on:
         yield from wrapped(
-            "Nothing is recorded: spec.blackBox of the workload's FailurePolicy isn't given (docs/blackbox.md).",
+            "Recording is off: set spec.blackBox in the workload's FailurePolicy (docs/blackbox.md).",
             columns,
             indent=0,
         )
@@ -112,7 +111,7 @@ def _left_out(topics: Mapping[str, str]) -> Iterator[str]:
 
 
 def _size(size: int) -> str:
-    """Bytes, in the unit in which they are a number of up to three digits."""
+    """Format a size in bytes with the unit in which it has up to three digits."""
     amount = float(size)
     for unit in ("B", "kB", "MB"):
         if amount < 999.5:
@@ -127,12 +126,12 @@ def _what(one: Recording) -> str:
 
 
 def _wanted(found: Recordings, wanted: str) -> Recording:
-    """The recording that is meant: by its number, or its id or the beginning of it. Raises CommandError."""
+    """Return the recording with a number, or an id or the beginning of one. Raises CommandError."""
     if not found.recordings:
         raise CommandError(f"there is no recording of {found.workload}")
     if wanted == LATEST:
         return found.recordings[0]
-    # An id may begin with any digit.
+    # Numbers first, because an id may begin with any digit.
     for one in found.recordings:
         if str(one.number) == wanted:
             return one
@@ -141,12 +140,12 @@ def _wanted(found: Recordings, wanted: str) -> Recording:
         return begun[0]
     there = ", ".join(f"{one.id} (failure {one.number})" for one in begun or found.recordings)
     if begun:
-        raise CommandError(f"several recordings of {found.workload} begin with {wanted}: {there}")
-    raise CommandError(f"there is no recording {wanted} of {found.workload}, but {there}")
+        raise CommandError(f"{wanted} matches several recordings of {found.workload}: {there}")
+    raise CommandError(f"there is no recording {wanted} of {found.workload}; available: {there}")
 
 
 def _fetch(port: int, recording: Recording, path: Path) -> None:
-    """Have a recording in a file, whole or not at all. Raises CommandError."""
+    """Download a recording to a file, completely or not at all. Raises CommandError."""
     fresh = path.with_name(f"{path.name}.part")
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=_PATIENCE)
     checksum = hashlib.sha256()
@@ -154,20 +153,20 @@ def _fetch(port: int, recording: Recording, path: Path) -> None:
         connection.request("GET", f"/{recording.id}.mcap")
         answer = connection.getresponse()
         if answer.status != 200:
-            raise CommandError(f"recording {recording.id} is gone: a newer one has taken its place")
+            raise CommandError(f"recording {recording.id} is gone: it was replaced by a newer one")
         with fresh.open("wb") as file:
             while piece := answer.read(_PIECE):
                 checksum.update(piece)
                 file.write(piece)
         if checksum.hexdigest() != recording.sha256:
             raise CommandError(
-                f"recording {recording.id} is damaged, on the monitor's disk or on its way: its checksum is another"
+                f"recording {recording.id} is damaged, on the monitor's disk or in transit: its checksum does not match"
             )
         os.replace(fresh, path)
     except http.client.HTTPException as error:
-        raise CommandError(f"recording {recording.id} didn't come whole: {error!r}") from error
+        raise CommandError(f"recording {recording.id} was not received completely: {error!r}") from error
     except OSError as error:
-        raise CommandError(f"recording {recording.id} can't be fetched into {path}: {error}") from error
+        raise CommandError(f"recording {recording.id} cannot be written to {path}: {error}") from error
     finally:
         connection.close()
         fresh.unlink(missing_ok=True)
@@ -176,11 +175,11 @@ def _fetch(port: int, recording: Recording, path: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy blackbox",
-        # By itself it would say the options first, and a name after --fetch is taken for an id.
+        # argparse would put the options first, and a name after --fetch would be parsed as an id.
         usage="%(prog)s NAME [options]",
-        description="Lists what the monitor of a RobotWorkload has recorded around its failures, or fetches a recording: an MCAP file as "
-        "rosbag2 writes them. The policy asks for it (spec.blackBox). Needs kubectl and the right to forward ports to pods.",
-        epilog="Exit status: 0 where there are recordings, or it is fetched, 1 where there are none, 2 where it can't be told or fetched.",
+        description="Lists what the monitor of a RobotWorkload recorded around failures, or fetches a recording as an MCAP file that "
+        "rosbag2 can read. The policy turns recording on (spec.blackBox). It needs kubectl and the permission to forward ports to pods.",
+        epilog="Exit status: 0 if there are recordings, or the recording was fetched, 1 if there are none, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
@@ -188,10 +187,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ID",
         nargs="?",
         const=LATEST,
-        help=f"fetch a recording, by the number of the failure, its id or the beginning of it, or {LATEST} (which is meant where "
-        "nothing is said)",
+        help=f"fetch a recording, by the number of the failure, its id or the beginning of its id, or {LATEST} (the default if "
+        "nothing is given)",
     )
-    parser.add_argument("--to", metavar="FILE", help="the file that it is fetched into (NAME-NUMBER.mcap)")
-    parser.add_argument("-o", "--output", choices=["text", "json", "yaml"], help="the list as text, or as JSON or YAML")
+    parser.add_argument("--to", metavar="FILE", help="the file for the recording (default: NAME-NUMBER.mcap)")
+    parser.add_argument(
+        "-o", "--output", choices=["text", "json", "yaml"], help="format of the list: text, JSON or YAML"
+    )
     add_options(parser)
     return parser

@@ -1,4 +1,4 @@
-"""``understudy explain NAME``: why a workload is as it is, what would happen if it failed now, and what is missing."""
+"""``understudy explain NAME``: explains a workload's state, what a failure would trigger now, and what is missing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from understudy.cli.inspect import explanation
 from understudy.cli.inspect.cluster_observation import around
 from understudy.cli.inspect.explanation import Known
 
-WELL, NOT_WELL, CANT = 0, 1, 2
+HEALTHY, NOT_HEALTHY, ERROR = 0, 1, 2
 """Exit statuses."""
 
 
@@ -27,23 +27,23 @@ def main(arguments: list[str]) -> int:
             print("\n".join(explanation.lines(known, columns=terminal.columns(out), colours=terminal.colours(out))))
         else:
             print(structured(explanation.for_scripts(known), given.output))
-        return WELL if known.is_well else NOT_WELL
+        return HEALTHY if known.is_well else NOT_HEALTHY
     except CommandError as error:
         print(f"understudy explain: {error}", file=sys.stderr)
-        return CANT
+        return ERROR
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy explain",
-        description="Says of a RobotWorkload why it is as it is, which strategy would be carried out if it failed now and why those "
-        "before it couldn't, what its pools have, and what is missing, each with the way out. It judges by the operator's own rules "
-        "what the cluster has at this moment, and acts on nothing.",
-        epilog="Exit status: 0 where it is protected and healthy (or degraded), 1 where it isn't, 2 where it can't be told.",
+        description="Explains the state of a RobotWorkload: which strategy a failure would trigger now, why the strategies "
+        "before it are not available, what its pools provide, and what is missing, each with a remedy. It applies the operator's own rules "
+        "to the current state of the cluster, and changes nothing.",
+        epilog="Exit status: 0 if it is protected and healthy (or degraded), 1 if it is not, 2 if this cannot be determined.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
-        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or all of it as JSON or YAML"
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or all details as JSON or YAML"
     )
     add_options(parser)
     return parser

@@ -16,7 +16,7 @@ from understudy.api.health_reasons import telling, why
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Strategy, in_force
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.cli.common.recovery_under_way import under_way
-from understudy.cli.common.robots import DRIVEN, UNWATCHED, Problem, Robot, is_told, pool, robot, status_of
+from understudy.cli.common.robots import DRIVEN, UNWATCHED, Problem, Robot, is_reported, pool, robot, status_of
 from understudy.cli.common.time_bars import length
 from understudy.cli.common.tree_text import coloured, plain
 from understudy.cli.common.wording import age, listed, wrapped
@@ -463,7 +463,7 @@ def _missing(known: Known) -> Iterator[_Entry]:
         if name not in observed.pools:
             continue
         for problem in pool(observed.pools[name]).problems:
-            if not is_told(problem, told):
+            if not is_reported(problem, told):
                 yield _Entry(f"pool {name} {problem.about} ({problem.reason}): {problem.message}", "Failed")
                 found.append(problem)
     if known.protected.status == "True" and all(problem.type == "Degraded" for problem in found):

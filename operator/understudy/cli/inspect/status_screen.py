@@ -1,4 +1,4 @@
-"""Robots and pools as one screen of text, as wide as there is room for; pure."""
+"""Formats robots and pools as one screen of text that fits the width of the terminal. Pure."""
 
 from __future__ import annotations
 
@@ -8,43 +8,43 @@ from typing import get_args
 
 from understudy.api.kinds.robot_workload import Health
 from understudy.cli.common import text_tables
-from understudy.cli.common.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot, is_told, summary
+from understudy.cli.common.robots import UNWATCHED, LastRecovery, Pool, Problem, Robot, is_reported, summary
 from understudy.cli.common.text_tables import Cell
 from understudy.cli.common.time_bars import length, short
 from understudy.cli.common.tree_text import coloured, plain
 from understudy.cli.common.wording import age, counted, listed, wrapped
 
 MOST_LINES = 3
-"""Lines of a terminal that one problem gets; ``understudy explain`` has all of it."""
+"""Most lines per problem in a terminal; ``understudy explain`` shows all of it."""
 
-NAMELESS = "nobody"
+NO_INSTANCE = "none"
 
 _LONGEST_HEALTH = max(len(health) for health in (*get_args(Health), UNWATCHED))
-"""No column moves when a health changes."""
+"""Keeps the columns in place when a health changes."""
 
 
 @dataclass(frozen=True)
 class Look:
-    """How it is to be shown."""
+    """How the screen is formatted."""
 
     now: float
     columns: int | None = None
-    """The width of the terminal; None for no bound."""
+    """The width of the terminal; None for no limit."""
     colours: bool = False
     namespaces: bool = False
-    """Whether to name each one's namespace."""
+    """Whether to show namespaces."""
     wide: bool = False
 
 
 def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
-    """All of it."""
+    """Format everything."""
     yield from _body(robots, pools, look)
     yield ""
     yield from wrapped(summary(robots), look.columns, indent=0, hanging=2)
 
 
 def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Look, rows: int) -> list[str]:
-    """As much of it as so many rows hold: where that isn't all, what isn't well comes first."""
+    """Format what fits into so many rows. If not everything fits, robots with problems come first."""
     told = list(lines(robots, pools, look))
     if len(told) <= rows:
         return told
@@ -52,7 +52,7 @@ def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Look, rows: 
     head = [*wrapped(summary(robots), look.columns, indent=0, hanging=2), ""]
     told = [*head, *_body(ordered, pools, look)]
     hidden = len(told) - (rows - 1)
-    return [*told[: rows - 1], f"… {counted(hidden, 'more line')}: make the window taller, or name some robots"]
+    return [*told[: rows - 1], f"… {counted(hidden, 'more line')}: enlarge the window, or name robots"]
 
 
 def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
@@ -64,12 +64,12 @@ def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterato
 
 
 def in_a_line(robot: Robot) -> str:
-    """One robot with all of its problems, where screens can't be written anew."""
+    """Format one robot with all of its problems as one line."""
     told = [
         f"{robot.namespace}/{robot.name}",
         robot.health,
         "protected" if robot.protected else "NOT PROTECTED",
-        f"in control {robot.active or NAMELESS} (epoch {robot.epoch})",
+        f"active {robot.active or NO_INSTANCE} (epoch {robot.epoch})",
         f"standby {robot.standby}",
     ]
     if robot.last_recovery is not None:
@@ -79,7 +79,7 @@ def in_a_line(robot: Robot) -> str:
 
 
 def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
-    """The widest of the layouts that there is room for, with the problems of each robot under it."""
+    """Format the widest layout that fits, with the problems of each robot below its row."""
     layouts = [_WIDE] if look.wide else [_FULL, _MIDDLE, _NARROW, _NARROWEST]
     for layout in layouts:
         rows = [
@@ -92,31 +92,31 @@ def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
                 for name, row in zip(["NAMESPACE", *(r.namespace for r in robots)], rows, strict=True)
             ]
         if look.wide or look.columns is None or text_tables.width(rows) <= look.columns:
-            head, *told = text_tables.drawn(rows, colours=look.colours)
+            head, *told = text_tables.format_table(rows, colours=look.colours)
             yield head
             for robot, line in zip(robots, told, strict=True):
                 yield line
-                yield from _told(robot.problems, look)
+                yield from _problem_lines(robot.problems, look)
             return
     for robot in robots:
         yield from _stacked(robot, look)
 
 
 def _stacked(robot: Robot, look: Look) -> Iterator[str]:
-    """A robot in a narrow terminal."""
+    """Format a robot for a narrow terminal."""
     name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
-    yield f"{plain(name)}  {_health(robot, look).drawn(0, colours=look.colours).rstrip()}"
+    yield f"{plain(name)}  {_health(robot, look).format(0, colours=look.colours).rstrip()}"
     told = [
         "protected" if robot.protected else "NOT PROTECTED",
-        f"in control {_in_control(robot, in_short=True)}",
+        f"active {_active(robot, in_short=True)}",
         f"standby {robot.standby}",
         f"last recovery {_last(robot, look.now, _time)}" if robot.last_recovery else "",
     ]
     yield from wrapped(listed(told), look.columns, indent=2)
-    yield from _told(robot.problems, look)
+    yield from _problem_lines(robot.problems, look)
 
 
-def _told(problems: Sequence[Problem], look: Look) -> Iterator[str]:
+def _problem_lines(problems: Sequence[Problem], look: Look) -> Iterator[str]:
     for problem in problems:
         since = f", {age(problem.since, look.now)}" if problem.since else ""
         head = f"{problem.about} ({problem.reason}{since}):"
@@ -132,7 +132,7 @@ def _told(problems: Sequence[Problem], look: Look) -> Iterator[str]:
 
 
 def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[str]:
-    """A table of them, with what is wrong but for what is ``known`` from a robot: a pool tells its pods' troubles too."""
+    """Format a table of pools with their problems, except those ``known`` from a robot: pools report their pods' problems too."""
     names = [f"{pool.namespace}/{pool.name}" if look.namespaces else pool.name for pool in pools]
     rows = [
         [Cell("POOL"), Cell("READINESS"), Cell("READY"), Cell("CLAIMED")],
@@ -146,21 +146,21 @@ def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[
             for name, pool in zip(names, pools, strict=True)
         ),
     ]
-    head, *told = text_tables.drawn(rows, colours=look.colours)
+    head, *told = text_tables.format_table(rows, colours=look.colours)
     if look.columns is not None and text_tables.width(rows) > look.columns:
         told = [f"pool {name}: {pool.ready} of {pool.desired} ready" for name, pool in zip(names, pools, strict=True)]
     else:
         yield head
     for pool, line in zip(pools, told, strict=True):
         yield line
-        yield from _told([problem for problem in pool.problems if not is_told(problem, known)], look)
+        yield from _problem_lines([problem for problem in pool.problems if not is_reported(problem, known)], look)
 
 
-def _in_control(robot: Robot, *, in_short: bool = False) -> str:
+def _active(robot: Robot, *, in_short: bool = False) -> str:
     name = robot.active
     if in_short and name.startswith(f"{robot.name}-"):
         name = short([name])[name]
-    return f"{name or NAMELESS} ({robot.epoch})"
+    return f"{name or NO_INSTANCE} ({robot.epoch})"
 
 
 def _health(robot: Robot, look: Look) -> Cell:
@@ -183,7 +183,7 @@ def _ended(last: LastRecovery, now: float) -> str:
 
 
 def _how(last: LastRecovery) -> str:
-    """The strategy and the time that it took."""
+    """Format the strategy and the recovery time."""
     if last.result != "Recovered" or last.recovery_seconds is None:
         return "FAILED" if last.result == "Failed" else last.result.lower()
     return f"{length(last.recovery_seconds)} by {last.strategy}{' (planned)' if last.planned else ''}"
@@ -198,7 +198,7 @@ _Layout = Sequence[tuple[str, Callable[[Robot, Look], Cell]]]
 _SHORT: _Layout = [
     ("ROBOT", lambda robot, look: Cell(robot.name)),
     ("HEALTH", _health),
-    ("IN CONTROL", lambda robot, look: Cell(_in_control(robot, in_short=True))),
+    ("ACTIVE", lambda robot, look: Cell(_active(robot, in_short=True))),
     ("STANDBY", lambda robot, look: Cell(robot.standby.replace("(", "").replace(")", ""))),
 ]
 _LAST: _Layout = [("LAST", lambda robot, look: Cell(_last(robot, look.now, _time)))]
@@ -207,7 +207,7 @@ _WHEN: _Layout = [
 ]
 
 _MIDDLE: _Layout = [*_SHORT[:2], ("PROTECTED", _protected), *_SHORT[2:], *_LAST]
-# Who isn't protected is told by the problems below.
+# The problems below say which robots are not protected.
 _NARROW: _Layout = [*_SHORT, *_LAST]
 _NARROWEST: _Layout = [*_SHORT, *_WHEN]
 
@@ -215,7 +215,7 @@ _FULL: _Layout = [
     ("ROBOT", lambda robot, look: Cell(robot.name)),
     ("HEALTH", _health),
     ("PROTECTED", _protected),
-    ("IN CONTROL (EPOCH)", lambda robot, look: Cell(_in_control(robot))),
+    ("ACTIVE (EPOCH)", lambda robot, look: Cell(_active(robot))),
     ("STANDBY", lambda robot, look: Cell(robot.standby)),
     ("LAST RECOVERY", lambda robot, look: Cell(_last(robot, look.now, _how))),
 ]

@@ -1,4 +1,4 @@
-"""``understudy tree NAME``: a workload's live health tree, asked of its monitor; in the terminal, as JSON or in a browser."""
+"""``understudy tree NAME``: shows a workload's live health tree, read from its monitor: in the terminal, as JSON or in a browser."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.tree_text import Rates, lines
 
-HEALTHY, NOT_HEALTHY, CANT = 0, 1, 2
+HEALTHY, NOT_HEALTHY, ERROR = 0, 1, 2
 """Exit statuses."""
 
 PERIOD = 0.5
-"""Seconds between two looks."""
+"""Seconds between two requests."""
 
 PATIENCE = 20.0
-"""Seconds for which a monitor that doesn't answer is asked again while it is watched: it may be being replaced."""
+"""Seconds for which requests to a monitor that does not answer are repeated with --watch: it may be restarting."""
 
 
 def main(arguments: list[str]) -> int:
@@ -40,14 +40,14 @@ def main(arguments: list[str]) -> int:
         return _once(kubectl, given.name, given.output)
     except CommandError as error:
         print(f"understudy tree: {error}", file=sys.stderr)
-        return CANT
+        return ERROR
     except KeyboardInterrupt:
         return HEALTHY
 
 
 def monitor_pod(kubectl: Kubectl, workload: str) -> str:
-    """The pod of a workload's monitor. Raises CommandError."""
-    kubectl.get("robotworkload", workload)  # says so where there is none of that name
+    """Return the pod of a workload's monitor. Raises CommandError."""
+    kubectl.get("robotworkload", workload)  # fails if there is none of that name
     selector = f"{names.MONITORED}={workload},{names.COMPONENT}=monitor"
     pods = kubectl.get("pods", "-l", selector)["items"]
     running = [pod for pod in pods if _is_ready(pod)]
@@ -58,7 +58,7 @@ def monitor_pod(kubectl: Kubectl, workload: str) -> str:
             f"RobotWorkload {workload} has no monitor; see why: kubectl describe robotworkload {workload}, condition Accepted"
         )
     name, phase = pods[0]["metadata"]["name"], pods[0].get("status", {}).get("phase", "Unknown")
-    raise CommandError(f"the monitor of {workload} isn't ready ({phase}); see why: kubectl describe pod {name}")
+    raise CommandError(f"the monitor of {workload} is not ready ({phase}); see why: kubectl describe pod {name}")
 
 
 def _is_ready(pod: Mapping[str, Any]) -> bool:
@@ -68,19 +68,21 @@ def _is_ready(pod: Mapping[str, Any]) -> bool:
     )
 
 
-def asked(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[str, Any]:
-    """What the monitor says now. Raises CommandError, also where it is too old to have ``what``."""
+def fetch_json(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[str, Any]:
+    """Request a page of the monitor as JSON. Raises CommandError, also if the monitor's version does not serve ``what``."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
     try:
         connection.request("GET", path)
         answer = connection.getresponse()
         text = answer.read()
         if answer.status == 404:
-            raise CommandError(f"the monitor is of a version without {what}; upgrade the operator, which replaces it")
+            raise CommandError(
+                f"the monitor's version does not support {what}; upgrade the operator, which replaces the monitor"
+            )
         found: dict[str, Any] = json.loads(text)
         return found
     except (OSError, http.client.HTTPException, ValueError) as error:
-        raise CommandError(f"the monitor doesn't answer: {error}") from error
+        raise CommandError(f"the monitor does not answer: {error}") from error
     finally:
         connection.close()
 
@@ -88,11 +90,11 @@ def asked(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[
 def _once(kubectl: Kubectl, workload: str, output: str) -> int:
     rates = Rates()
     with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
-        state = asked(port)
+        state = fetch_json(port)
         if output == "text":
             rates.look(state)
-            time.sleep(PERIOD)  # rates are counted between two looks
-            state = asked(port)
+            time.sleep(PERIOD)  # rates need two states
+            state = fetch_json(port)
             rates.look(state)
     if output == "text":
         print("\n".join(lines(state, rates, colours=terminal.colours(sys.stdout))))
@@ -102,7 +104,7 @@ def _once(kubectl: Kubectl, workload: str, output: str) -> int:
 
 
 def _watch(kubectl: Kubectl, workload: str) -> int:
-    """Draw it again and again. A monitor that is replaced meanwhile is found again."""
+    """Redraw until Ctrl-C, also if the monitor is replaced meanwhile."""
     screen, colours = sys.stdout.isatty(), terminal.colours(sys.stdout)
     rates, health = Rates(), ""
     answered = time.monotonic()
@@ -112,7 +114,7 @@ def _watch(kubectl: Kubectl, workload: str) -> int:
                 try:
                     with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
                         while True:
-                            state = asked(port)
+                            state = fetch_json(port)
                             answered = time.monotonic()
                             rates.look(state)
                             health = state["health"]
@@ -121,41 +123,41 @@ def _watch(kubectl: Kubectl, workload: str) -> int:
                 except CommandError as error:
                     if time.monotonic() - answered > PATIENCE:
                         raise
-                    _draw([f"{error}; asking again"], screen)
+                    _draw([f"{error}; retrying"], screen)
                     time.sleep(1)
     except (KeyboardInterrupt, BrokenPipeError):
         return HEALTHY if health == "Healthy" else NOT_HEALTHY
 
 
-def _draw(told: Sequence[str], screen: bool) -> None:
+def _draw(lines_: Sequence[str], screen: bool) -> None:
     if screen:
-        terminal.draw(sys.stdout, told)
+        terminal.draw(sys.stdout, lines_)
     else:
-        print("\n".join(told), end="\n\n", flush=True)
+        print("\n".join(lines_), end="\n\n", flush=True)
 
 
 def _web(kubectl: Kubectl, workload: str) -> int:
     with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
-        print(f"http://127.0.0.1:{port}/ shows it until Ctrl-C.", flush=True)
+        print(f"Serving the live tree at http://127.0.0.1:{port}/ until Ctrl-C.", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             while True:
                 time.sleep(PERIOD)
-                asked(port)
+                fetch_json(port)
     return HEALTHY
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy tree",
-        description="Shows the live health tree of a RobotWorkload, as its monitor judges it: how each node is, how often its topic "
-        "comes, and why it isn't healthy. Needs kubectl and the right to forward ports to pods. It acts on nothing.",
-        epilog="Exit status: 0 where the workload is healthy, 1 where it isn't, 2 where it can't be told.",
+        description="Shows the live health tree of a RobotWorkload as its monitor evaluates it: the state of each node, the rate of its "
+        "topic, and why it is not healthy. It needs kubectl and the permission to forward ports to pods, and changes nothing.",
+        epilog="Exit status: 0 if the workload is healthy, 1 if it is not, 2 if this cannot be determined.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     how = parser.add_mutually_exclusive_group()
-    how.add_argument("-w", "--watch", action="store_true", help="go on until Ctrl-C")
+    how.add_argument("-w", "--watch", action="store_true", help="keep updating until Ctrl-C")
     how.add_argument(
-        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or everything as JSON or YAML"
+        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or all details as JSON or YAML"
     )
     how.add_argument("--web", action="store_true", help="serve the monitor's own page on this machine until Ctrl-C")
     add_options(parser)

@@ -1,8 +1,7 @@
-"""Evaluates validation rules as the API server does: the part of CEL (KEP-2876, cel-spec) that our kinds' rules use.
+"""Evaluates the subset of CEL (KEP-2876, cel-spec) that the validation rules of Understudy's kinds use, as the API server does.
 
-The rules stay written once, in the models. A rule that needs more of the language than this raises Unsupported, and a test
-goes over all of them. Libraries for CEL bring command lines, parsers and time zones of their own (30 MB), and the monitors'
-images are built on the same dependencies.
+The rules are written once, in the models. A rule that needs more of the language raises Unsupported, and a test covers all
+rules. CEL libraries bring command lines, parsers and time zones (30 MB), and the images have the same dependencies.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from understudy.api.base import seconds
 
 
 class Unsupported(ValueError):
-    """A rule with something in it that isn't known here."""
+    """The rule uses a part of the language that is not implemented."""
 
 
 class Undecided(Exception):
-    """A rule that has no value for an object, such as one about a field that isn't there."""
+    """The rule has no value for this object, for example because a field is missing."""
 
 
 Scope = Mapping[str, Any]
@@ -50,7 +49,7 @@ _COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
 
 @functools.lru_cache(maxsize=512)
 def compiled(text: str) -> Evaluate:
-    """What evaluates an expression in a scope such as ``{"self": ...}``, and raises Undecided. Raises Unsupported."""
+    """Compile an expression into a function of a scope such as ``{"self": ...}``, which may raise Undecided. Raises Unsupported."""
     parser = _Parser(text)
     found = parser.choice()
     parser.end()
@@ -65,12 +64,12 @@ def compiled(text: str) -> Evaluate:
 
 
 def matches(text: str, pattern: str) -> bool:
-    """Whether a pattern of RE2 is found in a text; its ``$`` is the end and not also before a last line break."""
+    """Return whether an RE2 pattern matches; its ``$`` does not match before a final line break, unlike Python's."""
     return re.search(pattern[:-1] + r"\Z" if pattern.endswith("$") else pattern, text) is not None
 
 
 class _Parser:
-    """Recursive descent; each method reads what binds closer than the one before, and returns what evaluates it."""
+    """Recursive descent: each method parses the next higher precedence and returns the evaluator."""
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -79,7 +78,7 @@ class _Parser:
         while position < len(text.rstrip()):
             found = _TOKEN.match(text, position)
             if found is None or found.lastgroup is None:
-                raise Unsupported(f"{text}: can't be read from character {position + 1}")
+                raise Unsupported(f"{text}: syntax error at character {position + 1}")
             self._tokens.append((found.lastgroup, found[found.lastgroup]))
             position = found.end()
         self._at = 0
@@ -154,7 +153,7 @@ class _Parser:
                 "endsWith": str.endswith,
             }[name]
             return _applied(function, value, argument)
-        raise Unsupported(f"{self._text}: {name}() is not known")
+        raise Unsupported(f"{self._text}: {name}() is not supported")
 
     def _arguments(self, closing: str = ")") -> list[Evaluate]:
         found: list[Evaluate] = []
@@ -195,12 +194,12 @@ class _Parser:
                 value, field = _field(value, field) if field else value, self._word()
             self._need(")")
             if not field:
-                raise Unsupported(f"{self._text}: has() is about a field")
+                raise Unsupported(f"{self._text}: has() needs a field")
             return lambda scope: field in value(scope)
         arguments = self._arguments()
         functions: dict[str, Callable[[Any], Any]] = {"size": len, "duration": seconds}
         if name not in functions or len(arguments) != 1:
-            raise Unsupported(f"{self._text}: {name}() is not known")
+            raise Unsupported(f"{self._text}: {name}() is not supported")
         function, (argument,) = functions[name], arguments
         return lambda scope: function(argument(scope))
 
@@ -208,7 +207,7 @@ class _Parser:
 
     def _next(self) -> tuple[str, str]:
         if self._at >= len(self._tokens):
-            raise Unsupported(f"{self._text}: ends too early")
+            raise Unsupported(f"{self._text}: unexpected end")
         self._at += 1
         return self._tokens[self._at - 1]
 
@@ -225,7 +224,7 @@ class _Parser:
     def _word(self) -> str:
         kind, token = self._next()
         if kind != "word":
-            raise Unsupported(f"{self._text}: {token!r} is no name")
+            raise Unsupported(f"{self._text}: {token!r} is not a name")
         return token
 
 
@@ -250,7 +249,7 @@ def _both(left: Evaluate, right: Evaluate) -> Evaluate:
 
 
 def _over(name: str, value: Evaluate, variable: str, body: Evaluate) -> Evaluate:
-    """A macro over the items of a list or the keys of a mapping."""
+    """Build a macro over the items of a list or the keys of a mapping."""
 
     def evaluate(scope: Scope) -> Any:
         held = [item for item in value(scope) if body({**scope, variable: item})]

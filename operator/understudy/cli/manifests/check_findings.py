@@ -1,4 +1,4 @@
-"""What was found in a file, as one line that editors can jump to."""
+"""Findings of a check, each as one line that editors can jump to."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 LONGEST = 1000
-"""Characters of a message; some repeat what was found."""
+"""Most characters of a message; some quote the value that was found."""
 
 
 class Place(NamedTuple):
-    """A place in a file; the first line and the first character of a line are 1."""
+    """A position in a file; lines and columns start at 1."""
 
     line: int
     column: int
@@ -18,20 +18,20 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Finding:
-    """One mistake, or what may be one."""
+    """An error or a warning."""
 
     file: str
     place: Place
     severity: Literal["error", "warning"]
     subject: str
-    """Kind and name of the object; empty where it isn't about one."""
+    """Kind and name of the object; empty if it does not concern one."""
     field: str
-    """Path of the field, such as ``spec.outputs[0].type``; empty where it isn't about one."""
+    """Path of the field, such as ``spec.outputs[0].type``; empty if it does not concern one."""
     message: str
-    """What was found and what would be right."""
+    """What was found, and how to correct it."""
 
     def to_wire(self) -> dict[str, str | int]:
-        """It for programs, as it was found: nothing in it is cut or made fit for a terminal."""
+        """Return it as JSON data, neither shortened nor escaped."""
         return {
             "file": self.file,
             "line": self.place.line,
@@ -50,5 +50,5 @@ class Finding:
 
 
 def _shown(character: str) -> str:
-    """A character as it may be in a line: what files are made to contain mustn't move the cursor of a terminal."""
+    """Escape a control character: contents of files must not move the cursor of a terminal."""
     return character if character.isprintable() else character.encode("unicode_escape").decode("ascii")

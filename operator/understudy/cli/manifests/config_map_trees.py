@@ -1,4 +1,4 @@
-"""Checks the health trees that FailurePolicies take from ConfigMaps, where those are in the files as well."""
+"""Checks health trees that FailurePolicies load from ConfigMaps among the given files."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from understudy.trees.languages.text_files import load_text
 from understudy.trees.source.positions import WHOLE_FILE
 
 _PATH = "spec.monitoring.configMapKeyRef"
-_IN_THE_CLUSTER = "If it is in the cluster already, all is well"
+_IN_THE_CLUSTER = "Ignore this if it is in the cluster already"
 
 
 def check(policies: Sequence[Manifest], config_maps: Sequence[Manifest]) -> Iterator[Finding]:
-    """The references with nothing behind them, and what is wrong with the trees that they mean."""
+    """Yield references without a target, and the problems of the referenced trees."""
     for policy in policies:
         spec = policy.data.get("spec")
         try:
             monitoring = Monitoring.model_validate(spec.get("monitoring") if isinstance(spec, Mapping) else None)
         except ValidationError:
-            continue  # told already
+            continue  # reported already
         if monitoring.config_map_key_ref is not None:
             yield from _referred(policy, monitoring, [one for one in config_maps if policy.together(one)])
 
@@ -41,14 +41,14 @@ def _referred(policy: Manifest, monitoring: Monitoring, config_maps: Sequence[Ma
         near = [one.name for one in config_maps]
         hint = f" ({kube_objects.hint(referred.name, near)})" if near else ""
         message = (
-            f'no ConfigMap "{referred.name}" in the files that were given{hint}; correct the name, or give the file that it is in '
-            f"as well. {_IN_THE_CLUSTER}"
+            f'no ConfigMap "{referred.name}" in the given files{hint}; correct the name, or give the file that contains it. '
+            f"{_IN_THE_CLUSTER}"
         )
         yield policy.finding(f"{_PATH}.name", message, warning=True)
         return
     if found.labels.get(names.HEALTH_TREE) != "true":
         message = (
-            f"FailurePolicy {policy.name} takes its health tree from here, which it may only with the label "
+            f"FailurePolicy {policy.name} loads its health tree from this ConfigMap, which requires the label "
             f'{names.HEALTH_TREE}: "true"; add it'
         )
         yield found.finding("metadata.labels", message)

@@ -1,6 +1,6 @@
-"""Reads manifests as ``kubectl apply`` does, and remembers where in the file each field is written.
+"""Reads manifests as ``kubectl apply`` does, and records the position of each field in the file.
 
-Nothing that a file contains can raise: what can't be read is a finding.
+No content of a file raises an error: what cannot be read becomes a finding.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ SUFFIXES = (".yaml", ".yml")
 STANDARD_INPUT = "-"
 
 DEEPEST = 200
-"""Levels that a manifest may have: pods and trees have a few dozen."""
+"""Most levels of nesting: pods and trees have a few dozen."""
 
 MOST = 200_000
-"""Values that a file may have once its aliases are written out; some that are short stand for billions."""
+"""Most values of a file with all aliases expanded: a short file may expand to billions."""
 
 _BREAK = re.compile("\r\n|[\n\r\x85\u2028\u2029]")
 _HINTS = {
-    "\\t": "indent with spaces: YAML takes no tabs there",
-    "mapping values are not allowed here": "put a text that has ': ' in it in quotes, and look at the indentation of this line",
-    "could not find expected ':'": "look at the line before: a key needs ': ', and a text over several lines an indentation",
-    "expected <block end>": "look at the indentation: lines of one mapping or list begin in the same column",
-    "found undefined alias": "give it an anchor (&name) further up, or quotes where it is a text that begins with *",
+    "\\t": "indent with spaces: YAML does not allow tabs there",
+    "mapping values are not allowed here": "quote a text that contains ': ', and check the indentation of this line",
+    "could not find expected ':'": "check the previous line: a key needs ': ', and a text over several lines must be indented",
+    "expected <block end>": "check the indentation: lines of one mapping or list begin in the same column",
+    "found undefined alias": "define the anchor (&name) before it, or quote a text that begins with *",
     "did not find expected": "a bracket, brace or quote is not closed, or a comma is missing",
     "expected ',' or": "a bracket or brace is not closed, or a comma is missing",
     "while scanning a quoted scalar": "close the quotes",
@@ -50,35 +50,35 @@ class Manifest:
 
     file: str
     data: Any
-    """As the API server would get it; not always a mapping."""
+    """As the API server would receive it; not always a mapping."""
     places: dict[str, Place] = field(default_factory=dict)
-    """By path, where a field is written: its key, or an item's first character."""
+    """By path, the position of a field: its key, or the first character of an item."""
     texts: dict[str, TextOffset] = field(default_factory=dict)
-    """By path, where the first character of a text is, as far as lines and columns of the text are those of the file."""
+    """By path, the position of the first character of a text, if its lines and columns are those of the file."""
 
     spelled: dict[str, str] = field(default_factory=dict)
-    """By path, words other than true and false that YAML reads as one of these, such as ``on``."""
+    """By path, words other than true and false that YAML parses as booleans, such as ``on``."""
 
     def place(self, path: str) -> Place:
-        """Where a field is, or what it should be in."""
+        """Return the position of a field, or of its closest existing parent."""
         while path not in self.places:
             path = path[: max(path.rfind("."), path.rfind("["), 0)]
         return self.places[path]
 
     @property
     def kind(self) -> str:
-        """Its kind; empty where it says none."""
+        """Its kind; empty if missing."""
         found = self.data.get("kind") if isinstance(self.data, dict) else None
         return found if isinstance(found, str) else ""
 
     @property
     def name(self) -> str:
-        """Its name; empty where it has none."""
+        """Its name; empty if missing."""
         return self._named("name")
 
     @property
     def namespace(self) -> str:
-        """Its namespace; empty where it leaves that to whoever applies it."""
+        """Its namespace; empty if missing."""
         return self._named("namespace")
 
     @property
@@ -89,7 +89,7 @@ class Manifest:
         return {key: value for key, value in found.items() if isinstance(value, str)} if isinstance(found, dict) else {}
 
     def together(self, other: Manifest) -> bool:
-        """Whether two objects may be in one namespace: without one they come to where they are applied."""
+        """Return whether two objects may be in one namespace; without one, it is chosen when they are applied."""
         return not self.namespace or not other.namespace or self.namespace == other.namespace
 
     def _named(self, key: str) -> str:
@@ -99,22 +99,20 @@ class Manifest:
 
     @property
     def subject(self) -> str:
-        """How it is called in a finding."""
+        """Its name in findings."""
         return f"{self.kind} {self.name or '(no name)'}" if self.kind else ""
 
     def finding(self, path: str, message: str, *, warning: bool = False, place: Place | None = None) -> Finding:
-        """A finding about one of its fields."""
+        """Return a finding about one of its fields."""
         if path in self.spelled:
-            message += (
-                f". YAML reads {self.spelled[path]} as true or false: put it in quotes where it is meant as a text"
-            )
+            message += f". YAML parses {self.spelled[path]} as true or false: quote it if it is a text"
         return Finding(
             self.file, place or self.place(path), "warning" if warning else "error", self.subject, path, message
         )
 
 
 class TooMuch(Exception):
-    """What a file contains is too much to be looked at."""
+    """The file is too large or too deeply nested."""
 
     def __init__(self, node: Node, message: str) -> None:
         super().__init__(message)
@@ -122,7 +120,7 @@ class TooMuch(Exception):
 
 
 def contents(argument: str) -> Iterator[tuple[str, bytes]]:
-    """The files that an argument stands for. Raises CommandError."""
+    """Yield name and content of the files that an argument selects. Raises CommandError."""
     if argument == STANDARD_INPUT:
         yield "<stdin>", sys.stdin.buffer.read()
         return
@@ -134,25 +132,25 @@ def contents(argument: str) -> Iterator[tuple[str, bytes]]:
         found = sorted(one for one in path.iterdir() if one.suffix in SUFFIXES and one.is_file())
         for one in found:
             yield str(one), one.read_bytes()
-    except (OSError, ValueError) as error:  # a ValueError: a name that no file can have
+    except (OSError, ValueError) as error:  # ValueError: an invalid file name
         why = error.strerror if isinstance(error, OSError) else str(error)
         raise CommandError(
-            f"{argument}: {why}; give a file, a folder with *.yaml or *.yml, or - for standard input"
+            f"{argument}: {why}; give a file, a folder with *.yaml or *.yml files, or - for standard input"
         ) from error
     if not found:
         folders = ", ".join(str(one) for one in sorted(path.iterdir()) if one.is_dir())
-        inner = f"; folders in it are not looked into, give them too: {folders}" if folders else ""
+        inner = f"; subfolders are not read, so give them too: {folders}" if folders else ""
         raise CommandError(f"{argument}: no *.yaml and no *.yml in this folder{inner}")
 
 
 def read(file: str, content: bytes) -> tuple[list[Manifest], list[Finding]]:
-    """The objects of a file, with those in lists, and what is wrong with the file itself."""
+    """Return the objects of a file, including those in lists, and the problems of the file itself."""
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         before = content[: error.start].decode("utf-8", "replace")
         place = Place(before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
-        return [], [Finding(file, place, "error", "", "", "this isn't UTF-8; save the file as UTF-8 text")]
+        return [], [Finding(file, place, "error", "", "", "the file is not UTF-8; save it as UTF-8 text")]
     reader = _Reader(file, text)
     reader.read()
     return reader.manifests, reader.findings
@@ -170,7 +168,7 @@ class _Reader:
         nothing = True
         try:
             for node in self._documents():
-                if _is_nothing(node):  # such as after the last ---
+                if _is_null(node):  # such as after the last ---
                     continue
                 nothing = False
                 self._objects(node, 0)
@@ -179,16 +177,14 @@ class _Reader:
         except yaml.reader.ReaderError as error:
             before = self._text[: error.position]
             place = Place(len(_BREAK.split(before)), len(_BREAK.split(before)[-1]) + 1)
-            self._note(place, f"found the character {chr(error.character)!a}, which YAML doesn't take; leave it out")
+            self._note(place, f"found the character {chr(error.character)!a}, which YAML does not allow; remove it")
         except TooMuch as error:
             self._note(_place(error.node), error.message)
         except RecursionError:
-            self._note(Place(1, 1), f"mappings and lists are nested too deeply; they may be {DEEPEST} deep")
+            self._note(Place(1, 1), f"mappings and lists are nested too deeply; the limit is {DEEPEST} levels")
         else:
             if nothing:
-                self._note(
-                    Place(1, 1), "there is nothing in it; give apiVersion, kind, metadata and spec", warning=True
-                )
+                self._note(Place(1, 1), "the file is empty; add apiVersion, kind, metadata and spec", warning=True)
 
     def _documents(self) -> Iterator[Node]:
         loader = yaml.SafeLoader(self._text)
@@ -205,11 +201,13 @@ class _Reader:
         said = ", ".join(part for part in (error.context, error.problem) if part)
         begun, beyond = error.context_mark, error.problem_mark
         if begun and beyond and begun.line != beyond.line:
-            said += f" (begun in line {begun.line + 1}, column {begun.column + 1})"
+            said += f" (started in line {begun.line + 1}, column {begun.column + 1})"
         hint = next((hint for found, hint in _HINTS.items() if found in said), "correct the YAML here")
         if mark and any("{{" in line for line in self._lines[max(mark.line - 1, 0) : mark.line + 1]):
-            hint = "a template of Helm has to be rendered first: helm template ... | understudy check -"
-        self._note(Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1), f"this isn't YAML: {said}; {hint}")
+            hint = "render a Helm template first: helm template ... | understudy check -"
+        self._note(
+            Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1), f"this is not valid YAML: {said}; {hint}"
+        )
 
     def _note(self, place: Place, message: str, *, warning: bool = False) -> None:
         self.findings.append(Finding(self._file, place, "warning" if warning else "error", "", "", message))
@@ -217,7 +215,7 @@ class _Reader:
     # -- objects ----------------------------------------------------------------------------------------------------
 
     def _objects(self, node: Node, depth: int) -> None:
-        """The object that a node stands for, or those in it."""
+        """Read the object of a node, or the objects of a list."""
         items = _items(node)
         if items is None or depth > DEEPEST:
             self._object(node)
@@ -240,13 +238,13 @@ class _Reader:
         )
 
     def counted(self, node: Node) -> None:
-        """Note one more value. Raises TooMuch."""
+        """Count one more value. Raises TooMuch."""
         self._count += 1
         if self._count > MOST:
-            raise TooMuch(node, f"more than {MOST} values with all aliases written out; write fewer")
+            raise TooMuch(node, f"more than {MOST} values with all aliases expanded; reduce them")
 
     def beginning(self, node: ScalarNode) -> TextOffset | None:
-        """Where a text begins in the file, where its lines are the file's; None where they aren't."""
+        """Return where a text begins in the file; None if its lines are not those of the file."""
         start, end = node.start_mark, node.end_mark
         if node.style == "|":
             for number, line in enumerate(node.value.split("\n")):
@@ -263,29 +261,29 @@ class _Reader:
 
 
 class _Values:
-    """Turns nodes into values as JSON has them, and notes the places of all of them."""
+    """Converts nodes into JSON values and records their positions."""
 
     def __init__(self, reader: _Reader, manifest: Manifest) -> None:
         self._reader, self._manifest = reader, manifest
         self._within: set[int] = set()
         self._seen: dict[int, str] = {}
-        self._told_of_aliases = False
+        self._alias_reported = False
         self.problems: list[tuple[str, str, Place, bool]] = []
 
     def value(self, node: Node, path: str, depth: int) -> Any:
-        """The value of a node."""
+        """Return the value of a node."""
         self._reader.counted(node)
         if depth > DEEPEST:
-            raise TooMuch(node, f"mappings and lists are nested too deeply; they may be {DEEPEST} deep")
+            raise TooMuch(node, f"mappings and lists are nested too deeply; the limit is {DEEPEST} levels")
         if id(node) in self._within:
-            self._problem(path, "is inside of itself, by an alias (*); write it out as far as it goes", _place(node))
+            self._problem(path, "contains itself through an alias (*); write the value out", _place(node))
             return None
-        if id(node) in self._seen and not self._told_of_aliases:
-            self._told_of_aliases = True
+        if id(node) in self._seen and not self._alias_reported:
+            self._alias_reported = True
             self._problem(
                 path,
-                f"is an alias (*) of what is written at {self._seen[id(node)] or 'the top'}; it counts as that, but what is stored "
-                "has it twice, so write it out where later readers should find it",
+                f"is an alias (*) of {self._seen[id(node)] or 'the top level'}; it has the same value, but the stored object "
+                "contains it twice, so write it out",
                 self._manifest.place(path),
                 warning=True,
             )
@@ -315,7 +313,7 @@ class _Values:
                 continue
             inner = join(path, key)
             if key in first:
-                message = f"is given twice, in line {first[key].line} already; leave one of them out"
+                message = f"is given twice, first in line {first[key].line}; remove one of them"
                 self._problem(inner, message, _place(key_node))
                 continue
             first[key] = self._manifest.places[inner] = _place(key_node)
@@ -327,9 +325,9 @@ class _Values:
         return found
 
     def _merged(self, node: Node, path: str, depth: int) -> dict[str, Any]:
-        """What ``<<`` adds; what is written beside it goes before."""
+        """Return what ``<<`` adds; keys next to it take precedence."""
         if not isinstance(node, MappingNode):
-            self._problem(path, "<< takes a mapping or a list of mappings; write out what is meant", _place(node))
+            self._problem(path, "<< needs a mapping or a list of mappings; write the fields out", _place(node))
             return {}
         before = dict(self._manifest.places)
         found = self.value(node, path, depth + 1)
@@ -339,7 +337,7 @@ class _Values:
     def _key(self, node: Node, path: str) -> str | None:
         key = plain(node) if isinstance(node, ScalarNode) else None
         if key is None:
-            self._problem(path, "has a key that isn't a text; write a text before the ':'", _place(node))
+            self._problem(path, "has a key that is not a text; write a text before the ':'", _place(node))
             return None
         return key if isinstance(key, str) else str(key).lower() if isinstance(key, bool) else str(key)
 
@@ -357,7 +355,7 @@ class _Values:
         found = plain(node)
         if isinstance(found, float) and not math.isfinite(found):
             self._problem(
-                path, f"found {node.value}, which JSON doesn't have; give a number", self._manifest.place(path)
+                path, f"found {node.value}, which JSON does not support; give a number", self._manifest.place(path)
             )
             return node.value
         if isinstance(found, bool) and node.value not in ("true", "false"):
@@ -367,7 +365,7 @@ class _Values:
     def _tagged(self, node: Node, path: str, *known: str) -> None:
         if node.tag not in [f"{TAG}{name}" for name in known]:
             tag = node.tag.replace(TAG, "!!")
-            self._problem(path, f"found the tag {tag:.60}, which no manifest has; leave it out", _place(node))
+            self._problem(path, f"found the tag {tag:.60}, which manifests do not support; remove it", _place(node))
 
     def _problem(self, path: str, message: str, place: Place, *, warning: bool = False) -> None:
         self.problems.append((path, message, place, warning))
@@ -377,12 +375,12 @@ def _place(node: Node) -> Place:
     return Place(node.start_mark.line + 1, node.start_mark.column + 1)
 
 
-def _is_nothing(node: Node) -> bool:
+def _is_null(node: Node) -> bool:
     return isinstance(node, ScalarNode) and node.tag == f"{TAG}null"
 
 
 def _items(node: Node) -> list[Node] | None:
-    """The items of a node that is a list of objects, as ``kubectl get -o yaml`` writes it; None where it is none."""
+    """Return the items of a node that is a list of objects, as ``kubectl get -o yaml`` writes it; None for other nodes."""
     if not isinstance(node, MappingNode):
         return None
     fields = {key.value: value for key, value in node.value if isinstance(key, ScalarNode)}

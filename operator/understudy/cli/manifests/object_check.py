@@ -1,4 +1,4 @@
-"""Checks one object: by its kind's schema, by the models, and by the loaders and rules of monitor and operator."""
+"""Checks one object: with the schema of its kind, the models, and the loaders and rules of monitor and operator."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _BY_NAME = {kind.name: kind for kind in KINDS}
 
 _LABEL_PATTERN = r"^(([A-Za-z0-9][-A-Za-z0-9_.]*)?[A-Za-z0-9])?$"
 _LABEL_MESSAGE = (
-    "a label has letters, digits, dashes, underscores and dots only, and begins and ends with a letter or digit"
+    "a label consists of letters, digits, dashes, underscores and dots, and begins and ends with a letter or digit"
 )
 
 _TEXT: Schema = {"type": "string"}
@@ -56,21 +56,21 @@ _METADATA: Schema = {
         "managedFields": {"type": "array", "items": _OPAQUE},
     },
 }
-"""``metadata`` of every object (ObjectMeta), which no definition has."""
+"""Schema of ``metadata`` (ObjectMeta), which no CRD contains."""
 
 _PLACE = re.compile(r", line (\d+), column (\d+)")
-"""How loaders of texts name the place of a problem, behind the path of the text."""
+"""The position of a problem, which loaders append to the path of the text."""
 
 
 def is_ours(manifest: Manifest) -> bool:
-    """Whether an object is of one of our kinds, or is meant to be."""
+    """Return whether an object is, or is meant to be, of one of Understudy's kinds."""
     version = manifest.data.get("apiVersion")
     ours = isinstance(version, str) and version.partition("/")[0] == GROUP
     return ours or manifest.kind in _BY_NAME
 
 
 def check(manifest: Manifest) -> list[Finding]:
-    """Everything that is wrong with an object of ours, by itself."""
+    """Return all problems of an object by itself."""
     data, found = manifest.data, []
     if data.get("apiVersion") != API_VERSION:
         message = f"found {found_text(data.get('apiVersion'))}; give {API_VERSION}"
@@ -87,13 +87,13 @@ def check(manifest: Manifest) -> list[Finding]:
         return found
     found += _trees(manifest, kind, spec)
     if not any(problem.path.startswith("spec") for problem in problems):
-        found += (manifest.finding(problem.path, problem.message) for problem in _followed(kind, spec))
+        found += (manifest.finding(problem.path, problem.message) for problem in _operator_rules(kind, spec))
     return found
 
 
 @functools.cache
 def _schema(kind: Kind) -> Schema:
-    """The schema of a whole object, as the API server has it from the definition and from itself."""
+    """Return the schema of a whole object, which the API server composes of the CRD and its own parts."""
     served = definition(kind)["spec"]["versions"][0]["schema"]["openAPIV3Schema"]
     identity = {"apiVersion": _TEXT, "kind": _TEXT, "metadata": _METADATA, "status": _OPAQUE}
     schema: Schema = {
@@ -102,7 +102,7 @@ def _schema(kind: Kind) -> Schema:
         "properties": identity | {"spec": served["properties"]["spec"]},
         VALIDATIONS: [
             {"rule": "has(self.metadata.name) || has(self.metadata.generateName)", "fieldPath": ".metadata.name"}
-            | {"message": "missing; give a name of lower-case letters, digits and dashes"},
+            | {"message": "missing; set a name of lower-case letters, digits and dashes"},
             *served.get(VALIDATIONS, ()),
         ],
     }
@@ -113,7 +113,7 @@ def _schema(kind: Kind) -> Schema:
 
 
 def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[Finding]:
-    """What the loaders find in the trees of an object. What is no tree at all the schema has told."""
+    """Yield the problems that the loaders find in the trees of an object. The schema check reports what is not a tree at all."""
     match kind.name:
         case "RobotWorkload":
             yield from _procedure(manifest, spec, "bringUp")
@@ -138,7 +138,7 @@ def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[
 
 
 def _recoveries(manifest: Manifest, owner: Mapping[str, Any], path: str) -> Iterator[Finding]:
-    """What is wrong with the procedures of some strategies."""
+    """Yield the problems in the procedures of strategies."""
     strategies = owner.get("strategies")
     for index, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
         if isinstance(strategy, Mapping):
@@ -162,7 +162,7 @@ def _grace(monitoring: object) -> float:
 
 
 def _health(manifest: Manifest, trees: object, path: str, grace: float) -> Iterator[Finding]:
-    """What is wrong with a tree in one of the forms, each a field of what stands at a path."""
+    """Yield the problems of a tree in one of the notations, each of which is a field of the object at ``path``."""
     for form, tree, where, begins in _forms(manifest, trees, path):
         load = functools.partial(load_health, form, tree, grace=grace, path=where, begins=begins or WHOLE_FILE)
         yield from placed(manifest, load, known=begins is not None)
@@ -171,7 +171,7 @@ def _health(manifest: Manifest, trees: object, path: str, grace: float) -> Itera
 def _forms(
     manifest: Manifest, owner: object, path: str
 ) -> Iterator[tuple[str, Mapping[str, Any] | str, str, TextOffset | None]]:
-    """The trees of what may have one in any form: the form, the tree, its path, and where its text begins, if known."""
+    """Yield the trees of an object that may have one in any notation: notation, tree, path, and where its text begins, if known."""
     for form in FORMS:
         tree = owner.get(form) if isinstance(owner, Mapping) else None
         if tree and isinstance(tree, str if form in TEXTS else Mapping):
@@ -192,7 +192,7 @@ def _degraded(manifest: Manifest, degraded: object, grace: float) -> Iterator[Fi
 
 
 def placed(manifest: Manifest, load: Callable[[], object], *, known: bool) -> Iterator[Finding]:
-    """The problems that a loader has; ``known`` is whether lines and columns that it tells are the file's."""
+    """Yield the problems that a loader reports; ``known`` says whether its lines and columns are those of the file."""
     try:
         load()
     except TreeError as error:
@@ -209,11 +209,11 @@ def placed(manifest: Manifest, load: Callable[[], object], *, known: bool) -> It
                 yield manifest.finding(problem.path, problem.message, place=manifest.place(field))
 
 
-# -- what the operator asks for beyond the schema -----------------------------------------------------------------------
+# -- what the operator requires beyond the schema -----------------------------------------------------------------------
 
 
-def _followed(kind: Kind, spec: Mapping[str, Any]) -> Iterator[Problem]:
-    """Why the operator couldn't follow a spec that the API server takes, as far as that can be told without a cluster."""
+def _operator_rules(kind: Kind, spec: Mapping[str, Any]) -> Iterator[Problem]:
+    """Yield reasons for which the operator would reject a spec that the API server accepts, as far as known without a cluster."""
     try:
         parsed = kind.spec.model_validate(spec)
     except ValidationError as error:

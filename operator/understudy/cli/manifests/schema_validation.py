@@ -1,4 +1,4 @@
-"""Validates a value by a structural schema (KEP-1693) as the API server does on creation: strict, with defaults and CEL rules."""
+"""Validates a value against a structural schema (KEP-1693) as the API server does on creation: strict, with defaults and CEL rules."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from understudy.trees.source.value_reader import found_text
 _TYPES = {
     "object": "object (a mapping)",
     "array": "array (a list)",
-    "string": "string (a text, in quotes where it looks like a number)",
+    "string": "string (a text, in quotes if it looks like a number)",
     "integer": "integer (a whole number, without quotes)",
     "number": "number (without quotes)",
     "boolean": "boolean (true or false, without quotes)",
 }
 
 _CHANGES = re.compile(r"\boldSelf\b")
-"""Rules about changes, which don't hold of what is created."""
+"""Transition rules, which do not apply on creation."""
 
 
 @dataclass(frozen=True)
 class UnknownField(Problem):
-    """A field that isn't there in the object in which it is given."""
+    """A field that is unknown in the object in which it is given."""
 
     name: str
 
 
 def join(path: str, key: object) -> str:
-    """The path of a field."""
+    """Return the path of a field."""
     return f"{path}.{key}" if path else str(key)
 
 
 def validate(value: Any, schema: Schema, path: str = "") -> list[Problem]:
-    """Everything that the API server would refuse, or would drop without being strict."""
-    return [_put_right(problem, schema) for problem in _validate(_defaulted(value, schema), schema, path)]
+    """Return everything that the API server would refuse, or drop without strict validation."""
+    return [_with_suggestion(problem, schema) for problem in _validate(_defaulted(value, schema), schema, path)]
 
 
-def _put_right(problem: Problem, schema: Schema) -> Problem:
-    """An unknown field that there is in one other place is most likely a mistake in the indentation."""
+def _with_suggestion(problem: Problem, schema: Schema) -> Problem:
+    """Improve the message of an unknown field that exists in exactly one other place: most likely the indentation is wrong."""
     if not isinstance(problem, UnknownField):
         return problem
     elsewhere = [found for found in _fields(schema, "") if found.rpartition(".")[2] == problem.name]
     if len(elsewhere) != 1:
         return problem
-    message = f"unknown field {problem.name!r:.80} here; it belongs to {elsewhere[0]}: look at the indentation"
+    message = f"unknown field {problem.name!r:.80} here; it belongs to {elsewhere[0]}: check the indentation"
     return Problem(problem.path, message)
 
 
@@ -65,11 +65,11 @@ def _fields(schema: Schema, path: str) -> Iterator[str]:
 
 
 def _defaulted(value: Any, schema: Schema) -> Any:
-    """The value as the API server fills it in before it validates it."""
+    """Return the value with the defaults that the API server sets before validation."""
     if isinstance(value, Mapping):
         result = dict(value)
         for name, child in schema.get("properties", {}).items():
-            if result.get(name) is None:  # nothing is as good as absent
+            if result.get(name) is None:  # null counts as absent
                 result.pop(name, None)
                 if "default" in child:
                     result[name] = copy.deepcopy(child["default"])
@@ -91,7 +91,7 @@ def _validate(value: Any, schema: Schema, path: str) -> Iterator[Problem]:
     elif isinstance(value, list) and "items" in schema and not found:
         found += (p for i, item in enumerate(value) for p in _validate(item, schema["items"], f"{path}[{i}]"))
     yield from found
-    if not found:  # rules count on what the schema says
+    if not found:  # rules rely on a value that matches the schema
         yield from _rules(value, schema, path)
 
 
@@ -113,7 +113,7 @@ def _is(value: Any, kind: str) -> bool:
 
 
 def _form(schema: Schema) -> str:
-    """How a text is written of which the schema says that."""
+    """Return the format of a text, if the schema has a message for it."""
     messages = [rule["message"] for rule in schema.get(VALIDATIONS, ()) if "messageExpression" in rule]
     return f": {messages[0]}" if messages else ""
 
@@ -135,7 +135,7 @@ def _bounds(value: Any, schema: Schema) -> Iterator[str]:
         return
     must = "must be" if isinstance(value, str) else "must have"
     if size < schema.get(bounds[0], 0):
-        yield f"found {found_text(value) if size else 'nothing in it'}; {must} at least {schema[bounds[0]]} {unit}"
+        yield f"found {found_text(value) if size else 'an empty value'}; {must} at least {schema[bounds[0]]} {unit}"
     if size > schema.get(bounds[1], math.inf):
         yield f"found {size} {unit}; {must} at most {schema[bounds[1]]} {unit}"
     elif isinstance(value, str) and "pattern" in schema and not cel.matches(value, schema["pattern"]):
@@ -146,7 +146,7 @@ def _object(value: Mapping[str, Any], schema: Schema, path: str) -> Iterator[Pro
     properties = schema.get("properties", {})
     for name in schema.get("required", ()):
         if name not in value:
-            yield Problem(join(path, name), f"missing{_way_out(name, properties.get(name, {}))}")
+            yield Problem(join(path, name), f"missing{_how_to_add(name, properties.get(name, {}))}")
     for name, item in value.items():
         if name in properties:
             yield from _validate(item, properties[name], join(path, name))
@@ -159,12 +159,12 @@ def _object(value: Mapping[str, Any], schema: Schema, path: str) -> Iterator[Pro
 
 
 def _known(name: str, missing: list[str], properties: Mapping[str, Schema]) -> str:
-    """What an unknown field could have been: best one that isn't given yet."""
+    """Suggest a known field for an unknown one, preferably one that is not given yet."""
     close = did_you_mean(name, missing)
     return close if close.startswith(", did") else did_you_mean(name, properties)
 
 
-def _way_out(name: str, schema: Schema) -> str:
+def _how_to_add(name: str, schema: Schema) -> str:
     choices = [json.dumps(choice) for choice in schema.get("enum", ())]
     told = schema.get("description", "").rstrip(".") or f"one of {', '.join(choices)}"
     return f", and required; add {name} ({told})"
@@ -176,12 +176,12 @@ def _rules(value: Any, schema: Schema, path: str) -> Iterator[Problem]:
             continue
         try:
             if not cel.compiled(rule["rule"])({"self": value}):
-                yield Problem((path + rule.get("fieldPath", "")).lstrip("."), _told(rule, value))
+                yield Problem((path + rule.get("fieldPath", "")).lstrip("."), _rule_message(rule, value))
         except cel.Undecided:
-            continue  # about a part that isn't there
+            continue  # it concerns a missing part
 
 
-def _told(rule: Mapping[str, str], value: Any) -> str:
+def _rule_message(rule: Mapping[str, str], value: Any) -> str:
     if "messageExpression" in rule:
         try:
             return str(cel.compiled(rule["messageExpression"])({"self": value}))

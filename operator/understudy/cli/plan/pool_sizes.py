@@ -1,4 +1,4 @@
-"""What a pool of some size means for its robots: risks, waiting, cost and the down-time that it saves."""
+"""Computes what a pool size means for its robots: risks, waiting, cost and saved downtime."""
 
 from __future__ import annotations
 
@@ -13,62 +13,62 @@ from understudy.cli.common.errors import CommandError
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked. Times in seconds."""
+    """The parameters of a calculation. Times in seconds."""
 
     robots: int
     failures_per_robot_hour: float
     recovery: float
-    """Down-time of a robot that finds a fallback."""
+    """Downtime of a robot that finds a fallback."""
     refill: float
-    """Until another fallback waits in place of a used one."""
+    """Time until another fallback replaces a used one."""
     restart: float
-    """Down-time of a robot that goes without."""
+    """Downtime of a robot without a fallback."""
     cpu: float
-    """Of a waiting fallback, as a share of a working one's."""
+    """CPU of a waiting fallback, as a share of a working instance's."""
 
     @property
     def demand(self) -> Demand:
-        """The failures and how long each takes a fallback away."""
+        """The failures, and the time for which each uses a fallback."""
         return Demand(self.robots, self.failures_per_robot_hour, self.refill)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A pool's risks and cost by the formulas."""
+    """Risks and cost of a pool according to the formulas."""
 
     fallbacks: int
     window: float
     loss: float
     waiting: float
     wait: float
-    """Mean seconds of all failures, where they wait; infinite where they come faster than refills."""
+    """Mean wait of all failures in seconds; infinite if failures are faster than refills."""
     cpu: float
-    """Added CPU as a share of what all robots' working instances use."""
+    """Added CPU, as a share of the CPU of all working instances."""
     down: float
-    """Mean down-time of a failure in seconds, where one that finds no fallback is restarted."""
+    """Mean downtime per failure in seconds, if a robot without a fallback is restarted."""
 
 
 @dataclass(frozen=True)
 class Size:
-    """The answer."""
+    """The result of a calculation."""
 
     question: Question
     outcome: Outcome
     risk: float | None
-    """The risk that was asked for."""
+    """The required risk."""
     risk_of: str
     needed: dict[str, int]
-    """By measure, the fewest fallbacks for that risk; empty where none was asked for."""
+    """By measure, the fewest fallbacks for that risk; empty if no risk is required."""
     trial: monte_carlo.Trials
-    paper: paper_model.Argument
+    paper: paper_model.PaperEstimate
 
     @property
     def gained(self) -> float:
-        """Seconds of down-time per robot and hour that the pool saves against restarts alone."""
+        """Seconds of downtime per robot and hour that the pool saves, compared with restarts only."""
         return (self.question.restart - self.outcome.down) * self.question.failures_per_robot_hour
 
     def data(self) -> dict[str, Any]:
-        """As JSON takes it: what is infinite is null. Seconds, and probabilities and shares from 0 to 1."""
+        """Return the result as JSON data; infinite values become null. Times in seconds, probabilities and shares from 0 to 1."""
         found = {
             "question": asdict(self.question),
             "offered": self.question.demand.offered,
@@ -85,31 +85,31 @@ class Size:
 
 
 def outcome(question: Question, fallbacks: int) -> Outcome:
-    """What so many fallbacks mean."""
+    """Compute the outcome for a number of fallbacks."""
     offered = question.demand.offered
-    loss = shortage_risk.lost(offered, fallbacks)
+    loss = shortage_risk.loss_risk(offered, fallbacks)
     return Outcome(
         fallbacks=fallbacks,
-        window=shortage_risk.crowded(offered, fallbacks),
+        window=shortage_risk.window_risk(offered, fallbacks),
         loss=loss,
-        waiting=shortage_risk.waits(offered, fallbacks),
-        wait=shortage_risk.wait(offered, fallbacks, question.refill),
+        waiting=shortage_risk.waiting_risk(offered, fallbacks),
+        wait=shortage_risk.mean_wait(offered, fallbacks, question.refill),
         cpu=fallbacks * question.cpu / question.robots,
         down=(1 - loss) * question.recovery + loss * question.restart,
     )
 
 
-def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of: str) -> Size:
-    """The answer for a number of fallbacks, or for the fewest that are enough for a risk.
+def calculate(question: Question, fallbacks: int | None, risk: float | None, risk_of: str) -> Size:
+    """Compute the result for a number of fallbacks, or for the fewest that keep a risk.
 
-    Raises CommandError where no number is.
+    Raises CommandError if no number does.
     """
     needed = {}
     if fallbacks is None:
         assert risk is not None, "one of them is asked for"
         try:
             needed = {
-                measure: shortage_risk.enough(measure, question.demand.offered, risk)
+                measure: shortage_risk.fewest_fallbacks(measure, question.demand.offered, risk)
                 for measure in shortage_risk.MEASURES
             }
         except ValueError as error:
@@ -122,8 +122,8 @@ def sized(question: Question, fallbacks: int | None, risk: float | None, risk_of
         risk=risk,
         risk_of=risk_of,
         needed=needed,
-        trial=monte_carlo.tried(demand, fallbacks, paper_model.INTERVAL),
-        paper=paper_model.argued(demand.rate, question.refill, fallbacks),
+        trial=monte_carlo.simulate(demand, fallbacks, paper_model.INTERVAL),
+        paper=paper_model.estimate(demand.rate, question.refill, fallbacks),
     )
 
 

@@ -1,4 +1,4 @@
-"""``understudy recommend FILE...``: which strategies, in which order, a policy's requirements come to, and what each would cost."""
+"""``understudy recommend FILE...``: recommends strategies and their order for a policy's requirements."""
 
 from __future__ import annotations
 
@@ -22,34 +22,32 @@ from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.cli.plan import strategy_table
 from understudy.cli.plan.recommendation import recommended
 from understudy.cli.plan.size import share
-from understudy.cli.plan.text_wrap import fitted
+from understudy.cli.plan.text_wrap import wrap_labelled
 from understudy.kube.client import Object
 
-DONE, NOT_MET, CANT = 0, 1, 2
+MET, NOT_MET, ERROR = 0, 1, 2
 """Exit statuses."""
 
 _REQUIREMENTS = ("safety", "availability", "resource-usage", "task-criticality")
 
 
 def main(arguments: list[str]) -> int:
-    """Run the command; what came of it goes to standard output."""
+    """Run the command. The result goes to standard output."""
     parser = _parser()
     given = parser.parse_args(arguments)
     for option in ("--namespace", "--context", "--kubeconfig"):
-        option_rules.only(
-            parser, given, not given.no_cluster, option, "says where in a cluster to look: leave out --no-cluster"
-        )
+        option_rules.reject_unless(parser, given, not given.no_cluster, option, "cannot be combined with --no-cluster")
     try:
         if given.plot is not None:
-            plot_files.usable(given.plot)
+            plot_files.check_plot_file(given.plot)
         manifests = _read(given.files)
         levels = {_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name.replace("-", "_")))}
         found = recommended(manifests, given.workload, levels, dict(given.cpu), _recorded(given, manifests))
         if given.plot is not None and len(found) > 1:
             names = ", ".join(one.workload.name for one in found)
-            raise CommandError(f"--plot: one workload is drawn, and there are {names}: choose one by --workload")
+            raise CommandError(f"--plot draws one workload, but the files contain {names}: choose one with --workload")
         if given.output == "text":
-            print(fitted("\n\n".join(strategy_table.told(one) for one in found), terminal.columns(sys.stdout)))
+            print(wrap_labelled("\n\n".join(strategy_table.lines(one) for one in found), terminal.columns(sys.stdout)))
         else:
             print(structured([one.data() for one in found], given.output))
         if given.plot is not None:
@@ -58,25 +56,25 @@ def main(arguments: list[str]) -> int:
             tradeoff_plot.draw(given.plot, found[0])
     except CommandError as error:
         print(f"understudy recommend: {error}", file=sys.stderr)
-        return CANT
-    return NOT_MET if any(order_explanation.unmet(one.order) for one in found) else DONE
+        return ERROR
+    return NOT_MET if any(order_explanation.unmet_requirements(one.order) for one in found) else MET
 
 
 def _read(files: Sequence[str]) -> list[Manifest]:
-    """The objects of our kinds in some files. Raises CommandError."""
+    """Return the objects of Understudy's kinds in the files. Raises CommandError."""
     manifests: list[Manifest] = []
     for file, content in dict(entry for one in dict.fromkeys(files) for entry in manifest_reader.contents(one)).items():
         read, findings = manifest_reader.read(file, content)
         if wrong := [str(finding) for finding in findings if finding.severity == "error"]:
-            raise CommandError("the files can't be read\n" + "\n".join(wrong))
+            raise CommandError("the files cannot be read\n" + "\n".join(wrong))
         manifests += (one for one in read if object_check.is_ours(one))
     return manifests
 
 
 def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[tuple[str, str], Object]:
-    """The workloads as a cluster has them, by the namespace that their files give and their name; none where no cluster is known.
+    """Return the workloads in the cluster by the namespace in their file and their name; none if no cluster is configured.
 
-    Raises kubectl's CommandError where one was asked for and doesn't answer.
+    Raises CommandError if a cluster was selected and does not answer.
     """
     asked = any((given.context, given.kubeconfig, given.namespace))
     known = os.environ.get("KUBECONFIG") or (Path.home() / ".kube" / "config").is_file()
@@ -91,20 +89,18 @@ def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[
     except CommandError as error:
         if asked:
             raise
-        print(
-            f"understudy recommend: the recoveries in the cluster aren't taken into account: {error}", file=sys.stderr
-        )
+        print(f"understudy recommend: recoveries in the cluster are not considered: {error}", file=sys.stderr)
     return found
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy recommend",
-        description="Says for each RobotWorkload which strategies its FailurePolicy's requirements come to, in which order and why, with "
-        "the pools that serve it: how soon each recovers and what CPU it keeps waiting. Recoveries that are recorded in the cluster, or in "
-        "the files as kubectl writes them, count as measured, from three by the same strategy on. Else published figures are taken, and it "
-        "is said so. It changes nothing.",
-        epilog="Exit status: 0, or 1 where what is required can't be had, or 2 where it can't be done as asked for. The rules and the "
+        description="Recommends strategies and their order for each RobotWorkload, from the requirements of its FailurePolicy and "
+        "the pools that serve it, with the time and the reserved CPU of each strategy. Recoveries recorded in the cluster, or in "
+        "files that kubectl wrote, are used as measurements if there are at least three by a strategy. Otherwise published figures are "
+        "used and marked. It changes nothing.",
+        epilog="Exit status: 0, or 1 if the requirements cannot be met, or 2 on an error. The rules and the "
         "figures are in docs/choosing.md.",
     )
     parser.add_argument(
@@ -113,7 +109,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="manifests of workloads, their policies and their pools: a file, a folder (its *.yaml and *.yml), or - for standard input",
     )
-    parser.add_argument("--workload", metavar="NAME", help="only for this one")
+    parser.add_argument("--workload", metavar="NAME", help="only this workload")
     for name in _REQUIREMENTS:
         parser.add_argument(f"--{name}", choices=get_args(Level), help=f"{_camel(name)} instead of the policy's")
     parser.add_argument(
@@ -122,14 +118,16 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="READINESS=SHARE",
-        help="CPU that a waiting instance was measured to use, as a share of a working one's, such as Initialized=0.4",
+        help="measured CPU of a waiting instance, as a share of a working instance's, such as Initialized=0.4",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw time against CPU (needs the extra understudy[plots])")
-    parser.add_argument("-o", "--output", choices=("text", "json", "yaml"), default="text", help="how it is printed")
-    parser.add_argument("-n", "--namespace", help="namespace in the cluster of workloads whose files name none")
-    parser.add_argument("--context", help="the kubeconfig's context")
-    parser.add_argument("--kubeconfig", help="the kubeconfig")
-    parser.add_argument("--no-cluster", action="store_true", help="don't look for recoveries in a cluster")
+    parser.add_argument(
+        "-o", "--output", choices=("text", "json", "yaml"), default="text", help="output format (default: text)"
+    )
+    parser.add_argument("-n", "--namespace", help="namespace of workloads whose files do not name one")
+    parser.add_argument("--context", help="context of the kubeconfig")
+    parser.add_argument("--kubeconfig", help="path of the kubeconfig")
+    parser.add_argument("--no-cluster", action="store_true", help="do not read recoveries from a cluster")
     return parser
 
 

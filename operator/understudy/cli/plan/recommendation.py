@@ -1,4 +1,4 @@
-"""The order that requirements come to for each workload of some files, as the operator would choose it."""
+"""Computes the order of strategies for each workload in the given files, as the operator would choose it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_figures import Figure, Way
-from understudy.advice.strategy_order import Judged, Order
+from understudy.advice.strategy_order import Order, RatedStrategy
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.requirements_spec import Requirements
 from understudy.cli.common.errors import CommandError
@@ -28,15 +28,15 @@ class Recommendation:
     workload: Manifest
     policy: Manifest
     auto: bool
-    """Whether the policy leaves its strategies to be chosen, so that this order is in force."""
+    """Whether the policy chooses its strategies automatically, so that this order applies."""
     stated: bool
-    """Whether the policy says what is required; else the defaults count."""
+    """Whether the policy states requirements; otherwise the defaults apply."""
     present: str
-    """The policy's own strategies, in short."""
+    """Summary of the policy's own strategies."""
     order: Order
 
     def data(self) -> dict[str, Any]:
-        """As JSON takes it: seconds, and shares of a working instance's CPU."""
+        """Return it as JSON data: times in seconds, CPU as a share of a working instance's."""
         order = self.order
         return {
             "workload": self.workload.name,
@@ -44,11 +44,11 @@ class Recommendation:
             "policy": self.policy.name,
             "auto": self.auto,
             "requirements": order.requirements.to_wire(),
-            "asked": order_explanation.asked(order.requirements),
+            "asked": order_explanation.describe_requirements(order.requirements),
             "present": self.present,
-            "order": [_told(order, one) for one in order.chosen],
-            "leftOut": [_told(order, one) for one in order.left_out],
-            "notMet": order_explanation.unmet(order),
+            "order": [_strategy_data(order, one) for one in order.chosen],
+            "leftOut": [_strategy_data(order, one) for one in order.left_out],
+            "notMet": order_explanation.unmet_requirements(order),
         }
 
 
@@ -59,21 +59,21 @@ def recommended(
     cpu: Mapping[Way, Figure],
     recorded: Mapping[tuple[str, str], Object],
 ) -> list[Recommendation]:
-    """The recommendation for each workload, or for the one of a name.
+    """Return the recommendation for each workload, or for the named one.
 
-    ``levels`` are requirements that count instead of the policy's, ``cpu`` is what waiting instances were measured to use, and
-    ``recorded`` are workloads as they are in a cluster, by namespace and name. Raises CommandError.
+    ``levels`` override requirements of the policy, ``cpu`` is the measured CPU usage of waiting instances, and ``recorded`` are
+    workloads in the cluster by namespace and name. Raises CommandError.
     """
     wrong = [str(found) for one in manifests for found in object_check.check(one) if found.severity == "error"]
     if wrong:
-        raise CommandError("the manifests can't be followed\n" + "\n".join(wrong))
+        raise CommandError("the manifests are invalid\n" + "\n".join(wrong))
     workloads = [one for one in manifests if one.kind == "RobotWorkload" and name in (None, one.name)]
     if not workloads:
         known = [one.name for one in manifests if one.kind == "RobotWorkload"]
         if name is not None and known:
             raise CommandError(f"--workload: there is no RobotWorkload {name!r:.80} in the files ({hint(name, known)})")
         raise CommandError(
-            "there is no RobotWorkload in the files: give the file of one, with those of its policy and its pools"
+            "there is no RobotWorkload in the files: give the file of a workload, of its policy and of its pools"
         )
     return [_recommended(one, manifests, levels, cpu, recorded) for one in workloads]
 
@@ -91,7 +91,7 @@ def _recommended(
     if wanted not in given:
         told = f" ({hint(wanted, given)})" if given else ""
         raise CommandError(
-            f"RobotWorkload {workload.name}: its FailurePolicy {wanted} isn't in the files{told}; give its file too"
+            f"RobotWorkload {workload.name}: its FailurePolicy {wanted} is not in the files{told}; give its file too"
         )
     policy = given[wanted]
     stated = FailurePolicySpec.model_validate(policy.data["spec"]).requirements
@@ -107,7 +107,7 @@ def _recommended(
         cpu=cpu,
         sharing={name: sum(pool_reader.serves(pool, robot) for robot in robots) for name, pool in serving.items()},
     )
-    assert order is not None, "the requirements are understood"
+    assert order is not None, "the requirements are valid"
     return Recommendation(
         workload=workload,
         policy=policy,
@@ -119,16 +119,16 @@ def _recommended(
 
 
 def _status(workload: Manifest, recorded: Mapping[tuple[str, str], Object]) -> Object:
-    """A workload's status: as the cluster has it, and else as the file does, where kubectl wrote it."""
+    """Return a workload's status from the cluster, or else from the file, if kubectl wrote it."""
     found = recorded.get((workload.namespace, workload.name))
     return {"status": found["status"]} if found is not None and "status" in found else {}
 
 
-def _told(order: Order, one: Judged) -> dict[str, Any]:
+def _strategy_data(order: Order, one: RatedStrategy) -> dict[str, Any]:
     return {
         "strategy": "Restart" if one.candidate.way == "Restart" else f"Fallback/{one.candidate.way}",
         "pool": one.candidate.pool or None,
         "seconds": {"value": one.seconds.value, "source": one.seconds.source},
         "cpu": {"value": one.cost, "standbys": one.candidate.standbys, "source": one.cpu.source},
-        "why": order_explanation.why(order, one),
+        "why": order_explanation.describe_choice(order, one),
     }

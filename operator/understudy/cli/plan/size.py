@@ -1,4 +1,4 @@
-"""``understudy size``: how many fallbacks robots that share a pool need, what that risks and what it costs."""
+"""``understudy size``: calculates how many fallbacks the robots of a pool need, with the risks and the cost."""
 
 from __future__ import annotations
 
@@ -11,28 +11,30 @@ from understudy.advice.shortage_risk import MEASURES, MOST
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, plot_files, terminal
 from understudy.cli.common.errors import CommandError
-from understudy.cli.plan.pool_sizes import Question, sized
-from understudy.cli.plan.size_text import told
-from understudy.cli.plan.text_wrap import fitted
+from understudy.cli.plan.pool_sizes import Question, calculate
+from understudy.cli.plan.size_text import size_text
+from understudy.cli.plan.text_wrap import wrap_labelled
 
-DONE, CANT = 0, 2
+SUCCESS, ERROR = 0, 2
 """Exit statuses."""
 
 _SUREST = 0.999999
-"""The greatest risk that a size is found for."""
+"""The highest risk for which a size is calculated."""
 
 _LEAST, _GREATEST = 1e-9, 1e9
-"""Between which rates and times lie that mean anything; beyond, numbers end."""
+"""Bounds of rates and times; beyond them, floating-point numbers fail."""
 
 RISK_OF = "loss"
-"""What a risk is of where --risk-of isn't given."""
+"""Default of --risk-of."""
 
 
 def main(arguments: list[str]) -> int:
-    """Run the command; what came of it goes to standard output."""
+    """Run the command. The result goes to standard output."""
     parser = _parser()
     given = parser.parse_args(arguments)
-    option_rules.only(parser, given, given.risk is not None, "--risk-of", "says what --risk is of, which isn't given")
+    option_rules.reject_unless(
+        parser, given, given.risk is not None, "--risk-of", "applies to --risk, which is not given"
+    )
     question = Question(
         robots=given.robots,
         failures_per_robot_hour=given.failures_per_robot_hour,
@@ -43,10 +45,10 @@ def main(arguments: list[str]) -> int:
     )
     try:
         if given.plot is not None:
-            plot_files.usable(given.plot)
-        size = sized(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
+            plot_files.check_plot_file(given.plot)
+        size = calculate(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
         if given.output == "text":
-            print(fitted(told(size), terminal.columns(sys.stdout)))
+            print(wrap_labelled(size_text(size), terminal.columns(sys.stdout)))
         else:
             print(structured(size.data(), given.output))
         if given.plot is not None:
@@ -55,25 +57,27 @@ def main(arguments: list[str]) -> int:
             size_plot.draw(given.plot, size)
     except CommandError as error:
         print(f"understudy size: {error}", file=sys.stderr)
-        return CANT
-    return DONE
+        return ERROR
+    return SUCCESS
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy size",
-        description="Says how likely it is that robots which share a FallbackPool find too few fallbacks, how long they then wait, what "
-        "the pool costs and what down-time it saves; with --risk how many fallbacks are needed. Failures are taken to come independently "
-        "of each other; each takes a fallback, and another waits in its place after the refill's time.",
-        epilog="Exit status: 0, or 2 where it can't be done as asked for. The models are described in docs/sizing.md.",
+        description="Calculates how likely it is that the robots of a FallbackPool find too few fallbacks, how long they wait, what "
+        "the pool costs and what downtime it saves; with --risk, how many fallbacks are needed. Failures are assumed to be independent "
+        "of each other; each uses a fallback, which is replaced after the refill time.",
+        epilog="Exit status: 0, or 2 on an error. The models are described in docs/sizing.md.",
     )
-    parser.add_argument("--robots", type=_count(1, 10_000_000), required=True, help="how many share the pool")
+    parser.add_argument(
+        "--robots", type=_count(1, 10_000_000), required=True, help="number of robots that share the pool"
+    )
     parser.add_argument(
         "--failures-per-robot-hour",
         type=_rate,
         required=True,
         metavar="RATE",
-        help="as observed",
+        help="observed failures per robot and hour",
     )
     parser.add_argument(
         "--recovery-seconds",
@@ -82,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_duration,
         required=True,
         metavar="DURATION",
-        help="down-time of a robot that finds a fallback, such as 6s",
+        help="downtime of a robot that finds a fallback, such as 6s",
     )
     parser.add_argument(
         "--refill-seconds",
@@ -90,7 +94,7 @@ def _parser() -> argparse.ArgumentParser:
         dest="refill",
         type=_duration,
         metavar="DURATION",
-        help="from a failure until another fallback is ready (default: as long as the recovery, as in the paper)",
+        help="time from a failure until another fallback is ready (default: the recovery time, as in the paper)",
     )
     parser.add_argument(
         "--restart-seconds",
@@ -98,32 +102,34 @@ def _parser() -> argparse.ArgumentParser:
         dest="restart",
         type=_duration,
         metavar="DURATION",
-        help="down-time of a robot that is restarted instead (default: twice the recovery, as in the paper)",
+        help="downtime of a robot that is restarted instead (default: twice the recovery time, as in the paper)",
     )
     parser.add_argument(
         "--fallback-cpu",
         type=_cpu,
         default=1.0,
         metavar="SHARE",
-        help="CPU of a waiting fallback as a share of a working one's (default: 1, as the paper counts; it measured 0.6 for one that "
+        help="CPU of a waiting fallback as a share of a working instance's (default: 1, as in the paper, which measured 0.6 for one that "
         "waits uninitialized)",
     )
     asked = parser.add_mutually_exclusive_group(required=True)
-    asked.add_argument("--fallbacks", type=_count(0, MOST), metavar="N", help="the pool's size")
+    asked.add_argument("--fallbacks", type=_count(0, MOST), metavar="N", help="size of the pool")
     asked.add_argument(
         "--risk",
         type=_risk,
         metavar="P",
-        help="the size for this risk instead, such as 0.01 or 1%%",
+        help="calculate the size for this risk, such as 0.01 or 1%%",
     )
     parser.add_argument(
         "--risk-of",
         choices=tuple(MEASURES),
-        help="what the risk is of: loss: a failure finds no fallback and goes without; waiting: it has to wait for one; window: more "
-        f"failures than fallbacks fall into the time of a refill, as the paper asks (default: {RISK_OF})",
+        help="meaning of the risk: loss: a failure finds no fallback; waiting: it has to wait for one; window: more "
+        f"failures than fallbacks occur within a refill time, as in the paper (default: {RISK_OF})",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
-    parser.add_argument("-o", "--output", choices=("text", "json", "yaml"), default="text", help="how it is printed")
+    parser.add_argument(
+        "-o", "--output", choices=("text", "json", "yaml"), default="text", help="output format (default: text)"
+    )
     return parser
 
 
@@ -153,11 +159,11 @@ def _risk(text: str) -> float:
 
 
 def _cpu(text: str) -> float:
-    return _figure(text, share(text), "a share, from 0 on, such as 0.4 or 40%", zero=True)
+    return _figure(text, share(text), "a share of at least 0, such as 0.4 or 40%", zero=True)
 
 
 def share(text: str) -> float:
-    """A share such as ``0.4`` or ``40%``; not a number where it is none."""
+    """Parse a share such as ``0.4`` or ``40%``; NaN if it is invalid."""
     return _number(text.removesuffix("%")) / 100 if text.endswith("%") else _number(text)
 
 

@@ -1,4 +1,4 @@
-"""Draws risk against cost: what each further fallback buys."""
+"""Draws risk against cost by number of fallbacks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WORDS = {
 
 
 def draw(file: str, size: Size) -> None:
-    """Draw it into a file. Raises CommandError where it can't be written."""
+    """Draw the plot into a file. Raises CommandError if it cannot be written."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter
 
@@ -39,7 +39,7 @@ def draw(file: str, size: Size) -> None:
     if size.risk is not None:
         axes.axhline(size.risk, color="#555555", linewidth=1.0, linestyle=(0, (4, 3)))
         axes.annotate(
-            f"asked for: {percent(size.risk)}", (counts[-1], size.risk), xytext=(0, 4), textcoords="offset points",
+            f"required: {percent(size.risk)}", (counts[-1], size.risk), xytext=(0, 4), textcoords="offset points",
             ha="right", fontsize=8.5, color="#555555",
         )  # fmt: skip
     axes.set_yscale("log")
@@ -48,7 +48,7 @@ def draw(file: str, size: Size) -> None:
     axes.set_xlim(-0.02 * counts[-1], counts[-1] * 1.02)
     axes.xaxis.get_major_locator().set_params(integer=True)
     axes.set_xlabel("fallbacks in the pool")
-    axes.set_ylabel("chance, of a failure or a window")
+    axes.set_ylabel("probability per failure or window")
     if step := question.cpu / question.robots * 100:
         costs = axes.secondary_xaxis("top", functions=(lambda x: x * step, lambda x: x / step))
         costs.set_xlabel("added CPU, % of what the robots' instances use")
@@ -64,11 +64,11 @@ def draw(file: str, size: Size) -> None:
     try:
         figure.savefig(file)
     except OSError as error:
-        raise CommandError(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+        raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error
 
 
 def _last(size: Size) -> int:
-    """As far as risks are worth drawing: until all are too low to be."""
+    """Return the highest number of fallbacks in the plot: all risks are below the axis there."""
     count = max(4, size.outcome.fallbacks, math.ceil(size.question.demand.offered))
     while outcome(size.question, count).waiting > _LEAST and count < 100_000:
         count += max(1, count // 20)

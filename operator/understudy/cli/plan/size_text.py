@@ -1,4 +1,4 @@
-"""Tells a pool's size in words and a table."""
+"""Formats the result of ``understudy size`` as text."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from understudy.cli.plan.pool_sizes import Size
 from understudy.trees.core.leaf import duration
 
 _LARGEST = 1000
-"""Pods that a FallbackPool may have."""
+"""Most pods of a FallbackPool."""
 
 _SMALLEST = 1e-6
-"""Below it a risk isn't told as a figure."""
+"""Risks below this value are not shown as a figure."""
 
-_HEAD = ("", "BY THE MODEL", "BY TRIAL")
+_HEAD = ("", "MODEL", "SIMULATION")
 
 
-def told(size: Size) -> str:
-    """All of it, for a terminal. Lines of text may be of any length; the table, which nobody breaks, fits 80 columns."""
+def size_text(size: Size) -> str:
+    """Format the result. Lines of text may have any length; the table fits 80 columns."""
     question, outcome, trial = size.question, size.outcome, size.trial
     demand, count = question.demand, outcome.fallbacks
     between = duration(float(f"{1 / demand.rate:.3g}"))
     lines = [
         f"failures   {_count(question.robots, 'robot')}, {question.failures_per_robot_hour:g} per robot and hour: "
         f"one every {between}",
-        f"fallbacks  {_needed(size)}; {demand.offered:.3g} of them are away on average, each for {question.refill:g} s",
+        f"fallbacks  {_needed(size)}; {demand.offered:.3g} of them in use on average, each for {question.refill:g} s",
         "",
         *_table(
             [
@@ -36,31 +36,31 @@ def told(size: Size) -> str:
                     percent(outcome.window),
                     _estimated(trial.window),
                 ),
-                ("loss: a failure goes without a fallback", percent(outcome.loss), _estimated(trial.loss)),
-                ("waiting: a failure has to wait for one", percent(outcome.waiting), _estimated(trial.waiting)),
+                ("loss: a failure finds no fallback", percent(outcome.loss), _estimated(trial.loss)),
+                ("waiting: a failure waits for a fallback", percent(outcome.waiting), _estimated(trial.waiting)),
                 (
                     "mean wait of all failures",
                     _seconds(outcome.wait),
-                    _waited(trial.wait) if math.isfinite(outcome.wait) else "without end",
+                    _waited(trial.wait) if math.isfinite(outcome.wait) else "unbounded",
                 ),
             ]
         ),
         "",
         f"cost       {outcome.cpu:+.2%} CPU ({count} x {question.cpu:g} of an instance, for {_count(question.robots, 'robot')})",
-        f"down-time  {outcome.down:.3g} s per failure, {question.restart:g} s by restarts alone: "
+        f"downtime   {outcome.down:.3g} s per failure, {question.restart:g} s with restarts only: "
         f"{size.gained:.3g} s less per robot and hour",
         *_papers(size),
         *_pool(size),
         "",
-        "The model: independent failures (Poisson); loss by Erlang's B, waiting by his C.",
-        f"The trial: {trial.failures} failures, with refills that always take the same time. The C formula takes them to vary "
-        "exponentially, which makes for more waiting.",
+        "Model: independent failures (Poisson); loss by Erlang B, waiting by Erlang C.",
+        f"Simulation: {trial.failures} failures, with a constant refill time. Erlang C assumes an exponentially distributed "
+        "refill time, which leads to more waiting.",
     ]
     return "\n".join(lines)
 
 
 def percent(value: float) -> str:
-    """With as many digits as tell something."""
+    """Format a probability in percent with its significant digits."""
     if 0 < value < _SMALLEST:
         return "< 0.0001 %"
     return f"{float(f'{value * 100:.3g}'):g} %"
@@ -75,7 +75,7 @@ def _needed(size: Size) -> str:
 
 
 def _pool(size: Size) -> list[str]:
-    """How a pool is told to keep the risk by itself."""
+    """Suggest spec.sizing, with which a pool keeps the risk automatically."""
     if (
         size.risk is None
         or size.risk < _SMALLEST
@@ -86,20 +86,20 @@ def _pool(size: Size) -> list[str]:
     question, most = size.question, min(_LARGEST, 2 * size.outcome.fallbacks)
     asked = f"risk: {percent(size.risk).replace(' ', '')}, riskOf: {size.risk_of.capitalize()}"
     known = f"failuresPerRobotHour: {question.failures_per_robot_hour:g}, refill: {question.refill:g}s"
-    return [f"pool       to have the size follow the failures, spec.sizing: {{{asked}, {known}, max: {most}}}"]
+    return [f"pool       to adapt the size to the failures, set spec.sizing: {{{asked}, {known}, max: {most}}}"]
 
 
 def _papers(size: Size) -> list[str]:
-    """Its argument beside what the same failures come to when they are drawn."""
+    """Format the paper's estimate next to the simulated one."""
     paper, count = size.paper, size.outcome.fallbacks
     if not paper.remaining:
         why = f"{paper.expected:.2g} failures in {INTERVAL} s are covered by {count}"
-        return [f"paper      its argument says nothing here: {why}"]
+        return [f"paper      the estimate does not apply here: {why}"]
     return [
         f"paper      {paper.expected:.2g} failures in {INTERVAL} s, {_count(paper.remaining, 'of them', 'of them')} not covered, all in "
         f"one window in {paper.together} of {paper.ways} ways: {percent(paper.chance)}",
-        f"           by trial an interval of {INTERVAL} s has a window with more than {count} in {_estimated(size.trial.interval)} of all "
-        "cases (why: docs/sizing.md)",
+        f"           simulated: an interval of {INTERVAL} s has a window with more than {count} in {_estimated(size.trial.interval)} of "
+        "all cases (why: docs/sizing.md)",
     ]
 
 
@@ -108,7 +108,7 @@ def _estimated(value: Estimate) -> str:
 
 
 def _seconds(value: float) -> str:
-    return f"{value:.3g} s" if math.isfinite(value) else "without end"
+    return f"{value:.3g} s" if math.isfinite(value) else "unbounded"
 
 
 def _waited(value: Estimate) -> str:

@@ -1,42 +1,42 @@
-"""Tells a recommendation as a table: what each strategy takes, what it costs, and why it has its place."""
+"""Formats a recommendation as a table: time, cost and reason of each strategy."""
 
 from __future__ import annotations
 
 from understudy.advice import order_explanation
-from understudy.advice.strategy_order import Judged, Order
+from understudy.advice.strategy_order import Order, RatedStrategy
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 
-_HEAD = ("", "STRATEGY", "RECOVERS IN", "", "CPU KEPT", "", "WHY")
+_HEAD = ("", "STRATEGY", "RECOVERS IN", "", "CPU RESERVED", "", "WHY")
 _RIGHT = (2, 4)
-"""Columns of figures."""
+"""Columns that are aligned to the right."""
 
 
-def told(found: Recommendation) -> str:
-    """All of it, for a terminal."""
+def lines(found: Recommendation) -> str:
+    """Format the recommendation for a workload."""
     order = found.order
     where = f"{found.workload.namespace}/" if found.workload.namespace else ""
-    lines = [
+    text = [
         f"{where}{found.workload.name}, FailurePolicy {found.policy.name}",
-        f"asked for  {order_explanation.asked(order.requirements)}",
+        f"required   {order_explanation.describe_requirements(order.requirements)}",
         "",
         *_table(order),
         "",
     ]
-    lines += [f"not met    {problem}" for problem in order_explanation.unmet(order)]
-    lines.append(f"policy     {_policy(found)}")
+    text += [f"not met    {problem}" for problem in order_explanation.unmet_requirements(order)]
+    text.append(f"policy     {_policy(found)}")
     if any(one.seconds.source == "published" for one in (*order.chosen, *order.left_out)):
-        lines.append(
-            "published  measured with this project's navigation stack, see docs/choosing.md; another application has other times"
+        text.append(
+            "published  measured with this project's navigation stack, see docs/choosing.md; other applications differ"
         )
-    return "\n".join(lines)
+    return "\n".join(text)
 
 
 def _policy(found: Recommendation) -> str:
     if found.auto:
-        return "leaves its strategies to be chosen: with these requirements and figures this is the order"
-    stated = "" if found.stated else ", and states no requirements: the defaults were taken"
-    return f"has its strategies written out: {found.present}{stated}"
+        return "chooses its strategies automatically: this order applies"
+    stated = "" if found.stated else ", and states no requirements, so the defaults were used"
+    return f"lists its strategies: {found.present}{stated}"
 
 
 def _table(order: Order) -> list[str]:
@@ -53,9 +53,9 @@ def _table(order: Order) -> list[str]:
     ]
 
 
-def _row(place: str, order: Order, one: Judged) -> tuple[str, str, str, str, str, str, str]:
-    # A restart keeps nothing, which needs no figure.
+def _row(place: str, order: Order, one: RatedStrategy) -> tuple[str, str, str, str, str, str, str]:
+    # A restart reserves nothing.
     cpu, known = (f"{one.cost * 100:.3g} %", one.cpu.source) if one.candidate.pool else ("0 %", "")
     seconds = duration(float(f"{one.seconds.value:.3g}"))
-    why = order_explanation.why(order, one)
-    return place, order_explanation.named(one.candidate), seconds, one.seconds.source, cpu, known, why
+    why = order_explanation.describe_choice(order, one)
+    return place, order_explanation.strategy_name(one.candidate), seconds, one.seconds.source, cpu, known, why

@@ -1,4 +1,4 @@
-"""Has what is printed fit a terminal."""
+"""Wraps labelled text to the width of a terminal."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import textwrap
 
 _LABEL = re.compile(r"\S+(?: \S+)?\s{2,}")
 _LONGEST = 12
-"""Characters of a label with the blanks behind it; what is longer is a cell of a table."""
+"""Most characters of a label with the blanks after it; longer ones are table cells."""
 
 
-def fitted(text: str, columns: int | None) -> str:
-    """A text in lines of at most so many characters, the rest of what stands behind a label below it. As it is where there is no width.
+def wrap_labelled(text: str, columns: int | None) -> str:
+    """Wrap a text, and indent the lines after a label to the text of the label. Returns it unchanged if there is no width.
 
-    Rows of a table that begin with no label stay as they are: broken, they would be no table.
+    Table rows without a label stay unchanged.
     """
     if columns is None:
         return text
@@ -28,5 +28,5 @@ def _broken(line: str, columns: int) -> list[str]:
     if len(line) <= columns or ("  " in line.strip() and not hanging):
         return [line]
     width = max(columns, hanging + 20)
-    # What can't be broken stays in one piece, to be copied.
+    # Long words stay in one piece, to be copied.
     return textwrap.wrap(line, width, subsequent_indent=" " * hanging, break_long_words=False, break_on_hyphens=False)

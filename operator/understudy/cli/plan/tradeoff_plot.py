@@ -1,4 +1,4 @@
-"""Draws time against resources: each strategy that a workload could have, and which of them are asked for."""
+"""Draws recovery time against CPU for each possible strategy of a workload."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from collections.abc import Sequence
 from typing import Any
 
 from understudy.advice import order_explanation
-from understudy.advice.strategy_order import Judged, Order, soon, spent
+from understudy.advice.strategy_order import Order, RatedStrategy, most_cost, required_time
 from understudy.cli.common.errors import CommandError
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 
 _LEAST = 0.005
-"""The shortest time that is drawn, in seconds."""
+"""The shortest time in the plot, in seconds."""
 
 _NEAR = 1.35
-"""Times that are less than this factor apart have their names above and below their marks."""
+"""Strategies whose times differ by less than this factor have labels above and below their marks."""
 
 _CHOSEN, _LEFT_OUT, _ALLOWED = "#1f5fa8", "#999999", "#5c8a3a"
 
 
 def draw(file: str, found: Recommendation) -> None:
-    """Draw it into a file. Raises CommandError where it can't be written."""
+    """Draw the plot into a file. Raises CommandError if it cannot be written."""
     from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter
 
@@ -32,14 +32,14 @@ def draw(file: str, found: Recommendation) -> None:
     times = [max(_LEAST, one.seconds.value) for one in every]
     bottom, top = min(times) / 2.5, max(times) * 2.5
     right = max(1.1, 1.25 * max(one.cost for one in every))
-    within, most = soon(order.requirements), spent(order.requirements)
+    within, most = required_time(order.requirements), most_cost(order.requirements)
     axes.fill_between(
         [-0.06 * right, min(most, right)], bottom, min(within, top), color=_ALLOWED, alpha=0.10, linewidth=0,
-        label="soon enough, and cheap enough",
+        label="fast enough and cheap enough",
     )  # fmt: skip
     for one in every:
         _mark(axes, order, one, below=_crowded(one, every), left=one.cost > 0.6 * right)
-    first = order_explanation.named(order.first.candidate)
+    first = order_explanation.strategy_name(order.first.candidate)
     axes.plot([], [], "o", color=_CHOSEN, label=f"in the order, first {first}")
     axes.plot([], [], "o", color=_LEFT_OUT, markerfacecolor="white", label="left out")
     axes.set_yscale("log")
@@ -47,8 +47,8 @@ def draw(file: str, found: Recommendation) -> None:
     axes.set_xlim(-0.06 * right, right)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: duration(value)))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value * 100:g} %"))
-    axes.set_xlabel("CPU kept waiting for this workload, % of what a working instance uses")
-    axes.set_ylabel("from the detection to the recovery")
+    axes.set_xlabel("CPU reserved for this workload, % of a working instance")
+    axes.set_ylabel("time from detection to recovery")
     axes.set_title(f"{found.workload.name}\n{_levels(order)}", loc="left", fontsize=10)
     axes.grid(axis="both", color="#dddddd", linewidth=0.6)
     axes.set_axisbelow(True)
@@ -58,11 +58,11 @@ def draw(file: str, found: Recommendation) -> None:
     try:
         figure.savefig(file)
     except OSError as error:
-        raise CommandError(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+        raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error
 
 
-def _mark(axes: Any, order: Order, one: Judged, *, below: bool, left: bool) -> None:
-    """A strategy with its name, which is below its mark or left of it where it would be in the way of another, or outside."""
+def _mark(axes: Any, order: Order, one: RatedStrategy, *, below: bool, left: bool) -> None:
+    """Draw a strategy with its label, which is below or left of the mark if it would overlap another or the border."""
     chosen = one in order.chosen
     colour = _CHOSEN if chosen else _LEFT_OUT
     where = (one.cost, max(_LEAST, one.seconds.value))
@@ -72,14 +72,14 @@ def _mark(axes: Any, order: Order, one: Judged, *, below: bool, left: bool) -> N
     )  # fmt: skip
     place = f"{order.chosen.index(one) + 1}. " if chosen else ""
     axes.annotate(
-        f"{place}{order_explanation.named(one.candidate)}, {order_explanation.expected(one)}", where,
+        f"{place}{order_explanation.strategy_name(one.candidate)}, {order_explanation.describe_time(one)}", where,
         xytext=(-9 if left else 9, -13 if below else 6), textcoords="offset points", ha="right" if left else "left", fontsize=8.5,
         color=colour if chosen else "#666666",
     )  # fmt: skip
 
 
-def _crowded(one: Judged, every: Sequence[Judged]) -> bool:
-    """Whether another strategy takes little longer."""
+def _crowded(one: RatedStrategy, every: Sequence[RatedStrategy]) -> bool:
+    """Return whether another strategy takes only a little longer."""
     return any(1 < other.seconds.value / max(_LEAST, one.seconds.value) < _NEAR for other in every)
 
 

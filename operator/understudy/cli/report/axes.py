@@ -1,4 +1,4 @@
-"""What figures as SVG have in common: an axis of time or amounts, whose places are percentages of the width; pure."""
+"""Shared parts of the SVG charts: axes, whose positions are percentages of the width. Pure."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from understudy.cli.common.time_bars import length
 from understudy.cli.report.html_markup import Markup, element, joined
 
 ROOM = 97.0
-"""Percent of the width up to which is drawn: marks at the end need some."""
+"""Percent of the width for the data: marks at the end need the rest."""
 
 
 def figure(title: str, description: str, drawn: Markup, height: int) -> Markup:
-    """All that is drawn, with what it says for those who can't see it."""
+    """Build a chart with a description for screen readers."""
     return element(
         "svg",
         element("title", title),
@@ -28,7 +28,7 @@ def figure(title: str, description: str, drawn: Markup, height: int) -> Markup:
 
 
 def marks(p50: float, p95: float, place: Callable[[float], float], top: int, height: int) -> Iterator[Markup]:
-    """Lines at two quantiles."""
+    """Draw lines at two quantiles."""
     for value, words, class_ in ((p50, "p50", "median"), (p95, "p95", "tail")):
         at = percent(place(value))
         yield element(
@@ -37,7 +37,7 @@ def marks(p50: float, p95: float, place: Callable[[float], float], top: int, hei
 
 
 def grid(places: Iterable[tuple[float, str]], top: int, height: int) -> Markup:
-    """Lines at places of the axis, each with what stands below it."""
+    """Draw grid lines with labels below them."""
     drawn = []
     for at, words in places:
         drawn.append(element("line", x1=percent(at), x2=percent(at), y1=top, y2=top + height, class_="grid"))
@@ -48,7 +48,7 @@ def grid(places: Iterable[tuple[float, str]], top: int, height: int) -> Markup:
 
 
 def ticks(most: float) -> Iterator[float]:
-    """Round values from 0 to beyond the greatest, at most six."""
+    """Yield round values from 0 to at least the greatest value, at most six."""
     rough = most / 4
     unit = 10.0 ** math.floor(math.log10(rough))
     step = next(factor * unit for factor in (1, 2, 5, 10) if factor * unit >= rough)
@@ -56,10 +56,10 @@ def ticks(most: float) -> Iterator[float]:
 
 
 def tick(seconds: float) -> str:
-    """A round length of time."""
+    """Format a round duration."""
     return f"{seconds:g} s" if seconds >= 1 else f"{seconds * 1000:g} ms" if seconds else "0"
 
 
 def percent(value: float) -> str:
-    """A share of the width."""
+    """Format a share of the width."""
     return f"{value:.3f}%"

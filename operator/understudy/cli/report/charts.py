@@ -1,4 +1,4 @@
-"""The figures as SVG. Places along the time axis are percentages, so that a figure fits a telephone and its letters stay as they are."""
+"""Draws the charts as SVG. Horizontal positions are percentages, so a chart fits a telephone without scaling its letters."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from understudy.cli.common.wording import clock, counted
 from understudy.cli.report.axes import ROOM, figure, grid, marks, percent, tick, ticks
 from understudy.cli.report.html_markup import Markup, element, joined
 from understudy.cli.report.html_tables import span
-from understudy.cli.report.recovery_records import Course, Entry, Findings, Group, Span
+from understudy.cli.report.recovery_records import Entry, Findings, Group, RobotPeriod, Span
 from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.cli.report.sample_statistics import Spread
 
 _JITTER = (0, 4, -4, 7, -7)
-"""Pixels by which marks are moved, in turn, so that those of one value are seen as several."""
+"""Pixels by which successive marks are shifted, so that equal values remain distinguishable."""
 
 _LEAST_SHOWN = 0.15
-"""Percent of the width that an outage takes at least: most are shorter than a pixel."""
+"""Least width of an outage in percent: most are shorter than a pixel."""
 
 
 _LEAST_GAP = 0.001
-"""Seconds from which on a logarithmic axis tells gaps apart; where a reader fell over by itself there may be none at all."""
+"""Least gap in seconds on the logarithmic axis; with the reflex there may be no gap at all."""
 
 
 def recovery_times(groups: Sequence[Group]) -> Markup:
-    """The mean of each part of the recovery time by strategy, stacked as in the paper, with each recovery as a dot."""
+    """Draw the mean of each part of the recovery time by strategy, stacked as in the paper, with a dot per recovery."""
     most = max((group.spread.greatest for group in groups), default=0.0) or 1.0
     steps = list(ticks(most))
     most = max(most, steps[-1])
@@ -48,14 +48,14 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
         rows += _dots(group.entries, group.times, place, top + 65)
     return figure(
         "Recovery time by strategy",
-        "; ".join(_said(group.name, group.spread) for group in groups),
+        "; ".join(_describe(group.name, group.spread) for group in groups),
         joined(grid(((place(s), tick(s)) for s in steps), 8, len(groups) * height), *rows),
         len(groups) * height + 34,
     )
 
 
 def gaps(groups: Sequence[Group]) -> Markup:
-    """The gap of each recovery by strategy, on a logarithmic axis: those of a switchover and of a restart are far apart."""
+    """Draw the gaps by strategy, on a logarithmic axis because a switchover and a restart differ by orders of magnitude."""
     known = [gap for group in groups for gap in group.gaps]
     low = math.floor(math.log10(max(min(known), _LEAST_GAP)))
     high = max(low + 1, math.ceil(math.log10(max(max(known), _LEAST_GAP))))
@@ -73,14 +73,14 @@ def gaps(groups: Sequence[Group]) -> Markup:
         rows += _dots(entries, group.gaps, place, top + 45)
     return figure(
         "Gap by strategy",
-        "; ".join(_said(group.name, Spread.of(group.gaps)) for group in groups),
+        "; ".join(_describe(group.name, Spread.of(group.gaps)) for group in groups),
         joined(grid(((place(10.0**e), tick(10.0**e)) for e in range(low, high + 1)), 8, len(groups) * height), *rows),
         len(groups) * height + 34,
     )
 
 
 def reserved(shares: Sequence[Share]) -> Markup:
-    """The CPU that is reserved by strategy, stacked by what the pods are for."""
+    """Draw the reserved CPU by strategy, stacked by role of the pods."""
     steps = list(ticks(max(share.total.cpu for share in shares) * 1000 or 1.0))
 
     def place(cpu: float) -> float:
@@ -107,7 +107,7 @@ def reserved(shares: Sequence[Share]) -> Markup:
 
 
 def milli(cores: float) -> str:
-    """An amount of CPU as Kubernetes has it."""
+    """Format an amount of CPU in milli-CPU."""
     return f"{cores * 1000:.4g} milli-CPU"
 
 
@@ -120,28 +120,33 @@ def _of(share: Share) -> str:
 
 
 def _bar(words: Markup, begin: float, wide: float, top: int, kind: str) -> Markup:
-    """A piece of a stacked bar."""
+    """Draw a segment of a stacked bar."""
     return element("rect", words, x=percent(begin), y=top, width=percent(wide), height=18, class_=f"part {kind}")
 
 
 def timeline(findings: Findings) -> Markup:
-    """What happened over the period to each robot to which something did, and of which time nothing is known."""
+    """Draw the events of each robot over the period, and the time without records."""
     period = findings.period
 
     def place(moment: float) -> float:
         return 1.5 + (moment - period.begin) / period.length * (ROOM - 1.5)
 
     rows, height = [], 50
-    for number, course in enumerate(findings.eventful):
+    for number, robot_period in enumerate(findings.eventful):
         top = 8 + number * height
-        rows.append(element("text", findings.named(course.robot), x="0", y=top + 14, class_="head"))
-        rows.append(element("text", _told_of(course), x="100%", y=top + 14, text_anchor="end", class_="note"))
-        rows += _lane(course, period, place, top + 20)
+        rows.append(element("text", findings.named(robot_period.robot), x="0", y=top + 14, class_="head"))
+        rows.append(
+            element("text", _recovery_count(robot_period), x="100%", y=top + 14, text_anchor="end", class_="note")
+        )
+        rows += _lane(robot_period, period, place, top + 20)
     ends = [(place(period.begin + period.length * share), "") for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
     bottom = len(findings.eventful) * height + 8
     return figure(
         "Recoveries over time",
-        "; ".join(f"{findings.named(course.robot)}: {_told_of(course)}" for course in findings.eventful),
+        "; ".join(
+            f"{findings.named(robot_period.robot)}: {_recovery_count(robot_period)}"
+            for robot_period in findings.eventful
+        ),
         joined(
             grid(ends, 8, bottom - 8),
             *rows,
@@ -153,12 +158,12 @@ def timeline(findings: Findings) -> Markup:
 
 
 def legend(*entries: tuple[str, str]) -> Markup:
-    """What stands for what in a figure."""
+    """Build the legend of a chart."""
     return element("ul", *(element("li", swatch(kind), words) for kind, words in entries), class_="legend")
 
 
 def swatch(kind: str) -> Markup:
-    """What stands for something in a figure, for its legend."""
+    """Build the symbol of a legend entry."""
     drawn = _mark(kind) if kind in _MARKS else element("rect", x="-6", y="-6", width="12", height="12", class_=kind)
     return element("svg", drawn, width="14", height="14", viewBox="-7 -7 14 14", aria_hidden="true", class_="swatch")
 
@@ -180,17 +185,17 @@ def _mark(kind: str) -> Markup:
 
 
 def kind_of(entry: Entry) -> str:
-    """By which mark a recovery is shown."""
+    """Return the mark of a recovery."""
     return "failed" if entry.failed else "recovered" if entry.of_failure else "planned"
 
 
-def told(entry: Entry) -> str:
-    """A recovery in a few words."""
+def describe_recovery(entry: Entry) -> str:
+    """Describe a recovery in a few words."""
     how = f"{length(entry.down)} by {entry.group}" if entry.recovered else "failed"
     return f"{entry.name} #{entry.recovery.number}, {clock(entry.began)}: {how}"
 
 
-def _lane(course: Course, period: Span, place: Callable[[float], float], top: int) -> Iterator[Markup]:
+def _lane(robot_period: RobotPeriod, period: Span, place: Callable[[float], float], top: int) -> Iterator[Markup]:
     yield element(
         "rect",
         x=percent(place(period.begin)),
@@ -199,26 +204,26 @@ def _lane(course: Course, period: Span, place: Callable[[float], float], top: in
         height=18,
         class_="unknown",
     )
-    if course.known is not None:
-        begin, end = place(course.known.begin), place(course.known.end)
+    if robot_period.known is not None:
+        begin, end = place(robot_period.known.begin), place(robot_period.known.end)
         yield element("rect", x=percent(begin), y=top, width=percent(end - begin), height=18, class_="known")
-    for outage in course.outages:
+    for outage in robot_period.outages:
         begin, end = place(outage.span.begin), place(outage.span.end)
         yield element(
             "rect",
-            element("title", f"not driven for {span(outage.span.length)}"),
+            element("title", f"outage of {span(outage.span.length)}"),
             x=percent(begin),
             y=top,
             width=percent(max(_LEAST_SHOWN, end - begin)),
             height=18,
             class_="outage",
         )
-    for entry in reversed(course.entries):
-        yield _at(percent(place(entry.began)), top + 9, kind_of(entry), told(entry))
+    for entry in reversed(robot_period.entries):
+        yield _at(percent(place(entry.began)), top + 9, kind_of(entry), describe_recovery(entry))
 
 
-def _told_of(course: Course) -> str:
-    return counted(len(course.entries), "recovery", "recoveries")
+def _recovery_count(robot_period: RobotPeriod) -> str:
+    return counted(len(robot_period.entries), "recovery", "recoveries")
 
 
 def _heading(group: Group, spread: Spread, top: int) -> Markup:
@@ -238,15 +243,15 @@ def _dots(
     entries: Sequence[Entry], values: Sequence[float], place: Callable[[float], float], middle: int
 ) -> Iterator[Markup]:
     for entry, value, number in zip(entries, values, count(), strict=False):
-        yield _at(percent(place(value)), middle + _JITTER[number % len(_JITTER)], "dot", told(entry))
+        yield _at(percent(place(value)), middle + _JITTER[number % len(_JITTER)], "dot", describe_recovery(entry))
 
 
 def _at(x: str, y: float, mark: str, words: str) -> Markup:
-    """A mark with what it stands for."""
+    """Draw a mark with a tooltip."""
     return element(
         "svg", element("g", element("title", words), _mark(mark)), x=x, y=y, width=1, height=1, overflow="visible"
     )
 
 
-def _said(name: str, spread: Spread) -> str:
+def _describe(name: str, spread: Spread) -> str:
     return f"{name}: n = {spread.count}, mean {length(spread.mean)}, p50 {length(spread.p50)}, p95 {length(spread.p95)}"

@@ -1,4 +1,4 @@
-"""``understudy report``: what the recoveries of a period came to, as one page to keep and as data."""
+"""``understudy report``: writes a report about the recoveries of a period, as one HTML page and as CSV."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from understudy.cli.report.prometheus_client import Prometheus
 from understudy.cli.report.prometheus_figures import Measured, measured
 from understudy.cli.report.recovery_records import Findings, Span, findings
 
-WRITTEN, CANT = 0, 2
+SUCCESS, ERROR = 0, 2
 """Exit statuses."""
 
 
@@ -43,25 +43,25 @@ def main(arguments: list[str]) -> int:
                 _write(Path(given.csv, name), text)
     except CommandError as error:
         print(f"understudy report: {error}", file=sys.stderr)
-        return CANT
-    print(_told(found, given, told))
-    return WRITTEN
+        return ERROR
+    print(_summary(found, given, told))
+    return SUCCESS
 
 
 def _robots(kubectl: Kubectl, given: argparse.Namespace) -> Sequence[Mapping[str, Any]]:
-    """The RobotWorkloads that were asked for. Raises CommandError, also where there is none."""
+    """Return the selected RobotWorkloads. Raises CommandError, also if there are none."""
     answer = kubectl.get(WORKLOADS, *given.names, *(["-A"] if given.all_namespaces else []))
     items: list[Mapping[str, Any]] = answer.get("items", [answer])
     if items:
         return items
     if given.namespace and not _may_be_there(kubectl, given.namespace):
-        raise CommandError(f"there is no namespace {given.namespace}")
-    where = "the cluster" if given.all_namespaces else "this namespace (-n NAMESPACE and -A ask elsewhere)"
+        raise CommandError(f"namespace {given.namespace} does not exist")
+    where = "the cluster" if given.all_namespaces else "this namespace (use -n NAMESPACE or -A)"
     raise CommandError(f"there is no RobotWorkload in {where}")
 
 
 def _may_be_there(kubectl: Kubectl, namespace: str) -> bool:
-    """Whether there is such a namespace, or nobody knows: who may look into it may not be allowed to look at it."""
+    """Return whether a namespace may exist. A user with access to its objects may lack the permission to get the namespace."""
     try:
         return kubectl.find("namespaces", namespace) is not None
     except CommandError:
@@ -69,10 +69,10 @@ def _may_be_there(kubectl: Kubectl, namespace: str) -> bool:
 
 
 def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping[str, Any]], str]:
-    """The pods that robots and pools have; and why they can't be told, where they can't: that is no reason to write nothing."""
+    """Return the pods of robots and pools, and the reason if they cannot be listed, in which case the report is written without them."""
     where, found = ["-A"] if given.all_namespaces else [], {}
     try:
-        for label in (names.WORKLOAD, names.MONITORED, names.POOL):  # of a cluster's pods they may be few
+        for label in (names.WORKLOAD, names.MONITORED, names.POOL):  # they may be few of the cluster's pods
             for pod in kubectl.get("pods", *where, "-l", label)["items"]:
                 found[pod["metadata"]["uid"]] = pod
     except CommandError as error:
@@ -81,14 +81,14 @@ def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping
 
 
 def _measured(found: Findings, given: argparse.Namespace) -> Measured | None:
-    """What a Prometheus has of the same robots and the same period; None where none was named. Raises CommandError."""
+    """Return Prometheus' data on the same robots and period; None if no server is given. Raises CommandError."""
     if given.prometheus is None:
         for option in ("prometheus_token_file", "prometheus_ca_file"):
             if getattr(given, option) is not None:
-                raise CommandError(f"--{option.replace('_', '-')} is for --prometheus URL, which isn't given")
+                raise CommandError(f"--{option.replace('_', '-')} applies to --prometheus URL, which is not given")
         return None
     prometheus = Prometheus(given.prometheus, token_file=given.prometheus_token_file, ca_file=given.prometheus_ca_file)
-    namespace = None if given.all_namespaces else found.courses[0].robot.namespace
+    namespace = None if given.all_namespaces else found.robot_periods[0].robot.namespace
     return measured(prometheus, found.period, namespace=namespace, names=given.names)
 
 
@@ -100,30 +100,30 @@ def _period(given: argparse.Namespace, now: float) -> Span:
         try:
             begin = end - base.seconds(given.since)
             datetime.fromtimestamp(begin, UTC)
-        except (ValueError, OverflowError, OSError) as error:  # also of what reaches back beyond the calendar
+        except (ValueError, OverflowError, OSError) as error:  # also for dates before year 1
             raise CommandError(f"--since: {error}") from error
     if begin >= end:
         raise CommandError(
-            f"the period would begin at {clock(begin)} and end at {clock(end)}: give one that has passed, at least in part"
+            f"the period would begin at {clock(begin)} and end at {clock(end)}: it must begin in the past and end after its beginning"
         )
     return Span(begin, end)
 
 
 def _moment(option: str, text: str) -> float:
-    """A moment as people and clusters write it; in UTC where it doesn't say."""
+    """Parse a time; UTC if it has no time zone."""
     try:
         found = datetime.fromisoformat(text)
     except ValueError:
         raise CommandError(
-            f"{option}: found {text!r:.60}; write a date or a moment, such as 2026-11-20 or 2026-11-20T14:00:00Z"
+            f"{option}: found {text!r:.60}; give a date or a time, such as 2026-11-20 or 2026-11-20T14:00:00Z"
         ) from None
     return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
 
 
 def _where(found: Findings, given: argparse.Namespace) -> str:
     if given.names:
-        return ", ".join(found.named(course.robot) for course in found.courses)
-    namespaces = sorted({course.robot.namespace for course in found.courses})
+        return ", ".join(found.named(robot_period.robot) for robot_period in found.robot_periods)
+    namespaces = sorted({robot_period.robot.namespace for robot_period in found.robot_periods})
     return "all namespaces" if given.all_namespaces else f"namespace {namespaces[0]}"
 
 
@@ -132,23 +132,23 @@ def _write(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
-        raise CommandError(f"{path} can't be written: {error.strerror}; give another place") from error
+        raise CommandError(f"{path} cannot be written: {error.strerror}; give another path") from error
 
 
-def _told(found: Findings, given: argparse.Namespace, told_of: Measured | None) -> str:
+def _summary(found: Findings, given: argparse.Namespace, from_prometheus: Measured | None) -> str:
     entries, lost = found.entries, len(found.incomplete)
     told = (
-        f"{given.output}: {counted(len(found.courses), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
+        f"{given.output}: {counted(len(found.robot_periods), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
         f"{clock(found.period.begin)} to {clock(found.period.end)}"
     )
     if lost:
-        told += f"; of {counted(lost, 'robot')} not the whole period is known, since a status keeps the last ten recoveries only"
-    if told_of is not None:
-        counts = counted(told_of.counted("Recovery"), "recovery", "recoveries")
+        told += f"; the data on {counted(lost, 'robot')} is incomplete, because a status records only the last ten recoveries"
+    if from_prometheus is not None:
+        counts = counted(from_prometheus.counted("Recovery"), "recovery", "recoveries")
         told += (
-            f"; {counts} by Prometheus, {told_of.counted('Recovery', result='Failed')} of them failed"
-            if told_of.seen
-            else f"; Prometheus at {told_of.url} has nothing of these robots in it"
+            f"; Prometheus counted {counts}, {from_prometheus.counted('Recovery', result='Failed')} of them failed"
+            if from_prometheus.seen
+            else f"; Prometheus at {from_prometheus.url} has no data on these robots"
         )
     return told
 
@@ -156,38 +156,41 @@ def _told(found: Findings, given: argparse.Namespace, told_of: Measured | None) 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy report",
-        description="Writes what the recoveries of a period came to into one HTML file: recovery times by strategy and part, the robots' "
-        "gaps and downtime, what is reserved for them, and every recovery. It is made from the records in the RobotWorkloads' status, "
-        "which keep the last ten of each robot, and says of which time they aren't whole; a Prometheus, where one is named, has counted "
-        "them all. It acts on nothing.",
-        epilog="Exit status: 0 where it is written, 2 where it can't be: kubectl or Prometheus failed, a name isn't there, or there is no "
-        "robot at all.",
+        description="Writes an HTML report about the recoveries of a period: recovery times by strategy and part, the robots' "
+        "gaps and downtime, reserved resources, and every recovery. The data are the records in the status of the RobotWorkloads, "
+        "which contain the last ten recoveries of each robot; the report says for which time they are incomplete. A Prometheus, if given, "
+        "has counted all of them. It changes nothing in the cluster.",
+        epilog="Exit status: 0 if the report was written, 2 if not: kubectl or Prometheus failed, a name does not exist, or there is no "
+        "robot.",
     )
-    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload; all where none is named")
+    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")
     begin = parser.add_mutually_exclusive_group()
     begin.add_argument(
-        "--since", metavar="DURATION", default="24h", help="how long the period is (%(default)s), such as 30m or 168h"
+        "--since",
+        metavar="DURATION",
+        default="24h",
+        help="length of the period, such as 30m or 168h (default: %(default)s)",
     )
     begin.add_argument(
-        "--from", dest="from_", metavar="TIME", help="when it begins, such as 2026-11-20 or 2026-11-20T14:00:00Z"
+        "--from", dest="from_", metavar="TIME", help="start of the period, such as 2026-11-20 or 2026-11-20T14:00:00Z"
     )
-    parser.add_argument("--to", metavar="TIME", help="when it ends; now, where that isn't given")
+    parser.add_argument("--to", metavar="TIME", help="end of the period (default: now)")
     parser.add_argument(
-        "-o", "--output", metavar="FILE", default="understudy-report.html", help="the page (%(default)s)"
+        "-o", "--output", metavar="FILE", default="understudy-report.html", help="the HTML file (default: %(default)s)"
     )
     parser.add_argument(
         "--csv",
         metavar="FOLDER",
-        help="write the data there too: recoveries.csv, robots.csv, strategies.csv and reserved.csv, and with --prometheus "
+        help="also write the data as files: recoveries.csv, robots.csv, strategies.csv and reserved.csv, and with --prometheus "
         "prometheus-recoveries.csv, prometheus-times.csv and prometheus-pools.csv",
     )
     parser.add_argument(
         "--prometheus",
         metavar="URL",
-        help="ask this Prometheus too, which knows of all recoveries of the period how many there were and how long they took, such as "
+        help="also query this Prometheus, which counts all recoveries of the period and their times, such as "
         "http://localhost:9090",
     )
-    parser.add_argument("--prometheus-token-file", metavar="FILE", help="a file with the bearer token that it wants")
-    parser.add_argument("--prometheus-ca-file", metavar="FILE", help="by which its certificate is trusted, in PEM")
+    parser.add_argument("--prometheus-token-file", metavar="FILE", help="file with the bearer token for Prometheus")
+    parser.add_argument("--prometheus-ca-file", metavar="FILE", help="certificate authority of Prometheus, in PEM")
     add_options(parser, all_namespaces=True)
     return parser

@@ -1,4 +1,4 @@
-"""The data as CSV: what spreadsheets and pandas read, with whole seconds and all their digits; pure."""
+"""Formats the data as CSV for spreadsheets and pandas, with full precision. Pure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from understudy.cli.common.recovery_text import parts_of
 from understudy.cli.common.robots import Robot
 from understudy.cli.common.time_bars import NAMES
 from understudy.cli.report.prometheus_figures import Count, Measured, Pool, Time
-from understudy.cli.report.recovery_records import Course, Entry, Findings, Group, Span
+from understudy.cli.report.recovery_records import Entry, Findings, Group, RobotPeriod, Span
 from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.failover.progress import rfc3339
 
@@ -21,14 +21,16 @@ Value = str | int | float | bool | None
 Row = Mapping[str, Value]
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a spreadsheet takes for a formula where a text begins with it."""
+"""Beginnings of a text that a spreadsheet interprets as a formula."""
 
 
 def sheets(findings: Findings, measured: Measured | None = None) -> dict[str, str]:
-    """By the names of their files; those of a Prometheus too, where one was asked."""
+    """Return the sheets by file name, with those from Prometheus if it was queried."""
     told = {
         "recoveries.csv": _written([_recovery(entry) for entry in findings.entries], _recovery_columns()),
-        "robots.csv": _written([_robot(course, findings.period) for course in findings.courses], _ROBOT),
+        "robots.csv": _written(
+            [_robot(robot_period, findings.period) for robot_period in findings.robot_periods], _ROBOT
+        ),
         "strategies.csv": _written([_strategy(group) for group in findings.groups], _STRATEGY),
         "reserved.csv": _written([row for share in findings.shares for row in _reserved(share)], _RESERVED),
     }
@@ -50,7 +52,7 @@ def _written(rows: Sequence[Row], columns: Sequence[str]) -> str:
 
 
 def _cell(value: Value) -> str:
-    """A text that begins as a formula does is given an apostrophe: names and messages are chosen by others."""
+    """Format a value; a text that looks like a formula gets an apostrophe, because names and messages come from others."""
     if isinstance(value, str):
         return f"'{value}" if value.startswith(_FORMULA) else value
     if isinstance(value, bool):
@@ -110,8 +112,8 @@ _ROBOT = (
 )
 
 
-def _robot(course: Course, period: Span) -> Row:
-    robot, known = course.robot, course.known
+def _robot(robot_period: RobotPeriod, period: Span) -> Row:
+    robot, known = robot_period.robot, robot_period.known
     return {
         "namespace": robot.namespace,
         "robot": robot.name,
@@ -123,15 +125,15 @@ def _robot(course: Course, period: Span) -> Row:
         "period_end": rfc3339(period.end),
         "known_begin": rfc3339(known.begin) if known else None,
         "known_end": rfc3339(known.end) if known else None,
-        "recoveries_ever": course.ever,
-        "recoveries_kept": course.kept,
-        "recoveries": len(course.entries),
-        "failures": sum(entry.of_failure for entry in course.entries),
-        "recovered": sum(entry.recovered for entry in course.entries),
-        "failed": sum(entry.failed for entry in course.entries),
-        "down_seconds": course.down if known else None,
-        "down_at_least": course.down_at_least,
-        "availability": course.availability,
+        "recoveries_ever": robot_period.ever,
+        "recoveries_kept": robot_period.kept,
+        "recoveries": len(robot_period.entries),
+        "failures": sum(entry.of_failure for entry in robot_period.entries),
+        "recovered": sum(entry.recovered for entry in robot_period.entries),
+        "failed": sum(entry.failed for entry in robot_period.entries),
+        "down_seconds": robot_period.down if known else None,
+        "down_at_least": robot_period.down_at_least,
+        "availability": robot_period.availability,
     }
 
 
@@ -174,7 +176,7 @@ _TIME = ("strategy", "part", "count", "mean_seconds", "p50_seconds", "p95_second
 
 
 def _time(time: Time) -> Row:
-    """With how many were at most as long as each bound of the histogram, by the bound."""
+    """Build a row with the cumulative count of each bucket of the histogram."""
     histogram = time.histogram
     return {
         "strategy": time.strategy,

@@ -1,4 +1,4 @@
-"""The figures of what a Prometheus has of the period, as SVG; pure."""
+"""Draws the charts of the data from Prometheus as SVG. Pure."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from understudy.cli.report.html_markup import Markup, element, joined
 from understudy.cli.report.prometheus_figures import WHOLE, Measured
 
 CALLED = {**NAMES, WHOLE: "recovery time"}
-"""What each part and their sum are called."""
+"""Labels of the parts and of the recovery time."""
 
 _FIRST = 6.0
-"""Percent of the width that times below the first bound take, for which a logarithmic axis has no place."""
+"""Percent of the width for times below the first bound, which a logarithmic axis cannot show."""
 
 _TALL = 20
-"""Pixels that the bar of most times is high."""
+"""Height of the highest bar in pixels."""
 
 
 def recovery_times(measured: Measured) -> Markup:
-    """How often each part took how long, by strategy, on a logarithmic axis: a switch and a start are far apart."""
+    """Draw a histogram of each part by strategy, on a logarithmic axis because a switch and a start differ by orders of magnitude."""
     bounds = sorted({bound for time in measured.times for bound in time.histogram.bounds})
     low, high = math.log10(bounds[0]), math.log10(bounds[-2])
 
@@ -49,7 +49,7 @@ def recovery_times(measured: Measured) -> Markup:
         top += 10
     decades = [10.0**e for e in range(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1)]
     return figure(
-        "How often each part took how long",
+        "Distribution of the time of each part",
         "; ".join(said),
         joined(grid(((place(s), tick(s)) for s in decades), 8, top - 14), *rows),
         top + 20,
@@ -57,7 +57,7 @@ def recovery_times(measured: Measured) -> Markup:
 
 
 def quantiles(histogram: Histogram) -> str:
-    """In a few words."""
+    """Describe a histogram in a few words."""
     p50, p95 = (
         f"{'≥ ' if histogram.is_beyond(fraction) else ''}{length(histogram.quantile(fraction))}"
         for fraction in (0.5, 0.95)
@@ -85,7 +85,7 @@ def _bars(histogram: Histogram, part: str, place: Callable[[float], float], top:
 
 
 def pools(measured: Measured) -> Markup:
-    """Pods of each pool that were ready over the period, and how many there should have been."""
+    """Draw ready and desired pods of each pool over the period."""
     period, found, step = measured.period, measured.pools, measured.step
     rows, height, wide = [], 66, 1000.0
 
@@ -102,7 +102,7 @@ def pools(measured: Measured) -> Markup:
             element("path", d=_line([(at, 36 - value / most * 34) for at, value in points], step, along), class_=kind)
             for points, kind in ((pool.ready, "ready"), (pool.wanted, "wanted"))
         ]
-        # Its own places along the axis are stretched to the width; lines and letters aren't.
+        # The path is stretched to the width; lines and letters are not.
         box = {"viewBox": f"0 0 {wide:g} 38", "preserveAspectRatio": "none"}
         rows.append(element("svg", *drawn, x="0", y=top + 18, width="100%", height=38, **box))
     bottom = len(found) * height + 8
@@ -120,7 +120,7 @@ def pools(measured: Measured) -> Markup:
 
 
 def _line(points: Sequence[tuple[float, float]], step: float, along: Callable[[float], float]) -> str:
-    """A line through moments with their heights that stays at each until the next one, with gaps where there is none."""
+    """Build a step line through the points, with gaps for missing points."""
     drawn, before = [], -math.inf
     for at, height in points:
         begin = "L" if at - before < 1.5 * step else "M"

@@ -1,4 +1,4 @@
-"""Times of which only how many were how long at most is known, as Prometheus' histograms have them; pure."""
+"""Histograms as Prometheus stores them: cumulative counts by upper bound. Pure."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ class Bucket:
 
     above: float
     most: float
-    """Infinite for those beyond the last bound."""
+    """Infinite for the last bucket."""
     count: float
 
 
 @dataclass(frozen=True)
 class Histogram:
-    """How many times were how long, of which there is at least one."""
+    """A histogram of at least one time."""
 
     bounds: Sequence[float]
     """The upper bounds in seconds, rising; the last one is infinite."""
     counts: Sequence[float]
-    """How many times were at most that long, by bound."""
+    """Cumulative counts by bound."""
     total: float
-    """All of them together, in seconds."""
+    """Sum of all times in seconds."""
 
     @classmethod
     def of(cls, below: Mapping[float, float], total: float) -> Histogram | None:
-        """From how many were at most so long, by bound; None where there are none."""
+        """Build a histogram from cumulative counts by bound; None if there are no times."""
         bounds = sorted(below)
         counts: list[float] = []
-        for bound in bounds:  # a process that ended between two readings may leave them out of step
+        for bound in bounds:  # the counts may be inconsistent after a process ended between two scrapes
             counts.append(max(below[bound], counts[-1] if counts else 0.0))
         if not bounds or not math.isinf(bounds[-1]) or round(counts[-1]) < 1:
             return None
@@ -41,18 +41,18 @@ class Histogram:
 
     @property
     def count(self) -> int:
-        """How many times there are."""
+        """The number of times."""
         return round(self.counts[-1])
 
     @property
     def mean(self) -> float:
-        """In seconds; it is exact, unlike quantiles."""
+        """The mean in seconds, which is exact, unlike quantiles."""
         return self.total / self.counts[-1]
 
     def quantile(self, fraction: float) -> float:
-        """The time below which this fraction of them lies, linearly between the bounds about it, as ``histogram_quantile`` has it.
+        """Return a quantile, interpolated linearly between the surrounding bounds, as ``histogram_quantile`` does.
 
-        The last finite bound where it lies beyond that: it is longer then, nobody knows by how much.
+        Returns the last finite bound if the quantile lies beyond it.
         """
         rank, found = fraction * self.counts[-1], list(self.buckets())
         below = 0.0
@@ -65,11 +65,11 @@ class Histogram:
         return found[-1].above
 
     def is_beyond(self, fraction: float) -> bool:
-        """Whether that quantile lies beyond the last finite bound."""
+        """Return whether a quantile lies beyond the last finite bound."""
         return len(self.counts) > 1 and fraction * self.counts[-1] > self.counts[-2]
 
     def buckets(self) -> Iterator[Bucket]:
-        """The times from bound to bound."""
+        """Yield the buckets."""
         above, before = 0.0, 0.0
         for bound, count in zip(self.bounds, self.counts, strict=True):
             yield Bucket(above, bound, count - before)

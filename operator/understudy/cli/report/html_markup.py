@@ -1,4 +1,4 @@
-"""HTML and SVG in which every text is escaped: what names, reasons and messages hold is chosen by others."""
+"""Builds HTML and SVG and escapes every text, because names, reasons and messages come from others."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from understudy.cli.common.tree_text import plain
 
 
 class Markup(str):
-    """Text that is markup already."""
+    """A text that is markup already and is not escaped."""
 
     __slots__ = ()
 
@@ -17,9 +17,9 @@ _VOID = frozenset({"br", "meta", "link", "input"})
 
 
 def element(tag: str, *children: str | None, **attributes: str | float | None) -> Markup:
-    """An element. Children that aren't :class:`Markup` are escaped; those and attributes that are None are left out.
+    """Build an element. Children other than :class:`Markup` are escaped; children and attributes that are None are omitted.
 
-    Of an attribute's name a trailing underscore is dropped (``class_``), and the others are dashes.
+    In names of attributes, a trailing underscore is dropped (``class_``), and others become dashes.
     """
     told = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{_escaped(_figure(value))}"'
@@ -31,7 +31,7 @@ def element(tag: str, *children: str | None, **attributes: str | float | None) -
 
 
 def joined(*children: str | None) -> Markup:
-    """One after the other."""
+    """Concatenate children."""
     return Markup("".join(c if isinstance(c, Markup) else _escaped(c) for c in children if c is not None))
 
 

@@ -1,4 +1,4 @@
-"""Tables of a page: read out as tables, sorted by a click where scripts run, and with the exact values beside what is shown."""
+"""Accessible HTML tables, sortable if scripts run, with exact values in addition to the text."""
 
 from __future__ import annotations
 
@@ -11,43 +11,43 @@ from understudy.cli.report.html_markup import Markup, element, joined
 
 
 class Cell(NamedTuple):
-    """What stands in one place."""
+    """One cell of a table."""
 
     shown: str
     value: float | None = None
-    """By which it is sorted; as its text, where there is none."""
+    """The sort key; the text if None."""
     state: str = ""
-    """By which it is coloured."""
+    """The state whose colour it has."""
     number: bool = False
-    """Whether it is one: they stand to the right."""
+    """Whether it is a number, which is aligned to the right."""
 
 
 def seconds(value: float | None, *, at_least: bool = False) -> Cell:
-    """A length of time."""
+    """Build a cell for a duration."""
     if value is None:
         return Cell("–", number=True)
     return Cell(f"{'≥ ' if at_least else ''}{span(value)}", value, number=True)
 
 
 def span(value: float) -> str:
-    """A length of time (in seconds) with the digits that matter, also where it is long."""
+    """Format a duration in seconds, short or long, with its significant digits."""
     if value < 120:
         return length(value)
     return f"{value / 60:.1f} min" if value < 7200 else f"{value / 3600:.1f} h"
 
 
 def number(value: int) -> Cell:
-    """A count."""
+    """Build a cell for a count."""
     return Cell(str(value), value, number=True)
 
 
 def moment(value: float) -> Cell:
-    """A time in UTC."""
+    """Build a cell for a time in UTC."""
     return Cell(clock(value), value)
 
 
 def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[Cell]], *, sortable: bool = False) -> Markup:
-    """A table in a box of its own, which can be scrolled sideways where the window is narrow."""
+    """Build a table in a box that scrolls sideways in a narrow window."""
     heads = [
         element(
             "th",

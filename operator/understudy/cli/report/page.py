@@ -1,4 +1,4 @@
-"""The report as one HTML file that asks for nothing else; pure."""
+"""Builds the report as one self-contained HTML file. Pure."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from understudy.cli.report.recovery_records import Findings
 def page(
     findings: Findings, sheets: Mapping[str, str], *, where: str, made: float, measured: Measured | None = None
 ) -> str:
-    """The whole file. ``sheets`` are the data to be downloaded from it, by file name; ``where`` says which robots were asked for;
-    ``measured`` is what a Prometheus has, where one was asked.
+    """Return the whole file. ``sheets`` are the CSV files to download from it, ``where`` names the selected robots, and
+    ``measured`` is the data of Prometheus, if one was queried.
     """
     period = findings.period
     title = f"Recoveries of {where}"
@@ -45,14 +45,14 @@ def page(
         _downloads(sheets),
         element(
             "footer",
-            f"Written by understudy {understudy.__version__} report at {clock(made)}. It asks for nothing from a network.",
+            f"Written by understudy {understudy.__version__} report at {clock(made)}. It loads nothing from a network.",
         ),
     )
     script, style = _read("sorting.js"), _read("page.css")
     head = element(
         "head",
         element("meta", charset="utf-8"),
-        # Were a text ever taken for markup, nothing in it would run, and nothing would be sent anywhere.
+        # If a text were ever interpreted as markup, nothing in it would run, and nothing would be sent.
         element(
             "meta",
             http_equiv="Content-Security-Policy",
@@ -69,9 +69,9 @@ def page(
 
 
 def _source(measured: Measured | None) -> str:
-    """Where the figures come from."""
-    told = "by the records in the robots' status"
-    return told if measured is None else f"{told}, and by Prometheus at {measured.url} under the heading that says so"
+    """Return the source of the figures."""
+    told = "from the records in the robots' status"
+    return told if measured is None else f"{told}, and from Prometheus at {measured.url} in the section with that title"
 
 
 def _downloads(sheets: Mapping[str, str]) -> Markup:
@@ -84,7 +84,7 @@ def _downloads(sheets: Mapping[str, str]) -> Markup:
     return element(
         "section",
         element("h2", "Data"),
-        element("p", "All of it as CSV, which this file holds; times are in seconds."),
+        element("p", "All data as CSV, contained in this file. Times are in seconds."),
         element("ul", *links),
         class_="downloads",
     )

@@ -1,6 +1,6 @@
-"""What a Prometheus has of the period: all recoveries in it, also those of which no status has a record any more.
+"""Reads the data of Prometheus for the period: all recoveries, also those that no status records any more.
 
-It knows how many there were and how long they took, by strategy, and not one by one.
+It has counts and distributions of times by strategy, but no single recoveries.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from understudy.cli.report.prometheus_client import Prometheus, Series
 from understudy.cli.report.recovery_records import Span
 
 LOOKS = 240
-"""Steps of what is drawn over time."""
+"""Number of steps in charts over time."""
 
 WHOLE = "whole"
-"""What the recovery time itself is called beside its parts."""
+"""Key of the recovery time itself, next to its parts."""
 
 Key = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Count:
-    """How many there were of one kind."""
+    """The number of events of one kind."""
 
     kind: str
-    """Recovery, Switchover, or Held: a failure that wasn't recovered at once."""
+    """Recovery, Switchover, or Held: a failure whose recovery was deferred."""
     how: str
-    """By which strategy, by whom, or by what."""
+    """The strategy, the kind of switchover, or the reason."""
     result: str
     count: int
 
 
 class Time(NamedTuple):
-    """How long one part took, by strategy."""
+    """The times of one part by strategy."""
 
     strategy: str
     part: str
@@ -46,7 +46,7 @@ class Time(NamedTuple):
 
 
 class Step(NamedTuple):
-    """How long something else took."""
+    """The times of another step."""
 
     name: str
     histogram: Histogram
@@ -54,70 +54,70 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Pool:
-    """A pool over the period. Its pods are those that aren't claimed, where it doesn't say otherwise."""
+    """A pool in the period. Its pods exclude claimed ones unless stated otherwise."""
 
     namespace: str
     name: str
     desired: float
-    """At the end."""
+    """At the end of the period."""
     least_ready: float
     mean_ready: float
     most_claimed: float
     most_waiting: float
-    """Robots that waited for one of its pods."""
+    """Most robots that waited for one of its pods."""
     ready: Sequence[tuple[float, float]]
-    """Moments with how many were ready then."""
+    """Times with the number of ready pods."""
     wanted: Sequence[tuple[float, float]]
-    """Moments with how many there should have been."""
+    """Times with the desired number of pods."""
 
 
 @dataclass(frozen=True)
 class Measured:
-    """All of it."""
+    """All data of Prometheus."""
 
     url: str
     period: Span
     seen: Sequence[float]
-    """The moments, of those that were asked for, at which monitors of these robots were told of."""
+    """The queried times at which there was data of monitors of these robots."""
     asked: int
-    """How many moments that were."""
+    """The number of queried times."""
     step: float
-    """Seconds from one to the next."""
+    """Seconds between two queried times."""
     counts: Sequence[Count] = ()
     times: Sequence[Time] = ()
     steps: Sequence[Step] = ()
     pools: Sequence[Pool] = ()
     recovered: int | None = None
-    """By how many recoveries the operator's own count grew, planned ones among them; None where it isn't told."""
+    """The increase of the operator's own count, including planned ones; None if there is no data."""
 
     @property
     def strategies(self) -> Sequence[str]:
-        """Those that recovered something, the slowest first, as in the paper."""
+        """The strategies with recoveries, the slowest first, as in the paper."""
         mean = {time.strategy: time.histogram.mean for time in self.times if time.part == WHOLE}
         return sorted({time.strategy for time in self.times}, key=lambda one: (-mean.get(one, 0.0), one))
 
     def of(self, strategy: str) -> Mapping[str, Histogram]:
-        """How long each part took by one of them."""
+        """Return the times of each part for one strategy."""
         found = {time.part: time.histogram for time in self.times if time.strategy == strategy}
         return {part: found[part] for part in (*NAMES, WHOLE) if part in found}
 
     def counted(self, *kinds: str, result: str | None = None) -> int:
-        """How many there were of these kinds."""
+        """Return the number of events of these kinds."""
         return sum(c.count for c in self.counts if c.kind in kinds and result in (None, c.result))
 
     def named(self, pool: Pool) -> str:
-        """A pool's name, with its namespace where there are several."""
+        """Return a pool's name, with its namespace if there are several namespaces."""
         several = len({one.namespace for one in self.pools}) > 1
         return f"{pool.namespace}/{pool.name}" if several else pool.name
 
     @property
     def missed(self) -> int:
-        """Recoveries that the operator counted and no monitor's series has."""
+        """Recoveries that the operator counted and the monitors' series do not include."""
         return max(0, (self.recovered or 0) - self.counted("Recovery", "Switchover"))
 
 
 def measured(prometheus: Prometheus, period: Span, *, namespace: str | None, names: Sequence[str] = ()) -> Measured:
-    """Ask for it, of all namespaces and all robots where none are named. Raises CommandError."""
+    """Query all data; for all namespaces and robots if none are named. Raises CommandError."""
     where, end = promql.selector(namespace, names), period.end
 
     def query(expression: str) -> Sequence[Series]:

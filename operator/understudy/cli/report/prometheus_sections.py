@@ -1,4 +1,4 @@
-"""The part of the page that a Prometheus has told: what its figures are, what they lack, figures and tables; pure."""
+"""Builds the section with the data of Prometheus: its source, what is missing, charts and tables. Pure."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from understudy.cli.report.html_markup import Markup, element
 from understudy.cli.report.html_tables import Cell, number, seconds
 from understudy.cli.report.prometheus_figures import Measured
 
-_KINDS = {"Recovery": "recovery", "Switchover": "switchover, planned", "Held": "failure not recovered at once"}
+_KINDS = {"Recovery": "recovery", "Switchover": "switchover, planned", "Held": "deferred recovery"}
 
 
 def whole_period(measured: Measured) -> Iterator[Markup]:
-    """All recoveries of the period, in figures and not one by one."""
-    yield element("h2", "The whole period, by Prometheus")
+    """Build the section about all recoveries of the period."""
+    yield element("h2", "The whole period, from Prometheus")
     yield _source(measured)
     if not measured.seen:
         return
@@ -31,16 +31,16 @@ def _source(measured: Measured) -> Markup:
     if not measured.seen:
         return element(
             "section",
-            element("strong", "It has nothing of these robots' monitors in this period. "),
-            f"{measured.url} answered, and has no series of them: does it scrape the monitors, and give their series the label "
-            "workload? What there is to be scraped is told by docs/metrics.md; how long it keeps what it has, by its own configuration.",
+            element("strong", "Prometheus has no data on these robots in this period. "),
+            f"{measured.url} answered, but has no series of them: does it scrape the monitors, and do their series have the label "
+            "workload? See docs/metrics.md for the targets to scrape, and its configuration for the retention time.",
             class_="card warn",
         )
     told = (
-        f"The figures under this heading, and no others, come from Prometheus at {measured.url}. They are of every recovery that a "
-        "monitor counted, also of those of which the status has no record any more and of robots that are gone; how long each one took "
-        "isn't known, only how many took how long at most. Whether a failure was a false alarm nobody in the cluster knows, so none is "
-        "counted."
+        f"Only the figures in this section come from Prometheus at {measured.url}. They include every recovery that a "
+        "monitor counted, also recoveries that are no longer recorded and robots that were deleted. Single times are "
+        "not known, only their distribution. The cluster does not know which failures were false alarms, so they are not "
+        "counted separately."
     )
     lacking = list(_lacking(measured))
     if not lacking:
@@ -55,15 +55,15 @@ def _lacking(measured: Measured) -> Iterator[str]:
     absent = measured.asked - len(measured.seen)
     if absent:
         yield (
-            f"Monitors were told of at {len(measured.seen)} of {measured.asked} moments, first at {clock(first)}, last at {clock(last)}. "
-            "What they counted while nobody asked is in here where they lived on, and is missing where they didn't."
+            f"There is data of monitors at {len(measured.seen)} of {measured.asked} times, first at {clock(first)}, last at {clock(last)}. "
+            "Recoveries between two scrapes are included if the monitor kept running, and missing if it did not."
         )
     if measured.missed:
         yield (
             f"The operator's own count, which outlives monitors, grew by {measured.recovered}: "
-            f"{counted(measured.missed, 'recovery is', 'recoveries are')} missing in the figures below. A monitor takes with it what it "
-            "counted since it was scraped last; and of one that is older than the period and was scraped in it for the first time, the "
-            "first recovery by each strategy isn't seen."
+            f"{counted(measured.missed, 'recovery is', 'recoveries are')} missing in the figures below. A deleted monitor loses what it "
+            "counted since its last scrape. For a monitor that is older than the period and was first scraped in it, the "
+            "first recovery by each strategy is missing."
         )
 
 
@@ -82,7 +82,7 @@ def _counts(measured: Measured) -> Iterator[Markup]:
         for count in measured.counts
     ]
     yield html_tables.table(
-        "Recoveries by strategy and result, by Prometheus", ("What", "Strategy, or by what", "Result", "n"), rows
+        "Recoveries by strategy and result, from Prometheus", ("Kind", "Strategy or reason", "Result", "n"), rows
     )
 
 
@@ -91,9 +91,9 @@ def _state(result: str) -> str:
 
 
 def _times(measured: Measured) -> Iterator[Markup]:
-    yield element("h3", "The four times, by strategy")
+    yield element("h3", "The parts of the recovery time, by strategy")
     if not measured.times:
-        yield element("p", "Of no recovery in this period the times are known.", class_="card")
+        yield element("p", "There are no times of recoveries in this period.", class_="card")
         return
     yield element(
         "figure",
@@ -101,8 +101,8 @@ def _times(measured: Measured) -> Iterator[Markup]:
         histogram_charts.recovery_times(measured),
         element(
             "figcaption",
-            "How many recoveries took how long, by strategy and part, and in all. Logarithmic axis, which begins at the left with all that "
-            "took no longer than the first bound. Quantiles lie linearly between the two bounds about them; means are exact.",
+            "Distribution of the times by strategy and part, and of the recovery time. Logarithmic axis; the first bar contains all that "
+            "are not above the first bound. Quantiles are interpolated linearly between two bounds; means are exact.",
         ),
     )
     rows = [
@@ -110,7 +110,9 @@ def _times(measured: Measured) -> Iterator[Markup]:
         for strategy in measured.strategies
         for part, histogram in measured.of(strategy).items()
     ]
-    yield html_tables.table("The four times by strategy, by Prometheus", ("Strategy", "Part", *_HEAD), rows)
+    yield html_tables.table(
+        "The parts of the recovery time by strategy, from Prometheus", ("Strategy", "Part", *_HEAD), rows
+    )
 
 
 _HEAD = ("n", "Mean", "p50", "p95", "p99")
@@ -128,30 +130,30 @@ def _steps(measured: Measured) -> Iterator[Markup]:
     if measured.steps:
         yield element("h3", "Other times")
         rows = [[Cell(step.name), *_figures(step.histogram)] for step in measured.steps]
-        yield html_tables.table("Other times, by Prometheus", ("What", *_HEAD), rows)
+        yield html_tables.table("Other times, from Prometheus", ("What", *_HEAD), rows)
 
 
 def _pools(measured: Measured) -> Iterator[Markup]:
     yield element("h3", "Pools")
     if not measured.pools:
-        yield element("p", "It has nothing of pools here: there is none, or the operator isn't scraped.", class_="card")
+        yield element("p", "There is no data on pools: there are none, or the operator is not scraped.", class_="card")
         return
     yield element(
         "figure",
-        charts.legend(("ready", "ready"), ("wanted", "should be there")),
+        charts.legend(("ready", "ready"), ("wanted", "desired")),
         histogram_charts.pools(measured),
         element(
             "figcaption",
-            f"Pods that aren't claimed, by pool, in UTC; looked at every {html_tables.span(measured.step)}.",
+            f"Pods that are not claimed, by pool, in UTC; sampled every {html_tables.span(measured.step)}.",
         ),
     )
     head = (
         "Pool",
         "Desired at the end",
-        "Ready, at least",
+        "Ready, minimum",
         "Ready, mean",
-        "Claimed, at most",
-        "Robots waiting, at most",
+        "Claimed, maximum",
+        "Robots waiting, maximum",
     )
     rows = [
         [
@@ -169,4 +171,4 @@ def _pools(measured: Measured) -> Iterator[Markup]:
         ]
         for pool in measured.pools
     ]
-    yield html_tables.table("Pools over the period, by Prometheus", head, rows)
+    yield html_tables.table("Pools over the period, from Prometheus", head, rows)

@@ -13,11 +13,11 @@ from collections.abc import Collection
 from understudy.cli.report.recovery_records import Span
 
 ALIVE = "understudy_tree_evaluations_total"
-"""What every monitor has told from its start on."""
+"""A series that every monitor has from its start."""
 
 
 def selector(namespace: str | None = None, workloads: Collection[str] = (), **labels: str) -> str:
-    """Which series are meant; of all namespaces and workloads where none is named."""
+    """Return the selector of the series; for all namespaces and workloads if none are named."""
     told = [f'{label}="{_escaped(value)}"' for label, value in labels.items()]
     if namespace is not None:
         told.insert(0, f'namespace="{_escaped(namespace)}"')
@@ -27,11 +27,11 @@ def selector(namespace: str | None = None, workloads: Collection[str] = (), **la
 
 
 def came(metric: str, where: str, period: Span) -> str:
-    """What came to each series of monitors' counters in the period.
+    """Return the increase of the monitors' counters in the period, by series.
 
-    In this order: one that began anew in its pod is left to ``increase``; of one that was there when the period began the difference
-    is taken; one that wasn't, though its monitor was already told of or wasn't there yet either, counts from 0; and of one whose monitor
-    is older than what is known of it, only what came since.
+    In this order: ``increase`` for a counter that was reset in its pod; the difference for a series that existed at the start of the
+    period; the value for a new series whose monitor was scraped already or did not exist yet; and the difference to the first
+    sample for a monitor that is older than its data.
     """
     series, ago = f"{metric}{where}", length(period)
     fresh = f"({ALIVE}{where} offset {ago} or last_over_time(process_start_time_seconds{where}[{ago}]) >= {period.begin:.0f})"
@@ -44,12 +44,12 @@ def came(metric: str, where: str, period: Span) -> str:
 
 
 def came_to(labels: str, metric: str, where: str, period: Span) -> str:
-    """The sums of that by some labels."""
+    """Return the sums of these increases by labels."""
     return f"sum by ({labels}) ({came(metric, where, period)})"
 
 
 def recovered(where: str, period: Span) -> str:
-    """By how many recoveries the workloads' own counts grew, which outlive monitors; whichever replica of the operator told of them."""
+    """Return the increase of the operator's counts of recoveries, from any replica; they outlive monitors."""
     series, ago, by = f"understudy_workload_recoveries_total{where}", length(period), "by (namespace, workload)"
     last = f"max {by} (last_over_time({series}[{ago}]))"
     return (
@@ -60,12 +60,12 @@ def recovered(where: str, period: Span) -> str:
 
 
 def over(function: str, way: str, labels: str, series: str, period: Span) -> str:
-    """A gauge over the period, such as the greatest (``way``) of the greatest over time (``function``) by some labels."""
+    """Return an aggregate (``way``) by labels of a gauge over the period (``function``)."""
     return f"{way} by ({labels}) ({function}_over_time({series}[{length(period)}]))"
 
 
 def length(period: Span) -> str:
-    """How long it is, as PromQL writes it."""
+    """Format the length of a period for PromQL."""
     return f"{math.ceil(period.length)}s"
 
 

@@ -1,7 +1,7 @@
-"""What a fleet's recoveries came to in a period, by what the RobotWorkloads' status has kept of them; pure.
+"""Evaluates the recoveries of a fleet in a period from the records in the status of the RobotWorkloads. Pure.
 
-A status keeps its last ten recoveries. What was before is not known, so everything that is said of a robot is said of the time
-from which on its records are whole. Times are unix seconds.
+A status records the last ten recoveries. Figures of a robot therefore refer to the time for which its records are complete.
+Times are in unix seconds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from understudy.cli.report.sample_statistics import Spread
 
 @dataclass(frozen=True)
 class Span:
-    """From one moment until another."""
+    """A time interval."""
 
     begin: float
     end: float
@@ -34,18 +34,18 @@ class Span:
         return self.end - self.begin
 
     def within(self, other: Span) -> Span | None:
-        """What of it lies in another one; None where nothing does."""
+        """Return the intersection with another interval; None if it is empty."""
         begin, end = max(self.begin, other.begin), min(self.end, other.end)
         return Span(begin, end) if begin < end else None
 
 
 @dataclass(frozen=True)
 class Outage:
-    """A time in which nobody drove a robot as it should be."""
+    """An interval in which a robot had no working active instance."""
 
     span: Span
     at_least: bool = False
-    """Whether it may have lasted longer: its end was not recorded."""
+    """Whether it may have lasted longer, because its end was not recorded."""
 
 
 @dataclass(frozen=True)
@@ -59,32 +59,32 @@ class Entry:
 
     @property
     def group(self) -> str:
-        """What it is compared with: those by the same strategy; those apart that no failure of its own was the cause of."""
+        """The group in which it is compared: the same strategy, separate from recoveries without a failure of this robot."""
         recovery = self.recovery
         if recovery.switchover is not None:
             return f"{recovery.strategy}, {recovery.switchover.lower()} as planned"
         if recovery.follows:
             return f"{recovery.strategy}, after a dependency's"
-        return f"{recovery.strategy}{', handed over as planned' if recovery.planned else ''}"
+        return f"{recovery.strategy}{', switched over as planned' if recovery.planned else ''}"
 
     @property
     def of_failure(self) -> bool:
-        """Whether something had failed here, and it was neither planned nor done after another workload's recovery."""
+        """Whether a failure of this workload caused it: it was neither planned nor followed another workload's recovery."""
         return not self.recovery.planned and not self.recovery.follows
 
     @property
     def recovered(self) -> bool:
-        """Whether an understudy drives since."""
+        """Whether an understudy took over."""
         return self.recovery.result == "Recovered"
 
     @property
     def failed(self) -> bool:
-        """Whether nothing that was tried came to drive."""
+        """Whether every strategy failed."""
         return self.recovery.result == "Failed"
 
     @property
     def held(self) -> float:
-        """Seconds for which the policy's budget held it, which are in none of its parts."""
+        """Seconds for which the policy's budget deferred it, which are in none of its parts."""
         moments = self.recovery.moments
         if moments.released is None or moments.detected is None:
             return 0.0
@@ -92,13 +92,13 @@ class Entry:
 
     @property
     def down(self) -> float:
-        """Seconds from the last healthy output until an understudy could reach the robot; of one that failed, as far as it is known."""
+        """Seconds from the last healthy output until an understudy could reach the robot; for a failed recovery, as far as recorded."""
         told = self.recovery.recovery_seconds
         return (told if told is not None else sum(parts_of(self.recovery).values())) + self.held
 
     @property
     def gap(self) -> float | None:
-        """Seconds between the last healthy output and the next instance's first one, as the monitor hears the gated topics."""
+        """Seconds between the last healthy output and the next instance's first one, as the monitor received them."""
         moments = self.recovery.moments
         last = moments.last_output or moments.last_healthy
         if not self.recovered or last is None or moments.first_output is None:
@@ -107,29 +107,29 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Course:
-    """One robot over the period."""
+class RobotPeriod:
+    """One robot in the period."""
 
     robot: Robot
     ever: int
-    """Its recoveries since it was made."""
+    """Number of recoveries since its creation."""
     kept: int
-    """Of how many there is a record."""
+    """Number of recorded recoveries."""
     entries: Sequence[Entry]
-    """Those that began in the period, newest first."""
+    """Recoveries that began in the period, newest first."""
     known: Span | None
-    """The part of the period in which no recovery can be missing; None where there is none."""
+    """The part of the period for which the records are complete; None if there is none."""
     outages: Sequence[Outage]
-    """When nobody drove it as it should be, within that."""
+    """Its outages within the recorded time."""
 
     @property
     def forgotten(self) -> int:
-        """Its recoveries of which there is no record any more."""
+        """Number of recoveries that are no longer recorded."""
         return self.ever - self.kept
 
     @cached_property
     def down(self) -> float:
-        """Seconds of the known time in which nobody drove it as it should be."""
+        """Downtime in seconds within the recorded time."""
         total, end = 0.0, float("-inf")
         for span in sorted((outage.span for outage in self.outages), key=lambda span: span.begin):
             total += max(0.0, span.end - max(span.begin, end))
@@ -138,18 +138,18 @@ class Course:
 
     @property
     def down_at_least(self) -> bool:
-        """Whether it may have been longer."""
+        """Whether the downtime may have been longer."""
         return any(outage.at_least for outage in self.outages)
 
     @property
     def availability(self) -> float | None:
-        """The share of the known time in which it was driven; None where nothing is known."""
+        """The share of the recorded time without an outage; None if nothing is recorded."""
         return 1 - self.down / self.known.length if self.known is not None else None
 
 
 @dataclass(frozen=True)
 class Group:
-    """Recoveries that are compared with others."""
+    """Recoveries of one kind, for comparison."""
 
     name: str
     entries: Sequence[Entry]
@@ -166,40 +166,44 @@ class Group:
 
     @cached_property
     def spread(self) -> Spread:
-        """How the recovery times lie."""
+        """Statistics of the recovery times."""
         return Spread.of(self.times)
 
     @cached_property
     def gaps(self) -> Sequence[float]:
-        """The gap of each of which it is known, in seconds."""
+        """The recorded gaps in seconds."""
         return [gap for entry in self.entries if (gap := entry.gap) is not None]
 
 
 @dataclass(frozen=True)
 class Findings:
-    """All of it."""
+    """The evaluation of all robots."""
 
     period: Span
-    courses: Sequence[Course]
+    robot_periods: Sequence[RobotPeriod]
     """By namespace and name."""
     shares: Sequence[Share] = ()
-    """What their pods have reserved now."""
+    """Current resource requests of their pods."""
     shares_unknown: str = ""
-    """Why that can't be told, where it can't."""
+    """Why the pods could not be listed, if so."""
 
     @cached_property
     def entries(self) -> Sequence[Entry]:
         """The recoveries of all robots, newest first."""
-        return sorted((e for course in self.courses for e in course.entries), key=lambda e: e.began, reverse=True)
+        return sorted(
+            (e for robot_period in self.robot_periods for e in robot_period.entries),
+            key=lambda e: e.began,
+            reverse=True,
+        )
 
     @cached_property
-    def eventful(self) -> Sequence[Course]:
-        """The robots to which something happened in the period."""
-        return [course for course in self.courses if course.entries or course.outages]
+    def eventful(self) -> Sequence[RobotPeriod]:
+        """The robots with a recovery or an outage in the period."""
+        return [robot_period for robot_period in self.robot_periods if robot_period.entries or robot_period.outages]
 
     @cached_property
     def groups(self) -> Sequence[Group]:
-        """Those that recovered, by how; the slowest way first, as in the paper."""
+        """Successful recoveries by group, the slowest group first, as in the paper."""
         found: dict[str, list[Entry]] = {}
         for entry in self.entries:
             if entry.recovered:
@@ -208,40 +212,46 @@ class Findings:
         return sorted(groups, key=lambda group: (-group.spread.mean, group.name))
 
     @cached_property
-    def incomplete(self) -> Sequence[Course]:
-        """Robots of which recoveries of this period may be forgotten."""
-        return [course for course in self.courses if course.known is None or course.known.begin > self._since(course)]
+    def incomplete(self) -> Sequence[RobotPeriod]:
+        """Robots for which recoveries of this period may no longer be recorded."""
+        return [
+            robot_period
+            for robot_period in self.robot_periods
+            if robot_period.known is None or robot_period.known.begin > self._since(robot_period)
+        ]
 
     @cached_property
     def availability(self) -> float | None:
-        """The share of all robots' known time in which they were driven."""
-        known = sum(course.known.length for course in self.courses if course.known is not None)
-        return 1 - sum(course.down for course in self.courses) / known if known else None
+        """The share of all robots' recorded time without an outage."""
+        known = sum(robot_period.known.length for robot_period in self.robot_periods if robot_period.known is not None)
+        return 1 - sum(robot_period.down for robot_period in self.robot_periods) / known if known else None
 
     def named(self, whose: Robot | Entry) -> str:
-        """A robot's name, with its namespace where there are several."""
-        several = len({course.robot.namespace for course in self.courses}) > 1
+        """Return a robot's name, with its namespace if there are several namespaces."""
+        several = len({robot_period.robot.namespace for robot_period in self.robot_periods}) > 1
         return f"{whose.namespace}/{whose.name}" if several else whose.name
 
-    def _since(self, course: Course) -> float:
-        created = course.robot.created
+    def _since(self, robot_period: RobotPeriod) -> float:
+        created = robot_period.robot.created
         return max(self.period.begin, unix(created) if created else self.period.begin)
 
 
 def findings(
     items: Iterable[Mapping[str, Any]], period: Span, pods: Iterable[Mapping[str, Any]] = (), *, pods_unknown: str = ""
 ) -> Findings:
-    """What RobotWorkloads and pods as the API server gives them say of a period; ``pods_unknown`` says why there are no pods.
+    """Evaluate RobotWorkloads and pods for a period; ``pods_unknown`` says why the pods are missing.
 
-    Raises CommandError where a status isn't understood.
+    Raises CommandError if a status does not match this version.
     """
-    courses = sorted((course(item, period) for item in items), key=lambda one: (one.robot.namespace, one.robot.name))
-    found = [] if pods_unknown else shares([one.robot for one in courses], pods)
-    return Findings(period, courses, found, pods_unknown)
+    robot_periods = sorted(
+        (robot_period(item, period) for item in items), key=lambda one: (one.robot.namespace, one.robot.name)
+    )
+    found = [] if pods_unknown else shares([one.robot for one in robot_periods], pods)
+    return Findings(period, robot_periods, found, pods_unknown)
 
 
-def course(item: Mapping[str, Any], period: Span) -> Course:
-    """One RobotWorkload over a period. Raises CommandError."""
+def robot_period(item: Mapping[str, Any], period: Span) -> RobotPeriod:
+    """Evaluate one RobotWorkload for a period. Raises CommandError."""
     shown, status = robot(item), status_of(item)
     records = [
         Entry(shown.namespace, shown.name, recovery, unix(start))
@@ -253,7 +263,7 @@ def course(item: Mapping[str, Any], period: Span) -> Course:
     if ever > kept:
         begin = max(begin, min((entry.began for entry in records), default=period.end))
     known = Span(begin, period.end).within(period)
-    return Course(
+    return RobotPeriod(
         robot=shown,
         ever=ever,
         kept=kept,
@@ -268,12 +278,14 @@ def course(item: Mapping[str, Any], period: Span) -> Course:
 
 
 def _outages(records: Sequence[Entry], status: RobotWorkloadStatus, end: float) -> Iterator[Outage]:
-    """By the records, newest first, and by the failure that isn't over at the ``end`` of what is looked at."""
+    """Yield the outages of the records, newest first, and of the failure that continues at ``end``."""
     for index, entry in enumerate(records):
         told = Span(entry.began, entry.began + entry.down)
-        if not entry.failed or entry.recovery.switchover is not None:  # what wasn't switched is driven by the former
+        if (
+            not entry.failed or entry.recovery.switchover is not None
+        ):  # after a failed switchover the former instance keeps control
             yield Outage(told)
-        elif index:  # what was done next, and when, the next one says
+        elif index:  # the next record continues it
             yield Outage(told, at_least=records[index - 1].began > told.end)
         elif status.failing_since is not None:
             yield Outage(told)

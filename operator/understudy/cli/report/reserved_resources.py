@@ -1,6 +1,6 @@
-"""What the pods of robots and pools have reserved of their nodes, by what they are for and by strategy; pure.
+"""Sums the resource requests of the pods of robots and pools, by role and by strategy. Pure.
 
-It is what a scheduler goes by (requests), so that strategies can be compared in any cluster; what pods use is told by a metrics API.
+Requests are what the scheduler uses, so strategies can be compared in any cluster. Usage would need a metrics API.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from understudy.api.quantities import amount
 from understudy.cli.common.robots import Robot
 
 ROLES = {
-    "control": "in control",
+    "control": "active instance",
     "standby": "standbys",
     "monitor": "monitor",
     "discovery": "discovery server",
     "pool": "waiting in a pool",
 }
-"""What pods are for, and what that is called."""
+"""Roles of pods and their labels."""
 
 
 class Amounts(NamedTuple):
-    """Of CPU and memory."""
+    """Amounts of CPU and memory."""
 
     cpu: float = 0.0
     """Cores."""
@@ -32,31 +32,31 @@ class Amounts(NamedTuple):
     """Bytes."""
 
     def plus(self, other: Amounts) -> Amounts:
-        """Both together."""
+        """Return the sum."""
         return Amounts(self.cpu + other.cpu, self.memory + other.memory)
 
     def over(self, count: int) -> Amounts:
-        """For each of so many."""
+        """Return the mean over ``count``."""
         return Amounts(self.cpu / count, self.memory / count)
 
 
 @dataclass(frozen=True)
 class Share:
-    """What a robot has reserved on average by the strategy that would be used for it now; or a pool with all of its pods."""
+    """The mean reservation per robot for one current strategy, or that of a pool with all of its pods."""
 
     name: str
     count: int
-    """Of how many robots it is the mean, or how many pods are waiting."""
+    """Number of robots in the mean, or number of waiting pods."""
     roles: Mapping[str, Amounts] = field(default_factory=dict)
 
     @property
     def total(self) -> Amounts:
-        """Of all roles."""
+        """The sum over all roles."""
         return _sum(self.roles.values())
 
 
 def shares(robots: Sequence[Robot], pods: Iterable[Mapping[str, Any]]) -> list[Share]:
-    """By strategy, then by pool."""
+    """Return the reservations by strategy, then by pool."""
     by_robot: dict[tuple[str, str], dict[str, Amounts]] = {}
     pools: dict[tuple[str, str], list[Amounts]] = {}
     active = {(robot.namespace, robot.active) for robot in robots}
@@ -90,7 +90,7 @@ def shares(robots: Sequence[Robot], pods: Iterable[Mapping[str, Any]]) -> list[S
 
 
 def requested(spec: Mapping[str, Any]) -> Amounts:
-    """What a pod that runs has reserved: its containers', with init containers that go on running, and the overhead."""
+    """Return the requests of a running pod: containers, sidecar init containers, and overhead."""
     return _sum(_requests(spec))
 
 

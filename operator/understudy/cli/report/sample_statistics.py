@@ -1,4 +1,4 @@
-"""Figures over several measured values; pure."""
+"""Statistics of measured values. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from statistics import fmean
 
 
 def quantile(values: Sequence[float], fraction: float) -> float:
-    """The value below which this fraction of the values lies, linearly between the two nearest ranks."""
+    """Return a quantile, interpolated linearly between the two nearest ranks."""
     ordered = sorted(values)
     place = fraction * (len(ordered) - 1)
     low = int(place)
@@ -18,7 +18,7 @@ def quantile(values: Sequence[float], fraction: float) -> float:
 
 @dataclass(frozen=True)
 class Spread:
-    """How values lie, of which there is at least one."""
+    """Statistics of at least one value."""
 
     count: int
     least: float
@@ -29,5 +29,5 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """Of these."""
+        """Compute the statistics of these values."""
         return cls(len(values), min(values), fmean(values), quantile(values, 0.5), quantile(values, 0.95), max(values))

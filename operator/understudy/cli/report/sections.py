@@ -1,4 +1,4 @@
-"""The parts of the page: what was found in words, figures and tables, each figure with its figures beside it; pure."""
+"""Builds the sections of the page: text, charts and tables; each chart has a table with its values. Pure."""
 
 from __future__ import annotations
 
@@ -12,72 +12,76 @@ from understudy.cli.common.wording import clock, counted, listed, unix
 from understudy.cli.report import charts, html_tables
 from understudy.cli.report.html_markup import Markup, element
 from understudy.cli.report.html_tables import Cell, moment, number, seconds, span
-from understudy.cli.report.recovery_records import Course, Entry, Findings
+from understudy.cli.report.recovery_records import Entry, Findings, RobotPeriod
 from understudy.cli.report.reserved_resources import ROLES, Amounts
 from understudy.cli.report.sample_statistics import Spread
 
 HOW = (
     "A robot's downtime is the sum, over its recoveries, of the time from the last healthy output of the former instance until the "
-    "gate was open for the next one: recoverySeconds of the record, and what the policy's budget held it for. Of a switchover it is "
-    "the time of the switch. Times that overlap count once. Where every strategy failed, it counts until the robot was healthy again; "
-    "≥ stands where that was not recorded. A failure that isn't over counts until the end of the period. Availability is the rest, as a "
-    "share of the time of which the records are whole.",
-    "This is the monitor's view: time in which the monitor itself was away, or in which a robot was paused for maintenance, is not "
-    "seen, and robots whose RobotWorkload was deleted are not in here. How long a robot got no command, only its own log can say.",
+    "gate opened for the next one: recoverySeconds of the record, plus the time for which the budget deferred it. For a switchover it is "
+    "the time of the switch. Overlapping times count once. If every strategy failed, it counts until the robot was healthy again; "
+    "≥ means that this was not recorded. A failure that continues counts until the end of the period. Availability is the rest, as a "
+    "share of the time for which the records are complete.",
+    "This is the monitor's view: it excludes time in which the monitor did not run or the robot was paused for maintenance, and "
+    "robots whose RobotWorkload was deleted. Only the robot's own log can say how long it received no command.",
 )
 
 
 def known(findings: Findings) -> Iterator[Markup]:
-    """What the records are, and what they can't say of this period."""
-    ever = sum(course.ever for course in findings.courses)
-    kept = sum(course.kept for course in findings.courses)
+    """Describe the records, and for which part of the period they are incomplete."""
+    ever = sum(robot_period.ever for robot_period in findings.robot_periods)
+    kept = sum(robot_period.kept for robot_period in findings.robot_periods)
     if not ever:
-        yield element("p", "These robots have had no recovery since they were made.", class_="card")
+        yield element("p", "These robots have had no recovery since they were created.", class_="card")
         return
     had = counted(ever, "recovery", "recoveries")
     told = (
-        f"A RobotWorkload keeps the records of its last ten recoveries. Of {had} that these robots ever had, {kept} "
-        f"{'is' if kept == 1 else 'are'} kept; {len(findings.entries)} of those began in this period."
+        f"A RobotWorkload keeps the records of its last ten recoveries. Of all {had} of these robots, {kept} "
+        f"{'is' if kept == 1 else 'are'} recorded; {len(findings.entries)} of those began in this period."
     )
     if not findings.incomplete:
-        why = " None of this period is missing." if ever > kept else ""
+        why = " No record of this period is missing." if ever > kept else ""
         yield element("section", element("p", told + why), class_="card")
         return
-    lost = [element("li", _lost(course, findings)) for course in findings.incomplete]
+    lost = [element("li", _lost(robot_period, findings)) for robot_period in findings.incomplete]
     yield element(
         "section",
         element(
             "p",
-            element("strong", "Not the whole period is known. "),
+            element("strong", "The data on this period is incomplete. "),
             told,
-            " Of these robots older records have made room for newer ones, so that recoveries of this period may be missing:",
+            " Older records of these robots were replaced by newer ones, so recoveries of this period may be missing:",
         ),
         element("ul", *lost),
         class_="card warn",
     )
 
 
-def _lost(course: Course, findings: Findings) -> str:
-    name = findings.named(course.robot)
-    since = f"known since {clock(course.known.begin)}" if course.known is not None else "nothing of the period is known"
-    return f"{name}: {course.forgotten} of {course.ever} are not kept; {since}"
+def _lost(robot_period: RobotPeriod, findings: Findings) -> str:
+    name = findings.named(robot_period.robot)
+    since = (
+        f"known since {clock(robot_period.known.begin)}" if robot_period.known is not None else "no data on the period"
+    )
+    return f"{name}: {robot_period.forgotten} of {robot_period.ever} are no longer recorded; {since}"
 
 
 def tiles(findings: Findings) -> Markup:
-    """The figures that are looked for first."""
+    """Build the tiles with the most important figures."""
     entries = findings.entries
     failures = [entry for entry in entries if entry.of_failure]
-    longest = max((outage.span.length for course in findings.courses for outage in course.outages), default=None)
-    protected = sum(course.robot.protected for course in findings.courses)
-    robots = len(findings.courses)
-    known = sum(course.known.length for course in findings.courses if course.known is not None)
+    longest = max(
+        (outage.span.length for robot_period in findings.robot_periods for outage in robot_period.outages), default=None
+    )
+    protected = sum(robot_period.robot.protected for robot_period in findings.robot_periods)
+    robots = len(findings.robot_periods)
+    known = sum(robot_period.known.length for robot_period in findings.robot_periods if robot_period.known is not None)
     shown = (
         ("Robots", str(robots), f"{protected} protected now, {robots - protected} not"),
         ("Failures recovered", str(sum(entry.recovered for entry in failures)), f"of {len(failures)}"),
-        ("Failed recoveries", str(sum(entry.failed for entry in failures)), "nothing that was tried came to drive"),
-        ("Without a failure", str(len(entries) - len(failures)), "as planned, or after a dependency's"),
-        ("Longest downtime", span(longest) if longest is not None else "–", "at a stretch"),
-        ("Availability", availability(findings.availability), f"over {span(known)} of known robot time"),
+        ("Failed recoveries", str(sum(entry.failed for entry in failures)), "no strategy was verified"),
+        ("Without a failure", str(len(entries) - len(failures)), "planned, or after a dependency's recovery"),
+        ("Longest downtime", span(longest) if longest is not None else "–", "of one outage"),
+        ("Availability", availability(findings.availability), f"over {span(known)} of recorded robot time"),
     )
     return element(
         "dl",
@@ -90,16 +94,16 @@ def tiles(findings: Findings) -> Markup:
 
 
 def availability(share: float | None) -> str:
-    """A share in percent, never rounded up: 100 % is said of no robot that was ever down."""
+    """Format a share in percent, never rounded up: a robot with downtime never shows 100 %."""
     if share is None:
         return "–"
     return f"{int(max(0.0, share) * 100_000 + 1e-7) / 1000:g} %"
 
 
 def robots(findings: Findings) -> Iterator[Markup]:
-    """How each robot is, and what it had in the period."""
+    """Build the table of robots: their current state, and their recoveries in the period."""
     yield element("h2", "Robots")
-    yield element("p", summary([course.robot for course in findings.courses]) + ", as they are now.")
+    yield element("p", summary([robot_period.robot for robot_period in findings.robot_periods]) + " (current state).")
     head = (
         "Robot",
         "Health now",
@@ -110,19 +114,19 @@ def robots(findings: Findings) -> Iterator[Markup]:
         "Without a failure",
         "Downtime",
         "Availability",
-        "Known time",
-        "Records kept",
+        "Recorded time",
+        "Records",
     )
     yield html_tables.table(
-        "Robots: how they are now, and what came to pass in the period",
+        "Robots: current state, and recoveries in the period",
         head,
-        [_robot(c, findings) for c in findings.courses],
+        [_robot(c, findings) for c in findings.robot_periods],
         sortable=True,
     )
-    for course in findings.courses:
-        if course.robot.problems:
-            told = [element("li", f"{p.about} ({p.reason}): {p.message}") for p in course.robot.problems]
-            name = findings.named(course.robot)
+    for robot_period in findings.robot_periods:
+        if robot_period.robot.problems:
+            told = [element("li", f"{p.about} ({p.reason}): {p.message}") for p in robot_period.robot.problems]
+            name = findings.named(robot_period.robot)
             yield element("section", element("h3", f"{name} now"), element("ul", *told), class_="card warn")
     yield element(
         "details",
@@ -133,9 +137,9 @@ def robots(findings: Findings) -> Iterator[Markup]:
     )
 
 
-def _robot(course: Course, findings: Findings) -> list[Cell]:
-    robot, known = course.robot, course.known
-    failures = [entry for entry in course.entries if entry.of_failure]
+def _robot(robot_period: RobotPeriod, findings: Findings) -> list[Cell]:
+    robot, known = robot_period.robot, robot_period.known
+    failures = [entry for entry in robot_period.entries if entry.of_failure]
     return [
         Cell(findings.named(robot)),
         Cell(robot.health, state="good" if robot.is_well else "warned" if robot.health != "Failed" else "bad"),
@@ -143,24 +147,24 @@ def _robot(course: Course, findings: Findings) -> list[Cell]:
         number(len(failures)),
         number(sum(entry.recovered for entry in failures)),
         number(sum(entry.failed for entry in failures)),
-        number(len(course.entries) - len(failures)),
-        seconds(course.down if known is not None else None, at_least=course.down_at_least),
+        number(len(robot_period.entries) - len(failures)),
+        seconds(robot_period.down if known is not None else None, at_least=robot_period.down_at_least),
         Cell(
-            f"{'≤ ' if course.down_at_least else ''}{availability(course.availability)}",
-            course.availability,
+            f"{'≤ ' if robot_period.down_at_least else ''}{availability(robot_period.availability)}",
+            robot_period.availability,
             number=True,
         ),
         Cell(span(known.length), known.length, number=True) if known is not None else Cell("none", 0.0, number=True),
-        Cell(f"{course.kept} of {course.ever}", course.ever, number=True),
+        Cell(f"{robot_period.kept} of {robot_period.ever}", robot_period.ever, number=True),
     ]
 
 
 def strategies(findings: Findings) -> Iterator[Markup]:
-    """The paper's figure."""
+    """Build the chart of recovery times, as in the paper."""
     yield element("h2", "Recovery time by strategy")
     groups = findings.groups
     if not groups:
-        yield element("p", "Nothing was recovered in this period, so far as it is known.", class_="card")
+        yield element("p", "No recovery of this period is recorded.", class_="card")
         return
     yield element(
         "figure",
@@ -168,8 +172,8 @@ def strategies(findings: Findings) -> Iterator[Markup]:
         charts.recovery_times(groups),
         element(
             "figcaption",
-            "From the last healthy output until the gate was open for the next instance, in four parts: the mean of each, stacked. "
-            "Quantiles lie linearly between the two nearest values: those of a few recoveries say little.",
+            "From the last healthy output until the gate opened for the next instance: the mean of each of the four parts, stacked. "
+            "Quantiles are interpolated linearly; with few recoveries they mean little.",
         ),
     )
     head = ("Strategy", "n", *(name.capitalize() for name in NAMES.values()), "Mean", "p50", "p95", "Least", "Greatest")
@@ -185,30 +189,30 @@ def _spread(spread: Spread) -> list[Cell]:
 
 
 def over_time(findings: Findings) -> Iterator[Markup]:
-    """When each of them was."""
+    """Build the chart of recoveries over time."""
     yield element("h2", "Recoveries over time")
     if not findings.eventful:
-        yield element("p", "Nothing that is known happened to these robots in this period.", class_="card")
+        yield element("p", "No recovery or outage of these robots is recorded in this period.", class_="card")
         return
-    quiet = len(findings.courses) - len(findings.eventful)
-    others = f" Of {counted(quiet, 'robot')} there is nothing to be shown." if quiet else ""
+    quiet = len(findings.robot_periods) - len(findings.eventful)
+    others = f" {counted(quiet, 'robot')} without an event {'is' if quiet == 1 else 'are'} not shown." if quiet else ""
     yield element(
         "figure",
         charts.legend(
             ("recovered", "recovered"),
             ("planned", "without a failure"),
             ("failed", "failed"),
-            ("outage", "not driven"),
-            ("known", "known time"),
-            ("unknown", "not known, or before it was made"),
+            ("outage", "outage"),
+            ("known", "recorded time"),
+            ("unknown", "not recorded, or before creation"),
         ),
         charts.timeline(findings),
-        element("figcaption", f"By robot, in UTC. Every mark is in the table of recoveries below.{others}"),
+        element("figcaption", f"By robot, in UTC. Every mark is also in the table of recoveries below.{others}"),
     )
 
 
 def gaps(findings: Findings) -> Iterator[Markup]:
-    """How long the robots heard nothing."""
+    """Build the chart of command gaps."""
     yield element("h2", "The robot's gap")
     groups = [group for group in findings.groups if group.gaps]
     if not groups:
@@ -220,8 +224,8 @@ def gaps(findings: Findings) -> Iterator[Markup]:
         charts.gaps(groups),
         element(
             "figcaption",
-            "Between the last healthy output (of a switchover: the last output of the former instance) and the first one of the "
-            "next instance, as the monitor hears the gated topics. Logarithmic axis.",
+            "Between the last healthy output (for a switchover: the last output of the former instance) and the first output of the "
+            "next instance, as the monitor received them on the gated topics. Logarithmic axis.",
         ),
     )
     rows = [[Cell(g.name), number(len(g.gaps)), *_spread(Spread.of(g.gaps))] for g in groups]
@@ -229,15 +233,15 @@ def gaps(findings: Findings) -> Iterator[Markup]:
 
 
 def reserved(findings: Findings) -> Iterator[Markup]:
-    """What each strategy keeps reserved: the other side of how long it takes."""
+    """Build the chart of resources that each strategy reserves."""
     yield element("h2", "Reserved CPU and memory")
     shares = findings.shares
     if findings.shares_unknown:
-        yield element("p", f"The pods can't be told: {findings.shares_unknown}", class_="card")
+        yield element("p", f"The pods could not be listed: {findings.shares_unknown}", class_="card")
         return
     roles = [role for role in ROLES if any(share.roles.get(role, Amounts()).cpu for share in shares)]
     if not roles:
-        yield element("p", "No pod of these robots requests CPU, so that nothing is reserved.", class_="card")
+        yield element("p", "No pod of these robots requests CPU.", class_="card")
         return
     yield element(
         "figure",
@@ -245,8 +249,8 @@ def reserved(findings: Findings) -> Iterator[Markup]:
         charts.reserved(shares),
         element(
             "figcaption",
-            "CPU that pods request, by the strategy that would be used if a robot failed now: the mean of a robot, by what its pods are "
-            "for; and of each shared pool what waits there. It is what is set aside for them, not what they use.",
+            "CPU requests of pods, by the strategy that a failure would trigger now: the mean per robot, by role of the "
+            "pods, and the waiting pods of each shared pool. These are requests, not usage.",
         ),
     )
     head = ("Strategy", "n", *(ROLES[role].capitalize() for role in roles), "All", "Memory")
@@ -268,13 +272,13 @@ def _milli(cores: float) -> Cell:
 
 
 def failures(findings: Findings) -> Iterator[Markup]:
-    """What came to nothing, whole or in part."""
-    yield element("h2", "What failed, and what was tried in vain")
+    """List failed recoveries and failed attempts."""
+    yield element("h2", "Failed recoveries and failed attempts")
     failed = [e for e in findings.entries if e.failed or any(a.result != "Verified" for a in e.recovery.attempts)]
     if not failed:
         yield element(
             "p",
-            "No recovery failed in this period, and no strategy was tried in vain, so far as it is known.",
+            "No failed recovery and no failed attempt is recorded in this period.",
             class_="card",
         )
     for entry in failed:
@@ -288,19 +292,19 @@ def failures(findings: Findings) -> Iterator[Markup]:
                 element("span", outcome(recovery), class_="bad" if entry.failed else "good"),
             ),
             element("p", recovery.reason),
-            element("ul", *vain) if vain else element("p", "Of its attempts nothing is recorded."),
+            element("ul", *vain) if vain else element("p", "No attempt is recorded."),
             class_="card fault" if entry.failed else "card",
         )
 
 
 def recoveries(findings: Findings) -> Iterator[Markup]:
-    """Every one of them."""
+    """Build the table of all recoveries."""
     yield element("h2", "Recoveries")
     if not findings.entries:
-        lasts = [course.robot.last_recovery for course in findings.courses]
+        lasts = [robot_period.robot.last_recovery for robot_period in findings.robot_periods]
         newest = max((unix(last.ended) for last in lasts if last is not None and last.ended), default=None)
-        before = f" The last one that is known ended at {clock(newest)}." if newest is not None else ""
-        yield element("p", f"No recovery that is known began in this period.{before}", class_="card")
+        before = f" The last recorded one ended at {clock(newest)}." if newest is not None else ""
+        yield element("p", f"No recovery that began in this period is recorded.{before}", class_="card")
         return
     results = Counter(entry.recovery.result.lower() for entry in findings.entries)
     told = listed(f"{count} {result}" for result, count in sorted(results.items()))
@@ -312,7 +316,7 @@ def recoveries(findings: Findings) -> Iterator[Markup]:
         "Strategy",
         "Time",
         *(name.capitalize() for name in NAMES.values()),
-        "Held",
+        "Deferred",
         "Gap",
         "From and to",
         "Reason",
@@ -339,6 +343,6 @@ def _recovery(entry: Entry, findings: Findings) -> list[Cell]:
         *(seconds(parts.get(part)) for part in NAMES),
         seconds(entry.held),
         seconds(entry.gap),
-        Cell(f"{pods[recovery.from_pod] or 'no pod'} → {pods[recovery.to_pod] or 'no pod'}"),
+        Cell(f"{pods[recovery.from_pod] or 'none'} → {pods[recovery.to_pod] or 'none'}"),
         Cell(recovery.reason, state="long"),
     ]

@@ -1,6 +1,6 @@
-"""The message types of a bag: by the definitions that are written in it, and else as ROS 2 Jazzy has them.
+"""The message types of a bag: from the definitions in the bag, or else from ROS 2 Jazzy.
 
-What a message is read into looks to the trees as rclpy's own classes do, so nothing of ROS need be installed.
+Messages look to the trees like rclpy's own classes, so ROS need not be installed.
 """
 
 from __future__ import annotations
@@ -13,40 +13,40 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 _BREAK = "=" * 80 + "\n"
-"""Stands between the definitions of a type and of those that it is made of."""
+"""Separates the definition of a type from those of its fields' types."""
 
 _NO_FIELDS = "structure_needs_at_least_one_member"
-"""What rosidl puts into a message without fields."""
+"""The field that rosidl adds to a message without fields."""
 
 _NAMES = {"float64": "double", "float32": "float", "bool": "boolean", "byte": "octet", "char": "uint8"}
-"""Basic types that rosidl's Python classes name otherwise than message files do."""
+"""Basic types whose names in rosidl's Python classes differ from message files."""
 
 
 class Definitions:
-    """Types by their names (``package/msg/Name``)."""
+    """Message types by name (``package/msg/Name``)."""
 
     def __init__(self, connections: Iterable[Connection]) -> None:
-        """Of what was recorded. A definition that can't be read counts as none."""
+        """Read the definitions of recorded connections. An unreadable definition is ignored."""
         written = get_typestore(Stores.EMPTY)
         for connection in connections:
-            # One type can be written differently for two topics; the first is as good as any.
+            # Two topics may have different definitions of one type; use the first.
             found = _written(connection) if connection.msgtype not in written.fielddefs else {}
             if new := {name: found[name] for name in found.keys() - written.fielddefs.keys()}:
                 written.register(new)
         self._sources = [_Types(written), _Types(get_typestore(Stores.ROS2_JAZZY))]
 
     def fields(self, type_name: str) -> Mapping[str, str] | None:
-        """The fields of a type with their types, as rosidl names them; None where it isn't known."""
+        """Return the fields of a type with rosidl's names of their types; None if the type is unknown."""
         return next((found for source in self._sources if (found := source.fields(type_name)) is not None), None)
 
     def read(self, data: bytes, type_name: str) -> object:
-        """A message of a type from its bytes (CDR with its header). Raises what there is where they are none of it."""
+        """Deserialize a message (CDR with its header). Raises various errors for invalid bytes."""
         source = next(source for source in self._sources if source.fields(type_name) is not None)
         return source.read(data, type_name)
 
 
 class _Types:
-    """Types of one origin."""
+    """Message types from one source."""
 
     def __init__(self, store: Typestore) -> None:
         self._store = store
@@ -54,7 +54,7 @@ class _Types:
         self._views: dict[str, type[_View]] = {}
 
     def fields(self, type_name: str) -> Mapping[str, str] | None:
-        """As of Definitions."""
+        """As in :class:`Definitions`."""
         if type_name not in self._fields:
             known = self._store.fielddefs.get(type_name)
             self._fields[type_name] = (
@@ -63,17 +63,17 @@ class _Types:
         return self._fields[type_name]
 
     def read(self, data: bytes, type_name: str) -> object:
-        """As of Definitions."""
+        """As in :class:`Definitions`."""
         return self.viewed(self._store.deserialize_cdr(data, type_name))
 
     def viewed(self, value: Any) -> Any:
-        """A value as rclpy would have it."""
+        """Convert a value to what rclpy would return."""
         name = getattr(value, "__msgtype__", None)
         if name is not None:
             return self._view(name)(value)
         if isinstance(value, list):
             return [self.viewed(item) for item in value]
-        if getattr(getattr(value, "dtype", None), "kind", "") == "b":  # truths of numpy's own aren't True and False
+        if getattr(getattr(value, "dtype", None), "kind", "") == "b":  # numpy's booleans are not True and False
             return value.tolist()
         return value
 
@@ -85,10 +85,10 @@ class _Types:
 
 
 class _View:
-    """A message that looks like one of rclpy's: its fields are attributes, and its class tells them."""
+    """A message with the interface of rclpy's: fields as attributes, and a class method that lists them."""
 
     __slots__ = ("_message",)
-    # Fields of messages begin with a letter, so these hide none.
+    # Fields of messages begin with a letter, so there is no conflict.
     _known: Mapping[str, str]
     _types: _Types
 
@@ -97,7 +97,7 @@ class _View:
 
     @classmethod
     def get_fields_and_field_types(cls) -> Mapping[str, str]:
-        """As rosidl's classes say it."""
+        """Return the fields, as rosidl's classes do."""
         return cls._known
 
     def __getattr__(self, name: str) -> Any:
@@ -107,7 +107,7 @@ class _View:
 
 
 def _written(connection: Connection) -> Mapping[str, Any]:
-    """The definitions that a connection was recorded with."""
+    """Return the definitions recorded for a connection."""
     text, form = connection.msgdef.data, connection.msgdef.format
     if not text.strip():
         return {}
@@ -120,7 +120,7 @@ def _written(connection: Connection) -> Mapping[str, Any]:
             for part in parts:
                 found |= get_types_from_idl(part.split("\n", 1)[1] if part.startswith("IDL: ") else part)
             return found
-    except Exception:  # it is text that anybody may have written; what can't be read defines nothing
+    except Exception:  # it is untrusted text; ignore what cannot be read
         return {}
     return {}
 

@@ -1,4 +1,4 @@
-"""Recorded bags: rosbag2 folders, and single MCAP and SQLite files of them, read without ROS."""
+"""Reads recorded bags without ROS: rosbag2 folders, and single MCAP or SQLite files."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from understudy.cli.simulate.bag_types import Definitions
 
 _NS = 1e-9
-_WAYS_OUT = {
-    "end magic": "a recording that was cut off is repaired by `mcap recover`",
-    "footer": "a recording that was cut off is repaired by `mcap recover`",
-    "files are missing": "the folder's metadata.yaml names files that aren't in it: copy them too, or give one of its files instead",
-    "Cannot open database": "it isn't one that rosbag2 has written, or it was cut off; give a rosbag2 folder, or another file of one",
+_REMEDIES = {
+    "end magic": "repair an incomplete recording with `mcap recover`",
+    "footer": "repair an incomplete recording with `mcap recover`",
+    "files are missing": "the folder's metadata.yaml names files that are missing: copy them too, or give one of its files instead",
+    "Cannot open database": "rosbag2 did not write it, or it is incomplete; give a rosbag2 folder, or another file of one",
     "Unrecognized storage": "its name must end in .mcap or .db3",
-    "metadata file": "give a folder that has a metadata.yaml, or one .mcap or .db3 file; `ros2 bag reindex` writes a metadata.yaml anew",
+    "metadata file": "give a folder that has a metadata.yaml, or one .mcap or .db3 file; `ros2 bag reindex` writes a new metadata.yaml",
 }
 _FORMS = "give a rosbag2 folder, or an .mcap or .db3 file of one"
 
 
 @dataclass(frozen=True)
 class BagTopic:
-    """A topic that was recorded."""
+    """A recorded topic."""
 
     name: str
     types: tuple[str, ...]
-    """More than one only where its publishers disagreed."""
+    """More than one only if its publishers disagreed."""
     count: int
     """Messages."""
 
@@ -47,13 +47,13 @@ class Taken(NamedTuple):
 
     topic: str
     received: float
-    """When the recorder received it, in Unix seconds."""
+    """The time of receipt by the recorder, in unix seconds."""
     data: bytes
     """CDR with its header."""
 
 
 class Recorded(Received):
-    """A recorded message that is looked into."""
+    """A recorded message with access to its contents."""
 
     __slots__ = ("_definitions", "_type")
 
@@ -67,23 +67,23 @@ class Recorded(Received):
         if self._message is None and not self._failure:
             try:
                 self._message = self._definitions.read(self._data, self._type)
-            except Exception as error:  # what is raised for bytes of another type isn't said
-                self._failure = f"it is no {self._type}: {error}"
+            except Exception as error:  # the errors for bytes of another type are not documented
+                self._failure = f"not a valid {self._type}: {error}"
         if self._failure:
             raise Unreadable(self._failure)
         return self._message
 
 
 class Bag:
-    """A bag that is open. Times are Unix seconds, as the recorder's clock had them."""
+    """An open bag. Times are unix seconds of the recorder's clock."""
 
     def __init__(self, path: str, reader: Reader, definitions: Definitions) -> None:
         self.path = path
         self._reader, self.definitions = reader, definitions
         self.start = reader.start_time * _NS
-        """When the first message was received."""
+        """The time of receipt of the first message."""
         self.end = (reader.end_time - 1) * _NS
-        """When the last one was."""
+        """The time of receipt of the last message."""
         self.topics: Mapping[str, BagTopic] = {
             name: BagTopic(name, tuple(sorted({one.msgtype for one in info.connections})), info.msgcount)
             for name, info in reader.topics.items()
@@ -98,21 +98,21 @@ class Bag:
             from understudy.cli.simulate.bag_types import Definitions
         except ImportError as error:
             raise CommandError(
-                f"bags are read with the Python package rosbags, which isn't here ({error}): install understudy with its "
+                f"bags need the Python package rosbags, which is not installed ({error}): install understudy with the "
                 "extra bags: pip install '.[bags]' in its repository"
             ) from error
         if not Path(path).exists():
-            raise CommandError(f"{path}: there is no such file or folder; {_FORMS}")
+            raise CommandError(f"{path}: no such file or folder; {_FORMS}")
         try:
             reader = Reader(path)
             reader.open()
-        except Exception as error:  # whatever a file that is no bag makes of a reader
+        except Exception as error:  # the errors for a file that is not a bag are not documented
             told = str(error) or type(error).__name__
-            way_out = next((way for found, way in _WAYS_OUT.items() if found in told), _FORMS)
-            raise CommandError(f"{path}: this can't be read as a bag: {told.rstrip('.')}; {way_out}") from error
+            remedy = next((text for found, text in _REMEDIES.items() if found in told), _FORMS)
+            raise CommandError(f"{path}: this cannot be read as a bag: {told.rstrip('.')}; {remedy}") from error
         if not reader.message_count:
             reader.close()
-            raise CommandError(f"{path}: there is no message in it; give a bag in which something was recorded")
+            raise CommandError(f"{path}: the bag contains no message; give another bag")
         return cls(path, reader, Definitions(reader.connections))
 
     def __enter__(self) -> Self:
@@ -122,7 +122,7 @@ class Bag:
         self._reader.close()
 
     def messages(self, wanted: Mapping[str, str]) -> Iterator[Taken]:
-        """The messages of topics of these types (by name), oldest first. Raises CommandError where the bag is damaged."""
+        """Yield the messages of topics with these types (by name), oldest first. Raises CommandError if the bag is damaged."""
         connections: list[Connection] = [
             one for one in self._reader.connections if wanted.get(one.topic) == one.msgtype
         ]
@@ -131,11 +131,11 @@ class Bag:
         latest = 0.0
         try:
             for connection, stamp, data in self._reader.messages(connections=connections):
-                # The files of a split recording follow each other with a little overlap.
+                # The files of a split recording overlap a little.
                 latest = max(latest, stamp * _NS)
                 yield Taken(connection.topic, latest, data)
         except Exception as error:
             told = str(error) or type(error).__name__
             raise CommandError(
-                f"{self.path}: the bag is damaged: {told}; record it again, or repair an MCAP file by `mcap recover`"
+                f"{self.path}: the bag is damaged: {told}; record it again, or repair an MCAP file with `mcap recover`"
             ) from error

@@ -1,4 +1,4 @@
-"""Times as clocks show them."""
+"""Formats wall times."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ from datetime import UTC, datetime
 
 
 def wall(moment: float, *, zone: bool = True) -> str:
-    """A time (Unix seconds) as a clock shows it, in UTC, with milliseconds."""
+    """Format a time (unix seconds) in UTC with milliseconds."""
     told = datetime.fromtimestamp(round(moment, 3), UTC).isoformat(sep="T" if zone else " ", timespec="milliseconds")
     return told.replace("+00:00", "Z" if zone else "")

@@ -1,4 +1,4 @@
-"""Times that are given by hand, at which something really failed, beside what was detected."""
+"""Compares given times of real failures with the detections."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from understudy.cli.simulate.leaf_history import Failure
 
 @dataclass(frozen=True)
 class Onset:
-    """When something failed, and what detected it. Times are Unix seconds."""
+    """A real failure and its detection. Times are unix seconds."""
 
     at: float
     detection: Failure | None
-    """The first detection from then on, before the next onset; None where there is none."""
+    """The first detection from then on, before the next onset; None if there is none."""
 
     @property
     def delay(self) -> float | None:
-        """Seconds until it was detected."""
+        """Seconds until the detection."""
         return self.detection.detected - self.at if self.detection and self.detection.detected is not None else None
 
 
 def parse(text: str, start: float, end: float) -> float:
-    """A time in Unix seconds, from seconds after ``start`` (``12.5``), a duration (``1m30s``) or a wall time (ISO 8601, UTC
-    where it names no zone). Raises ValueError.
+    """Parse a time into unix seconds: seconds after ``start`` (``12.5``), a duration (``1m30s``) or a wall time (ISO 8601, UTC
+    without a zone). Raises ValueError.
     """
     moment = _moment(text, start)
     if not start <= moment <= end:
-        raise ValueError(f"{text!r:.80} is not within the bag, which is {end - start:.3f} s long from {wall(start)} on")
+        raise ValueError(
+            f"{text!r:.80} is not within the bag, which is {end - start:.3f} s long and starts at {wall(start)}"
+        )
     return moment
 
 
@@ -51,13 +53,13 @@ def _moment(text: str, start: float) -> float:
         read = datetime.fromisoformat(text)
     except ValueError:
         raise ValueError(
-            f"{text!r:.80} is no time: give seconds from the bag's start such as 12.5, or a wall time such as 2026-03-01T10:00:12.5Z"
+            f"{text!r:.80} is not a time: give seconds from the bag's start such as 12.5, or a wall time such as 2026-03-01T10:00:12.5Z"
         ) from None
     return (read if read.tzinfo else read.replace(tzinfo=UTC)).timestamp()
 
 
 def matched(onsets: Sequence[float], detections: Sequence[Failure]) -> tuple[list[Onset], list[Failure]]:
-    """Each onset with its detection, and the detections that belong to none."""
+    """Match each onset with its detection; return these pairs and the other detections."""
     times = sorted(onsets)
     found, left = [], list(detections)
     for index, at in enumerate(times):

@@ -1,4 +1,4 @@
-"""What a policy made of what was seen, over time: when the tree failed, when that counted, and how each leaf was."""
+"""Records the evaluation of a tree over time: failures, detections, and the state of each leaf."""
 
 from __future__ import annotations
 
@@ -12,48 +12,48 @@ from understudy.trees.core.snapshots import Shown, shown
 
 @dataclass
 class Span:
-    """A time in which a leaf, or the tree, was in one state. Times are Unix seconds."""
+    """An interval in which a leaf, or the tree, was in one state. Times are unix seconds."""
 
     state: Shown
     begun: float
     ended: float | None = None
-    """None while it goes on."""
+    """None while it continues."""
     reason: str = ""
-    """As it was at the beginning; of failures and starts only."""
+    """The reason at the start; only for failures and starts."""
 
 
 @dataclass
 class Failure:
-    """A time in which the tree was failed. Times are Unix seconds."""
+    """An interval in which the tree was failed. Times are unix seconds."""
 
     failed: float
     """When the tree failed."""
     leaf: str
-    """Path of the leaf that decided it."""
+    """Path of the leaf that caused it."""
     reason: str
     onset: float | None
-    """When the last good sample was received, or all was last well otherwise; None where that can't be said."""
+    """The time of the last good sample, or of the last healthy state; None if unknown."""
     detected: float | None = None
-    """When it had been so for the policy's debounce, so that the monitor acts; None where it hadn't."""
+    """When it had lasted for the policy's debounce, so that the monitor acts; None if it did not."""
     recovered: float | None = None
-    """When the tree was no longer failed; None where it went on."""
+    """When the tree was no longer failed; None if it continued."""
 
 
 @dataclass
-class Course:
-    """Judges by a policy's tree, just as the monitor does, and keeps what it said. Times are Unix seconds."""
+class Evaluation:
+    """Evaluates a policy's tree as the monitor does, and records the results. Times are unix seconds."""
 
     tree: HealthTree
     debounce: float
     """Seconds."""
     since: float
-    """When the instance that is judged took control."""
+    """When the evaluated instance took control."""
     failures: list[Failure] = field(default_factory=list)
-    """Times in which the tree was failed, whether that counted or not."""
+    """Intervals in which the tree was failed, whether detected or not."""
     healthy: float | None = None
     """When the tree was healthy for the first time."""
     spans: dict[str, list[Span]] = field(default_factory=dict)
-    """By path, the states of each leaf; under the empty path the tree's own."""
+    """By path, the states of each leaf; the empty path is the tree."""
 
     def __post_init__(self) -> None:
         self._counting = Debounce()
@@ -61,11 +61,11 @@ class Course:
 
     @property
     def detections(self) -> list[Failure]:
-        """The failures that counted."""
+        """The failures that were detected."""
         return [failure for failure in self.failures if failure.detected is not None]
 
     def look(self, observations: Observations, now: float) -> Verdict:
-        """The verdict at a moment, which is noted."""
+        """Evaluate the tree at a time and record the verdict."""
         verdict = self.tree.evaluate(observations, now=now, since=self.since)
         self._note("", verdict.state, now, verdict.reason)
         for leaf in self.tree.leaves:
@@ -89,20 +89,20 @@ class Course:
         last = self.failures[-1]
         if last.detected is not None:
             return
-        # The last verdict before it counts is what the monitor acts on.
+        # The monitor acts on the last verdict before the detection.
         last.leaf, last.reason, last.onset = verdict.leaf, verdict.reason, verdict.onset
         self._counts = counts
         if now >= counts:
             last.detected, self._counts = now, None
 
     def next_look(self, observations: Observations, now: float) -> float | None:
-        """The next moment at which something may be another with nothing more received; None for never."""
+        """Return the next time at which the result may change without a further message; None for never."""
         change = self.tree.next_change(observations, now=now, since=self.since)
         moments = [moment for moment in (change, self._counts) if moment is not None]
         return min(moments, default=None)
 
     def end(self, now: float) -> None:
-        """Nothing more is judged."""
+        """End the evaluation."""
         for spans in self.spans.values():
             spans[-1].ended = now
 

@@ -1,6 +1,6 @@
-"""``understudy learn --bag BAG --topic NAME``: leaves for topics, with bounds as a healthy recording has them.
+"""``understudy learn --bag BAG --topic NAME``: proposes leaves for topics, with bounds from a healthy recording.
 
-They are printed and never written anywhere: whether the recording was a healthy one, and how much is too much, people must say.
+It only prints them: people must decide whether the recording was healthy and how much deviation is acceptable.
 """
 
 from __future__ import annotations
@@ -24,36 +24,36 @@ from understudy.trees.core.rate_window import hertz
 from understudy.trees.languages.short.health_loader import load
 from understudy.trees.source.problems import TreeError, did_you_mean
 
-FINE, CONTRADICTED, CANT = 0, 1, 2
+CONSISTENT, CONTRADICTED, ERROR = 0, 1, 2
 """Exit statuses."""
 
 
 def main(arguments: list[str]) -> int:
-    """Run the command; the leaves go to standard output."""
+    """Run the command. The leaves go to standard output."""
     given = _parser().parse_args(arguments)
     try:
         with Bag.open(given.bag) as bag:
-            learnt = [_learn(bag, name, given.factor, given.margin) for name in dict.fromkeys(given.topic)]
-            failures = _tried([leaf for leaf, _, _ in learnt], bag)
-            for line in _text(bag, learnt, given.factor, given.margin):
+            learned = [_learn(bag, name, given.factor, given.margin) for name in dict.fromkeys(given.topic)]
+            failures = _tried([leaf for leaf, _, _ in learned], bag)
+            for line in _text(bag, learned, given.factor, given.margin):
                 print(plain(line))
             for failure in failures:
                 print(
-                    f"understudy learn: these bounds would have failed in this very bag, at {failure.failed - bag.start:.3f} s: "
-                    f"{plain(failure.reason)}; was it healthy then? If it was, give a greater --factor or --margin",
+                    f"understudy learn: these bounds would have failed in this bag, at {failure.failed - bag.start:.3f} s: "
+                    f"{plain(failure.reason)}; was the robot healthy then? If it was, increase --factor or --margin",
                     file=sys.stderr,
                 )
     except CommandError as error:
         print(f"understudy learn: {error}", file=sys.stderr)
-        return CANT
-    return CONTRADICTED if failures else FINE
+        return ERROR
+    return CONTRADICTED if failures else CONSISTENT
 
 
-Learnt = tuple[dict[str, Any], Measures, Bounds]
+Learned = tuple[dict[str, Any], Measures, Bounds]
 
 
-def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learnt:
-    """A topic's leaf. Raises CommandError."""
+def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learned:
+    """Learn the leaf of a topic. Raises CommandError."""
     topic = bag.topics.get(name)
     if topic is None:
         raise CommandError(f"{bag.path}: the bag has no topic {name!r:.80}{did_you_mean(name, bag.topics)}")
@@ -64,7 +64,7 @@ def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learnt:
     arrivals = array("d", (taken.received for taken in bag.messages({name: topic.types[0]})))
     if len(arrivals) < FEWEST or arrivals[-1] <= arrivals[0]:
         raise CommandError(
-            f"{bag.path}: the bag has {len(arrivals)} messages of {name}; at least {FEWEST} are needed to learn from, better "
+            f"{bag.path}: the bag has {len(arrivals)} messages of {name}; at least {FEWEST} are required, better "
             "thousands: give a longer recording"
         )
     measures = measured(arrivals)
@@ -76,51 +76,50 @@ def _learn(bag: Bag, name: str, factor: float, margin: float) -> Learnt:
 
 
 def _tried(leaves: list[dict[str, Any]], bag: Bag) -> list[Failure]:
-    """Where the leaves fail in the bag that they were learnt from, once each has had the time to start."""
+    """Return the failures of the leaves in the bag from which they were learned, after their startup."""
     try:
-        tree = load({"parallel": [{"topic": leaf} for leaf in leaves]}, path="learnt", grace=bag.end - bag.start)
-    except TreeError as error:  # such as for a name that ROS doesn't have
-        raise CommandError(f"{bag.path}: no leaf can be made of this: {error.in_short()}") from error
-    return replay(tree, 0.0, bag).course.failures
+        tree = load({"parallel": [{"topic": leaf} for leaf in leaves]}, path="learned", grace=bag.end - bag.start)
+    except TreeError as error:  # for example for an invalid ROS name
+        raise CommandError(f"{bag.path}: these are not valid leaves: {error.in_short()}") from error
+    return replay(tree, 0.0, bag).evaluation.failures
 
 
-def _text(bag: Bag, learnt: list[Learnt], factor: float, margin: float) -> Iterator[str]:
-    yield f"# Learnt from {bag.path}: {bag.end - bag.start:.3f} s from {wall(bag.start)} on. Look at it before you paste it."
-    yield f"# gap: {factor:g} times the gap that 99.9 % of the gaps don't exceed, rounded up."
+def _text(bag: Bag, learned: list[Learned], factor: float, margin: float) -> Iterator[str]:
+    yield f"# Learned from {bag.path}: {bag.end - bag.start:.3f} s from {wall(bag.start)}. Check it before you use it."
+    yield f"# gap: {factor:g} times the 99.9th percentile of the gaps, rounded up."
     yield (
-        f"# rate: from the least to the greatest over any window of the recording, {margin * 100:g} % further on both sides, "
+        f"# rate: from the lowest to the highest rate over any window of the recording, extended by {margin * 100:g} % on both sides, "
         "rounded outwards."
     )
     yield "parallel:"
-    for leaf, measures, bounds in learnt:
+    for leaf, measures, bounds in learned:
         yield (
-            f"  # {measures.count} messages, {hertz(measures.rate)}; gaps: median {_told(measures.median)}, "
-            f"p99.9 {_told(measures.quantile)}, longest {_told(measures.longest)}"
+            f"  # {measures.count} messages, {hertz(measures.rate)}; gaps: median {_duration_text(measures.median)}, "
+            f"p99.9 {_duration_text(measures.quantile)}, longest {_duration_text(measures.longest)}"
         )
         if bounds.band is not None:
             yield f"  # over {duration(bounds.window)}: {hertz(bounds.slowest)} to {hertz(bounds.fastest)}"
         else:
-            yield f"  # over {duration(bounds.window)} the rate varies too much to be bounded, or the recording is shorter than that"
+            yield f"  # over {duration(bounds.window)} the rate varies too much for bounds, or the recording is shorter"
         fields = ", ".join(f"{key}: {value}" for key, value in leaf.items())
         yield f"  - topic: {{{fields}}}"
 
 
-def _told(seconds: float) -> str:
+def _duration_text(seconds: float) -> str:
     return duration(float(f"{seconds:.3g}"))
 
 
 def _written(seconds: float) -> str:
-    """A time as trees have it."""
+    """Format a duration for a health tree."""
     return f"{seconds * 1000:.6g}ms" if seconds < 1 else f"{seconds:.6g}s"
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy learn",
-        description="Proposes leaves for a health tree, with gaps and rates as a recording has them in which all was well. They are "
-        "printed, to be looked at and pasted into a policy; nothing is written.",
-        epilog="Exit status: 0 where the leaves hold all through the recording, 1 where they don't, 2 where it can't be done as asked "
-        "for.",
+        description="Proposes leaves for a health tree, with gaps and rates from a recording of a healthy robot. They are "
+        "printed for review, to be pasted into a policy; nothing is written.",
+        epilog="Exit status: 0 if the leaves hold throughout the recording, 1 if they do not, 2 on an error.",
     )
     parser.add_argument("--bag", required=True, metavar="BAG", help="a rosbag2 folder, or an .mcap or .db3 file")
     parser.add_argument(
@@ -130,13 +129,13 @@ def _parser() -> argparse.ArgumentParser:
         "--factor",
         type=_factor,
         default=FACTOR,
-        help="how many times the p99.9 of its gaps a topic may be silent (%(default)s)",
+        help="longest allowed gap, as a multiple of the 99.9th percentile (default: %(default)s)",
     )
     parser.add_argument(
         "--margin",
         type=_margin,
         default=MARGIN,
-        help="by which part the rate may be further out than what was recorded (%(default)s)",
+        help="tolerated deviation beyond the recorded rates, as a fraction (default: %(default)s)",
     )
     return parser
 

@@ -1,4 +1,4 @@
-"""How a live tree is shown: as one screen that is written anew, or as one line for each change."""
+"""Displays a live tree: as a screen that is redrawn, or as one line per change."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ from typing import Protocol, TextIO
 from understudy.cli.common import terminal
 from understudy.cli.common.tree_text import WORDS, Rates, coloured, plain, rough, tree_lines
 from understudy.cli.simulate.clock_text import wall
-from understudy.cli.simulate.leaf_history import Course, Failure
+from understudy.cli.simulate.leaf_history import Evaluation, Failure
 from understudy.trees.core.observations import Observations
 from understudy.trees.core.snapshots import Shown, snapshot
 
 PERIOD = 0.5
-"""Seconds between two drawings where nothing but figures changes."""
+"""Seconds between two updates if only figures change."""
 
 COUNTED = 2.0
-"""Seconds over which messages are counted; over less, slow topics would seem to stand and to jump."""
+"""Seconds over which rates are measured; over less, the rates of slow topics would jump."""
 
 
 class Display(Protocol):
-    """Shows how things are."""
+    """Displays the state of a tree."""
 
-    def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Show it as it is now (Unix seconds); ``notes`` say what isn't watched and why."""
+    def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
+        """Show the state at ``now`` (unix seconds); ``notes`` say what is not watched and why."""
         ...
 
     def close(self) -> None:
-        """Show nothing more."""
+        """End the display."""
         ...
 
 
 class Lines:
-    """One line for each change."""
+    """Prints one line per change."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
@@ -40,30 +40,30 @@ class Lines:
         self._notes: set[str] = set()
         self._detected = 0
 
-    def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Print what has changed."""
+    def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
+        """Print the changes."""
         for note in notes:
             if note not in self._notes:
                 self._line(now, note)
         self._notes = set(notes)
-        for path, spans in sorted(course.spans.items()):
+        for path, spans in sorted(evaluation.spans.items()):
             for span in spans[self._told.get(path, 0) :]:
                 why = f": {span.reason}" if span.reason else ""
                 self._line(span.begun, f"{path or 'the tree'} is {WORDS[span.state]}{why}")
             self._told[path] = len(spans)
-        for failure in course.detections[self._detected :]:
+        for failure in evaluation.detections[self._detected :]:
             self._line(failure.detected or now, f"DETECTED {failure.leaf}: {failure.reason}")
-        self._detected = len(course.detections)
+        self._detected = len(evaluation.detections)
 
     def close(self) -> None:
-        """Nothing is left open."""
+        """Do nothing."""
 
     def _line(self, moment: float, text: str) -> None:
         print(wall(moment), plain(text), file=self._out, flush=True)
 
 
 class Screen:
-    """The whole tree in a terminal, written anew."""
+    """Redraws the whole tree in a terminal."""
 
     def __init__(self, out: TextIO, title: str) -> None:
         self._out, self._title = out, title
@@ -72,38 +72,38 @@ class Screen:
         self._rates = Rates()
         self._out.write(terminal.BEGIN)
 
-    def show(self, course: Course, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Draw it: at once where something changed, else twice a second for the figures."""
-        states: list[Shown] = [spans[-1].state for spans in course.spans.values()]
+    def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
+        """Redraw at once after a change, and else twice a second for the figures."""
+        states: list[Shown] = [spans[-1].state for spans in evaluation.spans.values()]
         if states == self._before and now - self._drawn < PERIOD:
             return
         self._before, self._drawn = states, now
-        tree = snapshot(course.tree, observations, now)
+        tree = snapshot(evaluation.tree, observations, now)
         if now - self._counted >= COUNTED:
             self._counted = now
             self._rates.look({"tree": tree, "time": now})
-        lines = [plain(self._title), *_summary(course, now), "", *tree_lines(tree, self._rates, colours=True)]
+        lines = [plain(self._title), *_summary(evaluation, now), "", *tree_lines(tree, self._rates, colours=True)]
         lines += ["", *(plain(note) for note in notes)] if notes else []
         terminal.draw(self._out, lines)
 
     def close(self) -> None:
-        """Give the terminal back."""
+        """Restore the terminal."""
         self._out.write(terminal.END)
         self._out.flush()
 
 
-def _summary(course: Course, now: float) -> Iterator[str]:
-    span = course.spans[""][-1]
+def _summary(evaluation: Evaluation, now: float) -> Iterator[str]:
+    span = evaluation.spans[""][-1]
     why = f": {plain(span.reason)}" if span.reason else ""
     yield f"{coloured(WORDS[span.state], span.state, colours=True)} for {rough(now - span.begun)}{why}"
-    failures, watched = course.detections, rough(now - course.since)
+    failures, watched = evaluation.detections, rough(now - evaluation.since)
     if failures:
         count = f"{len(failures)} {'failure' if len(failures) == 1 else 'failures'}"
-        yield f"{count} in {watched}; the last: {told(failures[-1])}"
+        yield f"{count} in {watched}; the last one: {describe(failures[-1])}"
     else:
         yield f"no failure in {watched}"
 
 
-def told(failure: Failure) -> str:
-    """A failure in one line."""
+def describe(failure: Failure) -> str:
+    """Describe a failure in one line."""
     return f"{wall(failure.detected or failure.failed)} {failure.leaf}: {plain(failure.reason)}"

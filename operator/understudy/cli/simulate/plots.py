@@ -1,4 +1,4 @@
-"""Draws what came of a policy over a bag: one lane for each leaf, over time."""
+"""Draws the evaluation of a policy over a bag: one lane per leaf, over time."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from understudy.cli.simulate.replay import Replay
 from understudy.trees.core.leaf import duration
 
 WIDTH, LANE, REST, DOTS = 12.0, 0.55, 1.75, 150
-"""The picture's width, a lane's height, what stands around the lanes (all in inches), and dots per inch."""
+"""The width of the picture, the height of a lane, the height around the lanes (all in inches), and dots per inch."""
 
 _COLOURS = {"Healthy": "#cfe8cf", "Starting": "#fdeab5", "Failed": "#f2b8b0", "Idle": "#ececec", "Unasked": "#ececec"}
 _WORDS = {
     "Healthy": "healthy",
     "Starting": "starting",
     "Failed": "failed",
-    "Idle": "not asked for now",
-    "Unasked": "not asked for now",
+    "Idle": "not evaluated",
+    "Unasked": "not evaluated",
 }
 _INK, _RED, _BLUE = "#2b2b2b", "#b3261e", "#1f5fa8"
 _LONGEST = 34
-"""Characters of a leaf's path that are shown beside its lane."""
+"""Most characters of a leaf's path next to its lane."""
 
 
 def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets: Sequence[float] = ()) -> None:
-    """Draw it into a file. Times are Unix seconds. Raises CommandError where it can't be written."""
+    """Draw the picture into a file. Times are unix seconds. Raises CommandError if it cannot be written."""
     from matplotlib.figure import Figure
 
-    course = replay.course
+    evaluation = replay.evaluation
     lanes = list(replay.topics.items())
     figure = Figure(figsize=(WIDTH, REST + LANE * (len(lanes) + 1)), dpi=DOTS, layout="constrained")
     axes: Any = figure.subplots()
     length = max(end - start, 1e-3)
-    _bands(axes, 0, course.spans[""], start, 0.7)
+    _bands(axes, 0, evaluation.spans[""], start, 0.7)
     for row, (path, _) in enumerate(lanes, 1):
-        _bands(axes, row, course.spans[path], start, 0.7)
+        _bands(axes, row, evaluation.spans[path], start, 0.7)
         _messages(axes, row, replay.received(path), start, length)
-    _marks(axes, course.failures, onsets, start, length, len(lanes))
+    _marks(axes, evaluation.failures, onsets, start, length, len(lanes))
     axes.set_yticks(range(len(lanes) + 1), ["whole tree", *(_lane(path, topic) for path, topic in lanes)])
     axes.get_yticklabels()[0].set_fontweight("bold")
     axes.set_ylim(len(lanes) + 0.6, -0.6)
@@ -54,7 +54,7 @@ def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets
     for side in ("top", "right", "left"):
         axes.spines[side].set_visible(False)
     figure.legend(
-        handles=list(_legend(course.spans, bool(course.detections), bool(onsets))),
+        handles=list(_legend(evaluation.spans, bool(evaluation.detections), bool(onsets))),
         loc="outside lower center",
         ncols=7,
         frameon=False,
@@ -63,11 +63,11 @@ def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets
     try:
         figure.savefig(file)
     except OSError as error:
-        raise CommandError(f"--plot: {file} can't be written: {error.strerror}; give another file") from error
+        raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error
 
 
 def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: float) -> None:
-    """How a leaf was."""
+    """Draw the states of a leaf."""
     for span in spans:
         ended = span.ended if span.ended is not None else span.begun
         axes.broken_barh(
@@ -80,7 +80,7 @@ def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: flo
 
 
 def _messages(axes: Any, row: int, times: array[float], start: float, length: float) -> None:
-    """A tick for each message, as far as dots can tell them apart: where they are dense a bar, and a gap stays a gap."""
+    """Draw a tick per message as far as the resolution allows: dense messages become a bar, and gaps stay visible."""
     dot = length / (WIDTH * DOTS)
     shown: list[float] = []
     for moment in times:
@@ -106,7 +106,7 @@ def _messages(axes: Any, row: int, times: array[float], start: float, length: fl
 def _marks(
     axes: Any, failures: Sequence[Failure], onsets: Sequence[float], start: float, length: float, lanes: int
 ) -> None:
-    """Lines for detections, and for onsets that were given."""
+    """Draw lines at detections and given onsets."""
     for onset in onsets:
         axes.axvline(onset - start, color=_BLUE, linewidth=1.2, linestyle=(0, (4, 3)))
     free = -length
@@ -115,7 +115,7 @@ def _marks(
             continue
         at = one.detected - start
         axes.axvline(at, color=_RED, linewidth=1.4)
-        if at - free > length * 0.07:  # the words of the one before need their room
+        if at - free > length * 0.07:  # leave room for the previous label
             axes.annotate(
                 f"{at:.3f} s",
                 (at, -0.6),
@@ -142,7 +142,7 @@ def _legend(spans: dict[str, list[Span]], detected: bool, onsets: bool) -> Itera
     if detected:
         yield Line2D([], [], color=_RED, linewidth=1.4, label="detected")
     if onsets:
-        yield Line2D([], [], color=_BLUE, linewidth=1.2, linestyle=(0, (4, 3)), label="onset, as given")
+        yield Line2D([], [], color=_BLUE, linewidth=1.2, linestyle=(0, (4, 3)), label="given onset")
 
 
 def _lane(path: str, topic: str) -> str:

@@ -1,7 +1,7 @@
-"""Runs a health tree over a bag, by a virtual clock: from one moment at which something can change to the next.
+"""Evaluates a health tree over a bag with a virtual clock, which advances to the next possible change.
 
-Nothing is ticked at a period. A moment is the receipt of a message, or a time that the tree itself foretells, so a
-500 ms gap is found exactly 500 ms after the last receipt.
+There is no tick period. A change is the receipt of a message or a time that the tree predicts, so a 500 ms gap is detected
+exactly 500 ms after the last receipt.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 from understudy.cli.common.errors import CommandError
 from understudy.cli.simulate.bags import Bag, Recorded, Taken
-from understudy.cli.simulate.leaf_history import Course
+from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.ros.observe.message_contents import ours
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
 from understudy.trees.core.observations import RecordedObservations as Observed
@@ -24,49 +24,49 @@ from understudy.trees.leaves.diagnostics import TYPE as DIAGNOSTICS
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A part of the tree that a bag can't tell anything of."""
+    """A part of the tree that a bag cannot answer."""
 
     leaves: tuple[str, ...]
-    """Paths of the leaves that aren't judged for that."""
+    """Paths of the leaves that are not evaluated for this reason."""
     why: str
 
 
 @dataclass
 class Replay:
-    """What a policy would have made of a bag."""
+    """The result of evaluating a policy over a bag."""
 
-    course: Course
+    evaluation: Evaluation
     left_out: list[LeftOut]
     arrivals: Mapping[str, array[float]]
-    """When each topic of the tree was received, in Unix seconds."""
+    """Times of receipt of each topic of the tree, in unix seconds."""
     topics: dict[str, str] = field(default_factory=dict)
-    """By path, the topic of each leaf that was judged."""
+    """By path, the topic of each evaluated leaf."""
 
     def received(self, path: str) -> array[float]:
-        """When a leaf's topic was, in Unix seconds."""
+        """Return the times of receipt of a leaf's topic, in unix seconds."""
         return self.arrivals.get(self.topics[path], array("d"))
 
 
 def replay(tree: HealthTree, debounce: float, bag: Bag) -> Replay:
-    """Judge a bag by a policy's tree and its debounce (seconds). Raises CommandError."""
+    """Evaluate a bag with a policy's tree and its debounce (seconds). Raises CommandError."""
     left_out = _leave_out(tree, bag)
     if tree.root is None:
         told = "\n".join(f"{', '.join(one.leaves)}: {one.why}" for one in left_out)
-        raise CommandError(f"{bag.path}: nothing of the policy's tree can be judged by this bag\n{told}")
-    # A topic that only leaves need that are left out isn't read.
+        raise CommandError(f"{bag.path}: this bag contains nothing that the policy's tree can evaluate\n{told}")
+    # Topics that only skipped leaves need are not read.
     out = {path for one in left_out for path in one.leaves}
     heard = [topic for topic in tree.topics if topic.heard and topic.name in bag.topics]
     wanted = {topic.name: topic for topic in heard if _without(tree, out, topic.name)}
     types = {name: _type(topic, bag) for name, topic in wanted.items()}
     received = _Received(wanted, types, bag)
-    course = Course(tree, debounce, bag.start)
-    _run(course, received, bag, types)
-    course.end(bag.end)
-    return Replay(course, left_out, received.arrivals, {leaf.name: leaf.topic for leaf in tree.leaves})
+    evaluation = Evaluation(tree, debounce, bag.start)
+    _run(evaluation, received, bag, types)
+    evaluation.end(bag.end)
+    return Replay(evaluation, left_out, received.arrivals, {leaf.name: leaf.topic for leaf in tree.leaves})
 
 
 class _Received:
-    """What has been received until the virtual clock's moment."""
+    """Everything received until the virtual time."""
 
     def __init__(self, wanted: Mapping[str, WatchedTopic], types: Mapping[str, str], bag: Bag) -> None:
         self._wanted, self._types, self._definitions = wanted, types, bag.definitions
@@ -76,7 +76,7 @@ class _Received:
         self.arrivals = {name: array("d") for name in wanted}
 
     def take(self, taken: Taken) -> None:
-        """Note a message."""
+        """Add a message."""
         if self._types[taken.topic] == DIAGNOSTICS and ours(taken.data):
             return
         want = self._wanted[taken.topic]
@@ -99,7 +99,7 @@ class _Received:
             self._tasks.pop(taken.topic, None)
 
 
-def _run(course: Course, received: _Received, bag: Bag, types: Mapping[str, str]) -> None:
+def _run(evaluation: Evaluation, received: _Received, bag: Bag, types: Mapping[str, str]) -> None:
     observations, now = received.observations, bag.start
     following: Iterator[Taken] = bag.messages(types)
     coming = next(following, None)
@@ -107,8 +107,8 @@ def _run(course: Course, received: _Received, bag: Bag, types: Mapping[str, str]
         while coming is not None and coming.received <= now:
             received.take(coming)
             coming = next(following, None)
-        course.look(observations, now)
-        change = course.next_look(observations, now)
+        evaluation.look(observations, now)
+        change = evaluation.next_look(observations, now)
         moments = [moment for moment in (change, coming.received if coming else None) if moment is not None]
         if not moments or min(moments) > bag.end:
             return
@@ -116,7 +116,7 @@ def _run(course: Course, received: _Received, bag: Bag, types: Mapping[str, str]
 
 
 def _leave_out(tree: HealthTree, bag: Bag) -> list[LeftOut]:
-    """Have a tree judged without what the bag doesn't have, and say what that is."""
+    """Remove the leaves from the evaluation that the bag cannot answer, and return them."""
     leaves = {leaf.name: leaf for leaf in tree.leaves}
     unheard = {path for path, leaf in leaves.items() if leaf.unrecorded}
     lacking = [topic for topic in tree.topics if topic.heard and topic.name not in bag.topics]
@@ -124,17 +124,17 @@ def _leave_out(tree: HealthTree, bag: Bag) -> list[LeftOut]:
     for topic in lacking:
         gone = tuple(path for path in leaves if path in _without(tree, unheard, topic.name))
         if gone:
-            why = f"the bag lacks {topic.name}{', which tells whether the task is active' if topic.task else ''}"
+            why = f"the bag does not contain {topic.name}{', which reports whether the task is active' if topic.task else ''}"
             found.append(LeftOut(gone, f"{why}; {_HIDDEN}" if "/_action/" in topic.name else why))
     tree.leave_out({topic.name for topic in lacking} | unheard)
     return found
 
 
-_HIDDEN = "`ros2 bag record` leaves it out unless --include-hidden-topics is given"
+_HIDDEN = "`ros2 bag record` skips it unless --include-hidden-topics is given"
 
 
 def _without(tree: HealthTree, left_out: Collection[str], topic: str) -> set[str]:
-    """The paths of the leaves that go with a topic, where others are left out already; those stay as they are."""
+    """Return the paths of the leaves that depend on a topic, with other leaves removed already."""
     tree.leave_out(set(left_out))
     before = {leaf.name for leaf in tree.leaves}
     tree.leave_out({*left_out, topic})
@@ -144,21 +144,21 @@ def _without(tree: HealthTree, left_out: Collection[str], topic: str) -> set[str
 
 
 def _type(topic: WatchedTopic, bag: Bag) -> str:
-    """The type by which a topic's messages are read. Raises CommandError."""
+    """Return the message type of a topic. Raises CommandError."""
     recorded = bag.topics[topic.name].types
     if topic.type is None and len(recorded) > 1:
         raise CommandError(
-            f"{bag.path}: the bag has {topic.name} as {' and as '.join(recorded)}: give the type in the policy's tree"
+            f"{bag.path}: {topic.name} was recorded as {' and as '.join(recorded)}: set the type in the policy's tree"
         )
     wanted = topic.type or recorded[0]
     if wanted not in recorded:
         raise CommandError(
-            f"{bag.path}: the policy's tree says {wanted} of {topic.name}, but it was recorded as {' and as '.join(recorded)}; "
-            "a monitor would receive nothing: correct the type in the tree"
+            f"{bag.path}: the policy's tree has the type {wanted} for {topic.name}, but it was recorded as {' and as '.join(recorded)}; "
+            "a monitor would receive nothing, so correct the type in the tree"
         )
     if (topic.contents or topic.task) and bag.definitions.fields(wanted) is None:
         raise CommandError(
-            f"{bag.path}: the type {wanted} of {topic.name} is not known, and the tree looks into its messages: the bag has no "
-            "definition of it that can be read; record it as MCAP or with ROS 2 Iron or newer, which write the definitions too"
+            f"{bag.path}: the type {wanted} of {topic.name} is unknown, but the tree reads its messages: the bag contains no "
+            "readable definition of it; record it as MCAP or with ROS 2 Iron or newer, which store the definitions too"
         )
     return wanted

@@ -1,4 +1,4 @@
-"""What came of a policy over a bag, for people and for programs."""
+"""Formats the result of ``understudy simulate`` as text and as JSON data."""
 
 from __future__ import annotations
 
@@ -17,51 +17,51 @@ from understudy.cli.simulate.replay import Replay
 from understudy.trees.core.leaf import duration
 
 ASSUMED = (
-    "all that was recorded came from the robot or from the instance in control: a bag doesn't say which instance sent a message",
-    "that instance took control when the recording began, and nothing was done about what is detected",
+    "all messages came from the robot or from the active instance: a bag does not record which instance sent a message",
+    "that instance took control when the recording began, and nothing was recovered",
 )
-"""What a bag can't tell, and what is taken to be so."""
+"""Assumptions about what a bag does not record."""
 
 
 class Report:
     """One run of ``understudy simulate``."""
 
     def __init__(self, policy: Policy, bag: Bag, replay: Replay, onsets: Sequence[float] = ()) -> None:
-        """``onsets`` are when something really failed, in Unix seconds."""
+        """``onsets`` are times of real failures, in unix seconds."""
         self._policy, self._bag, self._replay = policy, bag, replay
         self._onsets = onsets
 
-    # -- for people -------------------------------------------------------------------------------------------------
+    # -- text -------------------------------------------------------------------------------------------------
 
     def text(self) -> str:
-        """All of it, in lines."""
+        """Format the result as text."""
         return "\n".join(
             plain(line.rstrip()) for part in (self._head(), self._found(), self._leaves()) for line in part
         )
 
     def _head(self) -> Iterator[str]:
-        policy, bag, course = self._policy, self._bag, self._replay.course
+        policy, bag, evaluation = self._policy, self._bag, self._replay.evaluation
         looked = sum(len(times) for times in self._replay.arrivals.values())
         debounce = f"debounce {duration(policy.debounce)}" if policy.debounce else "no debounce"
         yield f"policy     {policy.name}: {debounce}, grace {duration(policy.grace)} at the start"
         yield (
-            f"bag        {bag.path}: {bag.end - bag.start:.3f} s from {wall(bag.start)} on, {looked} messages looked at on "
+            f"bag        {bag.path}: {bag.end - bag.start:.3f} s from {wall(bag.start)}, {looked} messages evaluated on "
             f"{len(self._replay.arrivals)} of its {len(bag.topics)} topics"
         )
         for index, assumed in enumerate(ASSUMED):
             yield f"{'' if index else 'assumed':11}{assumed}"
         for index, left in enumerate(self._replay.left_out):
-            yield f"{'' if index else 'LEFT OUT':11}{', '.join(left.leaves) or 'nothing of its own'}: {left.why}"
-        if course.healthy is None:
+            yield f"{'' if index else 'LEFT OUT':11}{', '.join(left.leaves) or 'no leaf'}: {left.why}"
+        if evaluation.healthy is None:
             yield "healthy    never"
         else:
-            yield f"healthy    from {self._at(course.healthy)} on"
+            yield f"healthy    from {self._at(evaluation.healthy)}"
         yield ""
 
     def _found(self) -> Iterator[str]:
-        course = self._replay.course
-        onsets, others = matched(self._onsets, course.detections)
-        rows = [("DETECTED", "WALL TIME (UTC)", "LEAF", "LAST WELL", "RECOVERED", "REASON")]
+        evaluation = self._replay.evaluation
+        onsets, others = matched(self._onsets, evaluation.detections)
+        rows = [("DETECTED", "WALL TIME (UTC)", "LEAF", "LAST HEALTHY", "RECOVERED", "REASON")]
         rows += [
             (
                 self._at(one.detected),
@@ -71,31 +71,31 @@ class Report:
                 self._at(one.recovered, never="not in this bag"),
                 one.reason,
             )
-            for one in course.detections
+            for one in evaluation.detections
         ]
-        if course.detections:
+        if evaluation.detections:
             yield from _table(rows)
         else:
             yield "Nothing was detected."
-        for one in course.failures:
+        for one in evaluation.failures:
             if one.detected is None:
                 ended = one.recovered if one.recovered is not None else self._bag.end
                 why = "the policy's debounce" if one.recovered is not None else "the debounce when the bag ended"
                 yield (
-                    f"Passed over: failed at {self._at(one.failed)} for {_length(ended - one.failed)}, less than {why}: "
+                    f"Not detected: failed at {self._at(one.failed)} for {_length(ended - one.failed)}, less than {why}: "
                     f"{one.leaf}: {one.reason}"
                 )
         for onset in onsets:
             told = f"detected {_length(onset.delay)} later" if onset.delay is not None else "NOT DETECTED"
             yield f"Onset at {self._at(onset.at)}: {told}"
         if onsets:
-            yield from (f"Detected at {self._at(one.detected)}: belongs to no onset that was given" for one in others)
+            yield from (f"Detected at {self._at(one.detected)}: matches no given onset" for one in others)
         yield ""
 
     def _leaves(self) -> Iterator[str]:
-        rows = [("LEAF", "TOPIC", "MESSAGES", "RATE", "LONGEST GAP", "FAILED", "AT THE END")]
+        rows = [("LEAF", "TOPIC", "MESSAGES", "RATE", "LONGEST GAP", "FAILED", "FINAL STATE")]
         for path, topic in self._replay.topics.items():
-            times, spans = self._replay.received(path), self._replay.course.spans[path]
+            times, spans = self._replay.received(path), self._replay.evaluation.spans[path]
             failed = [span for span in spans if span.state == "Failed"]
             total = sum(_ended(span) - span.begun for span in failed)
             rows.append(
@@ -114,12 +114,12 @@ class Report:
     def _at(self, moment: float | None, never: str = "-") -> str:
         return f"{moment - self._bag.start:.3f} s" if moment is not None else never
 
-    # -- for programs -----------------------------------------------------------------------------------------------
+    # -- data -----------------------------------------------------------------------------------------------
 
     def data(self) -> dict[str, Any]:
-        """All of it, as JSON has it. Times with ``At`` are seconds from the bag's start, unless they are named wall times."""
-        policy, bag, replay, course = self._policy, self._bag, self._replay, self._replay.course
-        onsets, others = matched(self._onsets, course.detections)
+        """Return the result as JSON data. Times with ``At`` are seconds from the bag's start; wall times are named so."""
+        policy, bag, replay, evaluation = self._policy, self._bag, self._replay, self._replay.evaluation
+        onsets, others = matched(self._onsets, evaluation.detections)
         return {
             "policy": {"name": policy.name, "debounce": policy.debounce, "startupGrace": policy.grace},
             "bag": {
@@ -131,9 +131,9 @@ class Report:
             },
             "assumed": list(ASSUMED),
             "leftOut": [{"leaves": list(one.leaves), "why": one.why} for one in replay.left_out],
-            "healthyAt": self._seconds(course.healthy),
-            "detections": [self._failure(one) for one in course.detections],
-            "passedOver": [self._failure(one) for one in course.failures if one.detected is None],
+            "healthyAt": self._seconds(evaluation.healthy),
+            "detections": [self._failure(one) for one in evaluation.detections],
+            "passedOver": [self._failure(one) for one in evaluation.failures if one.detected is None],
             "onsets": [
                 {"at": self._seconds(one.at), "delay": _exact(one.delay) if one.delay is not None else None}
                 for one in onsets
@@ -152,7 +152,7 @@ class Report:
                             "toAt": self._seconds(span.ended),
                             "reason": span.reason,
                         }
-                        for span in course.spans[path]
+                        for span in evaluation.spans[path]
                     ],
                 }
                 for path, topic in replay.topics.items()
@@ -176,7 +176,7 @@ class Report:
 
 
 def _exact(length: float) -> float:
-    """Seconds without the digits that a clock of this century can't have in a float."""
+    """Round to the precision that a float has for current unix times."""
     return round(length, 6)
 
 
@@ -199,7 +199,7 @@ def _length(seconds: float) -> str:
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Rows in columns; the last column is as wide as it is."""
+    """Align rows in columns."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
         yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True))

@@ -11,8 +11,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from understudy.advice.strategy_figures import Figure, Figures, Way, seen
-from understudy.advice.strategy_order import Candidate, Order, ordered
+from understudy.advice.strategy_figures import Figure, Figures, Way, measured_times
+from understudy.advice.strategy_order import Candidate, Order, order_strategies
 from understudy.api.base import LocalReference
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
@@ -53,8 +53,8 @@ def order(
             requirements = Requirements.model_validate(spec.get("requirements") or {})
         except ValidationError:
             return None
-    known = Figures(measured_seconds=seen(_recoveries(workload)), measured_cpu=cpu or {})
-    return ordered(
+    known = Figures(measured_seconds=measured_times(_recoveries(workload)), measured_cpu=cpu or {})
+    return order_strategies(
         requirements,
         (
             found

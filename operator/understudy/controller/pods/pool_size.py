@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from understudy.advice.adaptive_size import COUNTED, REST, Aim, Decision, Held, decided
-from understudy.advice.failure_rate import SURE, Rate, estimated
+from understudy.advice.adaptive_size import COUNTED, REST, CurrentSize, Decision, SizingTarget, decide_size
+from understudy.advice.failure_rate import SURE, Rate, estimate_rate
 from understudy.api.base import fraction, seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec, Sizing, SizingStatus
@@ -49,7 +49,7 @@ class Sized:
     rate: Rate
     decision: Decision
     said: SizingStatus
-    before: Held | None
+    before: CurrentSize | None
     short: bool
     """Whether its maximum isn't enough for the risk."""
 
@@ -76,8 +76,8 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
     if sizing is None:
         return None
     found = seen(kube_objects.name(pool), asking, now - seconds(sizing.history), now)
-    rate = estimated(sizing.failures_per_robot_hour, found.failures, found.hours)
-    aim = Aim(
+    rate = estimate_rate(sizing.failures_per_robot_hour, found.failures, found.hours)
+    aim = SizingTarget(
         risk=fraction(sizing.risk),
         measure=sizing.risk_of.lower(),
         refill=seconds(sizing.refill),
@@ -86,7 +86,7 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
         kept_back=spec.reserve.pods if spec.reserve is not None else 0,
     )
     before = _held(pool)
-    decision = decided(aim, found.robots, rate, before, now)
+    decision = decide_size(aim, found.robots, rate, before, now)
     said = _settled(_stored(pool), _said(found, rate, decision))
     # Said until it surely isn't so any more, as the size is kept.
     short = decision.needed > sizing.max or (_was_short(pool) and decision.safe > sizing.max)
@@ -130,10 +130,10 @@ def _stored(pool: Object) -> dict[str, Any]:
     return found
 
 
-def _held(pool: Object) -> Held | None:
+def _held(pool: Object) -> CurrentSize | None:
     """The size that was decided last."""
     found = _stored(pool)
-    return Held(found["size"], datetime.fromisoformat(found["lastChange"]).timestamp()) if found else None
+    return CurrentSize(found["size"], datetime.fromisoformat(found["lastChange"]).timestamp()) if found else None
 
 
 def _was_short(pool: Object) -> bool:

@@ -153,10 +153,10 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
     order = effective_policy.order(observed)
     if order is None:
         return []
-    told, present = order_explanation.reason(order), _order(observed, understanding)["strategies"]
-    if present != order_explanation.in_short(order):
+    told, present = order_explanation.explain(order), _order(observed, understanding)["strategies"]
+    if present != order_explanation.one_line(order):
         told += f" Until the recovery that is under way is over, the order stays {present}."
-    met = not order_explanation.unmet(order)
+    met = not order_explanation.unmet_requirements(order)
     why = "Chosen" if met else "RequirementsNotMet"
     return [condition(CHOSEN, met, why, told, generation=kube_objects.generation(observed.workload))]
 

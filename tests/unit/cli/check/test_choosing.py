@@ -17,9 +17,9 @@ def test_requirements_that_the_pools_do_not_meet_are_told_where_they_are_written
     finding = only(AUTO, WORKLOAD)
     assert (finding.severity, finding.field, finding.place.line) == ("warning", "spec.requirements", 9)
     assert finding.message == (
-        "for RobotWorkload robot-17 it comes to Restart: availability High asks for 500 ms, and Restart, the soonest that may go first, "
-        "needs 4.67 s (published): add a FallbackPool of a higher readiness that serves the workload, or ask for less. If it is in the "
-        "cluster already, all is well"
+        "for RobotWorkload robot-17 the result is Restart: availability High requires 500 ms, but Restart, the fastest that may go first, "
+        "needs 4.67 s (published): add a FallbackPool with a higher readiness that serves the workload, "
+        "or lower the requirement. Ignore this if it is in the cluster already"
     )
 
 
@@ -30,7 +30,7 @@ def test_a_pool_that_serves_others_does_not_count() -> None:
 
 def test_safety_high_wants_safe_commands() -> None:
     policy = AUTO.replace("availability: High", "safety: High")
-    assert only(policy, WORKLOAD, POOL).message.endswith("give the policy spec.safety")
+    assert only(policy, WORKLOAD, POOL).message.endswith("set spec.safety in the policy")
 
 
 def test_requirements_beside_written_strategies_ask_for_nothing() -> None:

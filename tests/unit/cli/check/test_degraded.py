@@ -49,7 +49,7 @@ RESCHEDULING = (
 def test_a_workload_that_is_never_idle_is_told() -> None:
     finding = only(RESCHEDULING, WORKLOAD)
     assert (finding.severity, finding.field) == ("warning", "spec.tasks")
-    assert "nothing tells when this workload is idle" in finding.message
+    assert "nothing defines when this workload is idle" in finding.message
     assert "spec.degraded.actions[0].reschedule.idle" in finding.message
 
 
@@ -77,7 +77,7 @@ def test_an_action_is_one_thing() -> None:
 def test_more_is_a_text_and_not_nothing() -> None:
     number = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {cpu: 2}"))
     assert number.field == "spec.degraded.actions[0].resize.cpu"
-    assert "in quotes where it looks like a number" in number.message
+    assert "in quotes if it looks like a number" in number.message
     assert "write cores as a text" in number.message
     nothing = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {container: app}"))
     assert "say how much it gets" in nothing.message

@@ -42,7 +42,7 @@ def test_the_line_and_column_of_a_field_deep_in_a_tree() -> None:
         "a.yaml:11:83: error: FailurePolicy navigation: "
         "spec.strategies[0].recovery.yaml.sequence[0].set_lifecycle.state: found True; give one of unconfigured"
     )
-    assert "YAML reads on as true or false: put it in quotes" in state
+    assert "YAML parses on as true or false: quote it" in state
 
 
 def _xml(value: str) -> str:
@@ -157,7 +157,7 @@ def test_what_only_the_operator_refuses() -> None:
         ),
         (
             ("name: navigation}", 'labels: {app: "a:b"}, name: b}'),
-            'a.yaml:3:21: error: FailurePolicy b: metadata.labels.app: "a:b": a label has letters, digits, dashes',
+            'a.yaml:3:21: error: FailurePolicy b: metadata.labels.app: "a:b": a label consists of letters, digits, dashes',
         ),
         (
             ("name: navigation}", "label: {a: b}, name: b}"),
@@ -165,7 +165,7 @@ def test_what_only_the_operator_refuses() -> None:
         ),
         (
             ("{name: navigation}", "{}"),
-            "a.yaml:3:1: error: FailurePolicy (no name): metadata.name: missing; give a name",
+            "a.yaml:3:1: error: FailurePolicy (no name): metadata.name: missing; set a name",
         ),
         (
             ("v1alpha1", "v1"),
@@ -179,11 +179,11 @@ def test_what_only_the_operator_refuses() -> None:
         (
             ("  strategies", "  startupGrace: 5s\n  strategies"),
             "a.yaml:7:3: error: FailurePolicy navigation: spec.startupGrace: unknown field 'startupGrace' here; it belongs to "
-            "spec.monitoring.startupGrace: look at the indentation",
+            "spec.monitoring.startupGrace: check the indentation",
         ),
         (
             ("  strategies", "  limits: {cooldown: 5}\n  strategies"),
-            "spec.limits.cooldown: found 5; must be of type string (a text, in quotes where it looks like a number): "
+            "spec.limits.cooldown: found 5; must be of type string (a text, in quotes if it looks like a number): "
             "write a duration as a number with ms, s, m or h",
         ),
     ],
@@ -204,17 +204,17 @@ def test_no_spec_at_all() -> None:
 
 
 @pytest.mark.parametrize("node", ["/fork/mission: {}", "fork: {{mission: {}}}", "/**: {}"])
-def test_a_file_of_ros_parameters_is_passed_over_without_a_word(node: str) -> None:
+def test_a_file_of_ros_parameters_is_skipped_without_a_word(node: str) -> None:
     result = checked(POLICY, node.format("{ros__parameters: {speed: 0.6}}"))
-    assert (result.findings, result.passed_over) == ([], 1)
+    assert (result.findings, result.skipped) == ([], 1)
 
 
-def test_other_kinds_are_passed_over_and_counted() -> None:
+def test_other_kinds_are_skipped_and_counted() -> None:
     config = "apiVersion: v1\nkind: ConfigMap\nmetadata: {name: a}\ndata: {a: b, nobody: [knows]}\n"
     result = checked(f"---\n{config}---\n{POLICY}---\n")
     assert result.findings == []
-    assert (result.checked, result.passed_over, result.files) == (1, 1, 1)
-    assert result.totals() == "1 object checked in 1 file (1 object of other kinds passed over): 0 errors, 0 warnings"
+    assert (result.checked, result.skipped, result.files) == (1, 1, 1)
+    assert result.totals() == "1 object checked in 1 file (1 object of other kinds skipped): 0 errors, 0 warnings"
 
 
 def test_a_list_is_its_items() -> None:
@@ -231,18 +231,18 @@ def test_a_list_is_its_items() -> None:
 @pytest.mark.parametrize(
     ("content", "place", "message"),
     [
-        (b"", (1, 1), "there is nothing in it"),
-        (b"---\n# only words\n---\n", (1, 1), "there is nothing in it"),
+        (b"", (1, 1), "the file is empty"),
+        (b"---\n# only words\n---\n", (1, 1), "the file is empty"),
         (b"a:\n\tb: 1\n", (2, 1), "indent with spaces"),
-        (b"a: {b: 1\n", (2, 1), "begun in line 1, column 4"),
-        (b"a: b: c\n", (1, 5), "in quotes"),
+        (b"a: {b: 1\n", (2, 1), "started in line 1, column 4"),
+        (b"a: b: c\n", (1, 5), "quote a text"),
         (b"{{- if .Values.robot }}\n", (1, 3), "helm template ... | understudy check -"),
         (b"a: *nobody\n", (1, 4), "found undefined alias"),
-        (b"a: \x00\n", (1, 4), "which YAML doesn't take"),
-        (b"a: b\nc: \xff\n", (2, 4), "this isn't UTF-8"),
+        (b"a: \x00\n", (1, 4), "which YAML does not allow"),
+        (b"a: b\nc: \xff\n", (2, 4), "the file is not UTF-8"),
         (b"- a\n- b\n", (1, 1), "found a list; a manifest is a mapping"),
         (b"--- 42\n", (1, 5), "found a text or number; a manifest is a mapping"),
-        (b"a: b\n", (1, 1), "missing, so this is passed over"),
+        (b"a: b\n", (1, 1), "missing, so this document is skipped"),
         (b"[" * 5000, (1, 1), "nested too deeply"),
     ],
     ids=[
@@ -270,13 +270,13 @@ def test_a_file_that_is_no_manifest(content: bytes, place: tuple[int, int], mess
 def test_what_stands_before_a_syntax_error_is_checked_too() -> None:
     kind, syntax = found(f"{POLICY.replace('FailurePolicy', 'FailurePolcy')}---\na: [\n")
     assert kind.field == "kind"
-    assert syntax.message.startswith("this isn't YAML")
+    assert syntax.message.startswith("this is not valid YAML")
 
 
 def test_a_key_that_is_given_twice() -> None:
     finding = only(POLICY.replace("  strategies", "  limits: {cooldown: 1s, cooldown: 2s}\n  strategies"))
     assert (finding.field, tuple(finding.place)) == ("spec.limits.cooldown", (7, 26))
-    assert finding.message == "is given twice, in line 7 already; leave one of them out"
+    assert finding.message == "is given twice, first in line 7; remove one of them"
 
 
 def test_aliases_count_as_what_they_stand_for() -> None:
@@ -299,11 +299,11 @@ def test_aliases_count_as_what_they_stand_for() -> None:
 
 
 def test_an_alias_inside_of_itself_and_one_that_stands_for_billions() -> None:
-    assert any("is inside of itself" in one.message for one in found("a: &a {b: *a}\nkind: X\n"))
+    assert any("contains itself" in one.message for one in found("a: &a {b: *a}\nkind: X\n"))
     bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
         f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 12)
     )
-    assert any("with all aliases written out" in one.message for one in found(bomb))
+    assert any("with all aliases expanded" in one.message for one in found(bomb))
 
 
 def test_control_characters_do_not_reach_the_terminal() -> None:
@@ -318,7 +318,7 @@ def test_values_are_read_as_kubernetes_reads_them() -> None:
     assert finding.field == "metadata.annotations.version"  # the others are texts
     infinite = only(POLICY, WORKLOAD + "  monitor: {resources: {limits: {cpu: .inf}}}\n")
     assert infinite.field == "spec.monitor.resources.limits.cpu"
-    assert "found .inf, which JSON doesn't have" in infinite.message
+    assert "found .inf, which JSON does not support" in infinite.message
 
 
 PROCEDURE = """

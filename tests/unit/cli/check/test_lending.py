@@ -24,7 +24,7 @@ data:
 
 def test_a_good_one() -> None:
     assert found(REFERRING, TREES) == []
-    assert checked(REFERRING, TREES).passed_over == 1
+    assert checked(REFERRING, TREES).skipped == 1
 
 
 def test_one_that_is_not_among_the_files() -> None:
@@ -43,7 +43,7 @@ def test_a_problem_is_told_where_it_is_in_the_file() -> None:
 @pytest.mark.parametrize(
     ("text", "place", "words"),
     [
-        (TREES.replace(', labels: {understudy.dev/health-tree: "true"}', ""), "b.yaml:3:1:", "only with the label"),
+        (TREES.replace(', labels: {understudy.dev/health-tree: "true"}', ""), "b.yaml:3:1:", "requires the label"),
         (TREES.replace("health.yaml", "healthy.yaml"), "a.yaml:6:36", 'did you mean "healthy.yaml"?'),
     ],
 )

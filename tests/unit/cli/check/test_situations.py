@@ -30,7 +30,7 @@ def test_a_policy_with_situations() -> None:
 def test_a_pool_that_is_not_there_is_told_at_its_place() -> None:
     finding = only(CARRYING.replace("{name: hot}", "{name: hod}"), POOL, WORKLOAD)
     assert (finding.severity, finding.field) == ("warning", "spec.situations[0].strategies[0].poolRef.name")
-    assert 'no FallbackPool "hod" in the files' in finding.message
+    assert 'no FallbackPool "hod" in the given files' in finding.message
     assert finding.place.line == 13
 
 
@@ -41,7 +41,7 @@ def test_a_situation_that_can_never_be_in_force() -> None:
     finding = only(CARRYING + again, POOL, WORKLOAD)
     assert (finding.severity, finding.field) == ("warning", "spec.situations[1].when")
     assert (
-        "is the same as that of the situation carrying, which comes before it, so this one is never in force"
+        "is the same as that of the situation carrying, which comes first, so this situation never applies"
         in finding.message
     )
 

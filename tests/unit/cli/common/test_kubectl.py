@@ -43,20 +43,20 @@ while not os.path.exists(path + ".entered"):
     [
         (
             "The connection to the server localhost:8080 was refused - did you specify the right host or port?",
-            "no kubeconfig was found, so kubectl asked there; name yours by --kubeconfig or KUBECONFIG",
+            "kubectl found no kubeconfig and tried the default address; set --kubeconfig or KUBECONFIG",
         ),
         (
             "The connection to the server 10.0.0.1:6443 was refused - did you specify the right host or port?",
-            "look whether its API server runs, or name another cluster by --context or --kubeconfig",
+            "check that the API server runs, or choose another cluster with --context or --kubeconfig",
         ),
         (
             "error: current-context must exist in order to minify",
-            "the kubeconfig says no context; name one by --context",
+            "the kubeconfig has no current context; set --context",
         ),
         ("Error in configuration: context was not found for specified context: lab", "kubectl config get-contexts"),
         ('error: context "lab" does not exist', "kubectl config get-contexts"),
         ('error: the server doesn\'t have a resource type "robotworkloads"', "install the chart"),
-        ("error: You must be logged in to the server (Unauthorized)", "log in anew"),
+        ("error: You must be logged in to the server (Unauthorized)", "log in again"),
     ],
 )
 def test_what_kubectl_says_is_told_with_the_way_out(
@@ -133,7 +133,7 @@ def test_what_it_does_not_take_is_told(stand: FakeKubectl) -> None:
         os.write(ours, b"bad\n")
         _, told = running.communicate(timeout=60)
     assert running.returncode == 2
-    assert "executable login failed with exit code 1: log in as the kubeconfig's plugin has it" in told.decode()
+    assert "executable login failed with exit code 1: log in with the kubeconfig's credential plugin" in told.decode()
 
 
 def test_a_plugin_that_waits_for_somebody_is_heard(stand: FakeKubectl) -> None:
@@ -155,7 +155,7 @@ def test_where_nobody_could_answer_nobody_is_asked(
         monkeypatch.setenv("_ARGCOMPLETE", "2")
     given = argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)
     begun = time.monotonic()
-    with pytest.raises(CommandError, match="not a terminal: log in as the kubeconfig's plugin has it"):
+    with pytest.raises(CommandError, match="not a terminal: log in with the kubeconfig's credential plugin"):
         Kubectl(given).get("robotworkloads.understudy.dev", NAME)
     assert time.monotonic() - begun < 10
 
@@ -163,5 +163,5 @@ def test_where_nobody_could_answer_nobody_is_asked(
 def test_where_there_is_no_standard_input_nobody_is_asked(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
     with_plugin(stand, ASKS)
     monkeypatch.setattr(sys, "stdin", None)  # as Python has it after `<&-`
-    with pytest.raises(CommandError, match="not a terminal: log in as the kubeconfig's plugin has it"):
+    with pytest.raises(CommandError, match="not a terminal: log in with the kubeconfig's credential plugin"):
         Kubectl(argparse.Namespace(namespace="fleet", context=None, kubeconfig=None)).get("pods")

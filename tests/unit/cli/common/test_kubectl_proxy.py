@@ -65,5 +65,5 @@ def test_a_refusal_is_told_in_the_server_s_words(api: Api) -> None:
 
 
 def test_nobody_at_the_socket(tmp_path: Path) -> None:
-    with pytest.raises(CommandError, match="the API server doesn't answer"):
+    with pytest.raises(CommandError, match="the API server does not answer"):
         Api(str(tmp_path / "none")).get("/version")

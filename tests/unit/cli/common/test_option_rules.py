@@ -26,10 +26,10 @@ TAKEN = {
     "partition": ("--for", "--from"),
 }
 MEANT = {
-    "--for": "--for is for freeze, slow and partition",
-    "--percent": "--percent is for slow",
-    "--from": "--from is for partition",
-    "--container": "-c/--container is for freeze and slow",
+    "--for": "--for applies to freeze, slow and partition",
+    "--percent": "--percent applies to slow",
+    "--from": "--from applies to partition",
+    "--container": "-c/--container applies to freeze and slow",
 }
 
 
@@ -41,7 +41,7 @@ def test_an_option_of_another_fault_is_refused_even_with_the_value_that_it_has_a
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
         inject.main([ROBOT, fault, "--yes", option, OPTIONS[option]])
-    assert f"understudy inject: error: {MEANT[option]}, not for {fault}\n" in capsys.readouterr().err
+    assert f"understudy inject: error: {MEANT[option]}, not to {fault}\n" in capsys.readouterr().err
     assert stand.asked == []
 
 
@@ -65,28 +65,32 @@ def test_every_fault_is_among_those_that_were_tried() -> None:
         (
             blackbox.main,
             [ROBOT, "--fetch", "-o", "text"],
-            "blackbox: error: -o/--output is for the list, not for --fetch",
+            "blackbox: error: -o/--output applies to the list, not to --fetch",
         ),
         (
             doctor.main,
             ["--no-pods", "--image", "monitor"],
             "doctor: error: --image says what the pods are made of: leave",
         ),
-        (timeline.main, [ROBOT, "-o", "json", "--last", "3"], "timeline: error: --last is for text: json has all of"),
+        (
+            timeline.main,
+            [ROBOT, "-o", "json", "--last", "3"],
+            "timeline: error: --last applies to text only: json contains all",
+        ),
         (
             size.main,
             [*SIZE, "--fallbacks", "3", "--risk-of", "loss"],
-            "size: error: --risk-of says what --risk is of, which isn't given",
+            "size: error: --risk-of applies to --risk, which is not given",
         ),
         (
             recommend.main,
             ["none.yaml", "--no-cluster", "-n", "fleet"],
-            "recommend: error: -n/--namespace says where in a cluster to look: leave out --no-cluster",
+            "recommend: error: -n/--namespace cannot be combined with --no-cluster",
         ),
         (
             recommend.main,
             ["none.yaml", "--no-cluster", "--context", "lab"],
-            "recommend: error: --context says where in a cluster to look: leave out --no-cluster",
+            "recommend: error: --context cannot be combined with --no-cluster",
         ),
     ],
 )

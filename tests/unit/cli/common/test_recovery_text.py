@@ -37,13 +37,15 @@ def test_what_failed_who_took_over_and_what_was_tried_in_vain() -> None:
     assert found[3] == "    commands: no /cmd_vel for 500 ms while /navigate_to_pose was active"
     assert "…-m2c7p → …-7k2xq, gate epoch 40, first command 31 ms after the switch" in row(found, "control")
     assert "detected +502 ms · fenced +2.33 s · started +3.09 s" in row(found, "moments")
-    assert row(found, "state").endswith("/amcl_pose 612 ms old, carried 0.21 m · /map NOT given: it never came")
-    assert "Fallback/Executing: not available: robot-17-navigation-v4d9s" in row(found, "in vain")
+    assert row(found, "state").endswith(
+        "/amcl_pose 612 ms old, propagated by 0.21 m · /map NOT restored: it never came"
+    )
+    assert "Fallback/Executing: not available: robot-17-navigation-v4d9s" in row(found, "failed")
 
 
 def test_all_that_are_kept_are_compared_to_one_scale() -> None:
     found = told(*fleet.recoveries(), count=12)
-    assert found[0] == "fleet/robot-17: 12 recoveries, the last 3 of which are kept"
+    assert found[0] == "fleet/robot-17: 12 recoveries; the last 3 are recorded"
     fast, slow = found[2], found[3]
     assert fast.endswith("509 ms")
     assert slow.endswith("3.68 s")
@@ -68,14 +70,14 @@ def test_one_that_came_to_nothing() -> None:
         4, 100, result="Failed", strategy="", recovery_seconds=None, parts=(0.5, 60.0, 0.0, 0.0), attempts=tried, new=""
     )
     found = told(failed)
-    assert found[2].endswith("FAILED: nothing verified")
+    assert found[2].endswith("FAILED: no strategy was verified")
     assert not any(line.startswith("    control") for line in found)
-    assert row(found, "in vain").endswith("Restart with robot-17-abc: not verified: not verified within 60 s")
+    assert row(found, "failed").endswith("Restart with robot-17-abc: not verified: not verified within 60 s")
 
 
 def test_a_hand_over_that_was_planned_and_one_that_another_monitor_finished() -> None:
-    assert "handed over as planned in 509 ms" in told(fleet.recovery(1, 5, planned=True))[2]
-    assert "its monitor was replaced" in row(told(fleet.recovery(1, 5, resumed=True)), "resumed")
+    assert "switched over as planned in 509 ms" in told(fleet.recovery(1, 5, planned=True))[2]
+    assert "the monitor restarted" in row(told(fleet.recovery(1, 5, resumed=True)), "resumed")
 
 
 def test_one_without_parts_and_moments() -> None:
@@ -84,4 +86,4 @@ def test_one_without_parts_and_moments() -> None:
 
 
 def test_none_yet() -> None:
-    assert told() == ["fleet/robot-17: no recovery yet"]
+    assert told() == ["fleet/robot-17: no recoveries yet"]

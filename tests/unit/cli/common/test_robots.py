@@ -58,7 +58,7 @@ def test_the_same_trouble_is_told_once_and_protection_comes_first() -> None:
     assert told(gate, read) == [("gate not enforced", "ReaderWithoutProfile")]
     assert told(said("GateEnforced", "False", "NotEnforced"), read) == [
         ("gate not enforced", "NotEnforced"),
-        ("read past the gate", "ReaderWithoutProfile"),
+        ("outputs bypass the gate", "ReaderWithoutProfile"),
     ]
     assert robot(fleet.workload(name)).problems[0].reason == "NotSeen"
 
@@ -85,7 +85,7 @@ def test_a_spec_that_the_operator_has_not_seen() -> None:
 def test_a_status_of_a_later_version_is_refused_with_what_to_do() -> None:
     item = fleet.well()
     item["status"]["health"] = "Splendid"
-    with pytest.raises(CommandError, match=r"fleet/robot-17-navigation: status.health: .*as new as the operator"):
+    with pytest.raises(CommandError, match=r"fleet/robot-17-navigation: status.health: .*the version of the operator"):
         robot(item)
 
 

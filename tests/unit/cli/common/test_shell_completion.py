@@ -76,7 +76,7 @@ def test_every_verb_is_answered_by_its_own_parser(monkeypatch: pytest.MonkeyPatc
         answered.append(parser)
         sys.exit()
 
-    monkeypatch.setattr(shell_completion, "_answer", answer)
+    monkeypatch.setattr(shell_completion, "answer_request", answer)
     monkeypatch.setattr(argparse.ArgumentParser, "parse_args", argparse.ArgumentParser.parse_args)  # is put back then
     monkeypatch.setattr(sys, "argv", ["understudy"])
     monkeypatch.setenv("_ARGCOMPLETE", "1")

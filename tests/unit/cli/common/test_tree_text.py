@@ -20,7 +20,7 @@ def test_a_healthy_tree() -> None:
     assert head == "fleet/robot-1-drive  Healthy"
     assert (
         control
-        == "in control: robot-1-drive-abc (epoch 3); policy navigation; if it failed now: Executing; recoveries: 2"
+        == "active instance: robot-1-drive-abc (epoch 3); policy navigation; next strategy: Executing; recoveries: 2"
     )
     assert empty == ""
     assert [line.split("  ", 1)[0] if line[0] != " " else line[:45].rstrip() for line in nodes] == [
@@ -60,8 +60,8 @@ def test_texts_of_others_do_not_move_the_cursor() -> None:
 
 def test_no_tree_and_nobody_in_control() -> None:
     found = told(state(tree=None, active="", strategy="", policy="", health="Unknown", notes=["/scan: no type"]))
-    assert found[1] == "in control: nobody (epoch 3); policy none; if it failed now: unknown; recoveries: 2"
-    assert found[3:] == ["There is no health tree that could be judged.", "", "/scan: no type"]
+    assert found[1] == "active instance: none (epoch 3); policy none; next strategy: unknown; recoveries: 2"
+    assert found[3:] == ["There is no health tree to evaluate.", "", "/scan: no type"]
 
 
 def test_what_is_short_of_well_is_told_while_it_is() -> None:

@@ -79,7 +79,7 @@ def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys:
 def test_who_fences_it_says_who_and_why(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], option: str) -> None:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, option, " ", "--yes"]) == 2
-    assert f"{option} is empty: whoever finds it fenced will want to know" in capsys.readouterr().err
+    assert f"{option} is empty: others who find the robot fenced need to know it" in capsys.readouterr().err
     assert not any(line.startswith("patch ") for line in stand.asked)
 
 
@@ -90,7 +90,11 @@ class Terminal(io.StringIO):
 
 @pytest.mark.parametrize(
     ("typed", "words"),
-    [(None, "say that it is meant with --yes"), ("n\n", "nothing was done"), ("\n", "nothing was done")],
+    [
+        (None, "give --yes to confirm"),
+        ("n\n", "not confirmed; nothing was changed"),
+        ("\n", "not confirmed; nothing was changed"),
+    ],
 )
 def test_without_a_yes_nothing_is_written(
     stand: FakeKubectl,

@@ -45,7 +45,7 @@ def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: FakeKube
     [
         (["--until", "tonight"], '--until "tonight": write a moment as a date, a time and its zone (RFC 3339)'),
         (["--until", "2026-02-30T00:00:00Z"], '--until "2026-02-30T00:00:00Z": write a moment'),
-        (["--until", "2026-11-22T14:00:00Z"], "--until 2026-11-22T14:00:00Z is over already"),
+        (["--until", "2026-11-22T14:00:00Z"], "--until 2026-11-22T14:00:00Z is in the past"),
         (["--for", "30"], '--for "30": write a duration as a number with ms, s, m or h'),
         (["--owner", " "], "--owner is empty"),
     ],
@@ -66,9 +66,9 @@ def test_resume_ends_it_and_forgets_what_was_spent(
     item = stand.item(ROBOT)
     assert "pause" not in item["spec"]
     assert item["metadata"]["annotations"][names.RESUMED] == fleet.ago(0)
-    assert "no longer paused by ann: a new gripper." in capsys.readouterr().out
+    assert "it was paused by ann: a new gripper." in capsys.readouterr().out
     assert resume.main([ROBOT]) == 0
-    assert "it wasn't paused." in capsys.readouterr().out
+    assert "it was not paused." in capsys.readouterr().out
 
 
 def test_resume_says_who_and_why_where_it_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,4 +77,4 @@ def test_resume_says_who_and_why_where_it_is_told(stand: FakeKubectl, capsys: py
     assert resume.main([ROBOT]) == 0
     assert names.RESUMED_FOR not in stand.item(ROBOT)["metadata"]["annotations"], "that was of the time before"
     assert resume.main([ROBOT, "--reason", " "]) == 2
-    assert "--reason is empty: whoever finds it resumed will want to know" in capsys.readouterr().err
+    assert "--reason is empty: others who find the robot resumed need to know it" in capsys.readouterr().err

@@ -66,7 +66,7 @@ def test_it_asks_waits_and_tells_what_the_robot_saw(stand: FakeKubectl, capsys: 
     )
     assert failover.main([NAME, "-n", "fleet"]) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "asked for",
+        "requested",
         "preparing: An understudy is being brought to where it can drive.",
         "done: …-7k2xq → …-x8v2m by Fallback/Executing, gate epoch 42",
         "  at the robot: no command for 52 ms",
@@ -110,7 +110,7 @@ def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
     stand.tell([fleet.well()])
     assert failover.main([NAME, "--within", given]) == 2
     told = capsys.readouterr().err
-    assert "its monitor has not taken it up" in told
+    assert "its monitor has not started it" in told
     assert f"kubectl annotate robotworkload {NAME} understudy.dev/switchover-" in told
 
 
@@ -130,7 +130,7 @@ def test_where_nobody_would_do_it_nothing_is_asked_for(stand: FakeKubectl, capsy
             condition |= {"status": "False", "reason": "MonitorNotReady"}
     stand.tell([item])
     assert failover.main([NAME]) == 2
-    assert f"the monitor of {NAME} doesn't run" in capsys.readouterr().err
+    assert f"the monitor of {NAME} is not running" in capsys.readouterr().err
     assert not any("annotate" in line for line in stand.asked)
 
 

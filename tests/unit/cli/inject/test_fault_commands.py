@@ -91,5 +91,5 @@ def test_where_number_one_is_all_there_is_it_says_so() -> None:
         timeout=60,
     )
     assert done.returncode == 1
-    assert "it has no process but number 1" in done.stderr
+    assert "it has only process 1" in done.stderr
     assert "shareProcessNamespace: true" in done.stderr

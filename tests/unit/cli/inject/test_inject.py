@@ -49,8 +49,8 @@ def test_a_freeze_is_ended_by_the_container_itself(stand: FakeKubectl, capsys: p
     ("more", "words"),
     [
         (["--for", "soon"], '--for "soon": write a duration'),
-        (["--for", "11m"], "600 s at most"),
-        (["--for", "0s"], "longer than nothing"),
+        (["--for", "11m"], "up to 600 s"),
+        (["--for", "0s"], "a duration above 0"),
     ],
 )
 def test_how_long_must_be_said(
@@ -66,9 +66,7 @@ def test_a_share_that_is_none_is_refused_in_a_line(capsys: pytest.CaptureFixture
         inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
     assert ended.value.code == 2
     told = capsys.readouterr().err.splitlines()[-1]
-    assert told.endswith(
-        f"argument --percent: {given!r}: give a whole number from 1 to 99; what stands still all the time is a freeze"
-    )
+    assert told.endswith(f"argument --percent: {given!r}: give a whole number from 1 to 99; use freeze for 100")
 
 
 @pytest.mark.parametrize(("length", "percent"), [(10.0, 80), (0.1, 50), (3.0, 99), (2.0, 100)])

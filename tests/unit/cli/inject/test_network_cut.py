@@ -212,11 +212,11 @@ def test_started_too_late_it_cuts_nothing() -> None:
     running = program([], 60, latest=time.time() - 1)
     out, error = running.communicate(timeout=60)
     assert (running.returncode, out) == (1, "")
-    assert error == "its container was started too late for whoever asked\n"
+    assert error == "the container started too late; the caller no longer waits\n"
 
 
 def test_without_the_capability_it_says_so() -> None:
     running = program(["setpriv", "--bounding-set=-net_admin", "--inh-caps=-net_admin"], 60)
     _, error = running.communicate(timeout=60)
     assert running.returncode == 1
-    assert error == "it isn't allowed to: it takes the capability NET_ADMIN in the pod's network\n"
+    assert error == "permission denied: the capability NET_ADMIN in the pod's network is required\n"

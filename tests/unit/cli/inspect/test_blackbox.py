@@ -81,7 +81,7 @@ def here() -> list[str]:
 def test_they_are_listed(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "-n", "fleet"]) == 0
     head, *rows = capsys.readouterr().out.splitlines()
-    assert head.split() == ["NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "WHAT", "FAILED"]
+    assert head.split() == ["NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "REASON"]
     assert [row.split()[:4] for row in rows] == [
         ["3", "3abcdef", "2026-11-22", "19:03:00Z"], ["2", "2abcdef", "2026-11-22", "19:02:00Z"],
     ]  # fmt: skip
@@ -100,14 +100,14 @@ def test_scripts_have_them_whole(monitor: Monitor, capsys: pytest.CaptureFixture
 def test_where_there_are_none_it_is_said_why(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     monitor.told = Recordings(workload="robot-1", on=False)
     assert main(["robot-1"]) == 1
-    assert "Nothing is recorded: spec.blackBox of the workload's FailurePolicy isn't given" in capsys.readouterr().out
+    assert "Recording is off: set spec.blackBox in the workload's FailurePolicy" in capsys.readouterr().out
 
 
 def test_topics_that_are_left_out_are_named() -> None:
     found = Recordings(workload="robot-1", on=True, left_out={"/image": "too much"})
     told = list(lines(found, 0.0, colours=False, columns=None))
     assert told == [
-        "Nothing has failed since the recordings lie where they do.",
+        "No failure has been recorded yet.",
         "Not recorded: /image (too much; blackBox.memory bounds it).",
     ]
 
@@ -132,7 +132,7 @@ def test_one_is_fetched(monitor: Monitor, capsys: pytest.CaptureFixture[str], ar
 def test_a_recording_that_is_not_there(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "--fetch", "7"]) == 2
     told = capsys.readouterr().err
-    assert "there is no recording 7 of robot-1, but 3abcdef (failure 3), 2abcdef (failure 2)" in told
+    assert "there is no recording 7 of robot-1; available: 3abcdef (failure 3), 2abcdef (failure 2)" in told
     monitor.told = Recordings(workload="robot-1", on=True)
     assert main(["robot-1", "--fetch"]) == 2
     assert "there is no recording of robot-1" in capsys.readouterr().err
@@ -149,21 +149,21 @@ def test_the_beginning_of_several_ids_means_none_of_them(monitor: Monitor, capsy
     both = [recording(number).model_copy(update={"id": f"e{number}"}) for number in (3, 2)]
     monitor.told = Recordings(workload="robot-1", on=True, recordings=both)
     assert main(["robot-1", "--fetch", "e"]) == 2
-    assert "several recordings of robot-1 begin with e: e3 (failure 3), e2 (failure 2)" in capsys.readouterr().err
+    assert "e matches several recordings of robot-1: e3 (failure 3), e2 (failure 2)" in capsys.readouterr().err
     assert here() == []
 
 
 def test_where_to_without_what_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["robot-1", "--to", "failure.mcap"])
-    assert "give --fetch too" in capsys.readouterr().err
+    assert "--to names the file for --fetch" in capsys.readouterr().err
 
 
 def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     Path("robot-1-3.mcap").write_bytes(b"an earlier one")
     monitor.file.write_bytes(FILE[:-1] + b"?")
     assert main(["robot-1", "--fetch"]) == 2
-    assert "recording 3abcdef is damaged, on the monitor's disk or on its way" in capsys.readouterr().err
+    assert "recording 3abcdef is damaged, on the monitor's disk or in transit" in capsys.readouterr().err
     assert here() == ["robot-1-3.mcap"]
     assert Path("robot-1-3.mcap").read_bytes() == b"an earlier one"
 
@@ -171,10 +171,10 @@ def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: py
 def test_one_that_has_gone_meanwhile(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     del monitor.pages["/3abcdef.mcap"]
     assert main(["robot-1", "--fetch"]) == 2
-    assert "recording 3abcdef is gone: a newer one has taken its place" in capsys.readouterr().err
+    assert "recording 3abcdef is gone: it was replaced by a newer one" in capsys.readouterr().err
     assert here() == []
 
 
 def test_a_file_that_cant_be_written(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "--fetch", "--to", "none/such.mcap"]) == 2
-    assert "recording 3abcdef can't be fetched into none/such.mcap" in capsys.readouterr().err
+    assert "recording 3abcdef cannot be written to none/such.mcap" in capsys.readouterr().err

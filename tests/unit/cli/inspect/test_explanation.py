@@ -338,7 +338,7 @@ def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() 
         "The robot is in the situation carrying. Until its first strategy can be carried out, the order stays Restart."
     )
     item["status"]["conditions"].append(fleet.said("SituationCovered", "False", "StandbyNotReady", words).to_wire())
-    assert f"! not as its situation asks (StandbyNotReady, 4m12s): {words}" in told(known(item))["Missing"]
+    assert f"! situation not covered (StandbyNotReady, 4m12s): {words}" in told(known(item))["Missing"]
 
 
 def test_the_newest_warnings_and_no_other_events() -> None:
@@ -405,4 +405,4 @@ def test_a_failure_that_is_held_is_told_and_why() -> None:
     text = told(known(item))
     assert text[""][0] == "fleet/planning  Failed for 4s"
     assert text[""][1] == f"{why}."
-    assert f"✗ held (Held, 4s): {why}" in text["Missing"]
+    assert f"✗ suspended by a dependency (Held, 4s): {why}" in text["Missing"]

@@ -23,7 +23,7 @@ import yaml
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
 from understudy.cli.common.terminal import BEGIN, END
-from understudy.cli.inspect.status import AGAIN, main
+from understudy.cli.inspect.status import REFRESH, main
 
 REPOSITORY = Path(__file__).parents[4]
 LONG = 60.0
@@ -209,7 +209,7 @@ def test_who_may_not_watch_sees_changes_all_the_same(stand: FakeKubectl) -> None
     try:
         watching.until("fleet/robot-19-navigation; Healthy")
         stand.tell([fleet.degraded(), fleet.unprotected()], watch=False)
-        watching.until("fleet/robot-17-navigation; is gone")
+        watching.until("fleet/robot-17-navigation; deleted")
     finally:
         watching.close()
 
@@ -219,9 +219,9 @@ def test_an_api_server_that_does_not_answer_is_asked_again(stand: FakeKubectl) -
     try:
         watching.until("fleet/robot-19-navigation; Healthy")
         stand.tell([], error="Unable to connect to the server")
-        watching.until("Unable to connect to the server; asking again")
+        watching.until("Unable to connect to the server; retrying")
         stand.tell([fleet.degraded()])
-        watching.until("fleet/robot-17-navigation; is gone")
+        watching.until("fleet/robot-17-navigation; deleted")
         assert watching.end() == 0
     finally:
         watching.close()
@@ -250,10 +250,10 @@ def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_
     began = time.time()
     beside = fleet.gate(fleet.well(), fleet.under_way(began=began))
     stand.tell([*fleet.fleet(), beside])
-    assert "fleet/robot-17-navigation; Recovering; protected; in control robot-17-navigation-w7h5k (epoch 42)" in (
+    assert "fleet/robot-17-navigation; Recovering; protected; active robot-17-navigation-w7h5k (epoch 42)" in (
         watching.until("Fallback/Executing is tried with robot-17-navigation-w7h5k.")
     )
-    assert time.time() - began < AGAIN, "it was told of it, and didn't find it by asking again"
+    assert time.time() - began < REFRESH, "it was told of it, and didn't find it by asking again"
     recovered = fleet.well()
     recovered["status"]["recoveries"].insert(0, fleet.recovery(4, fleet.NOW - began).to_wire())
     stand.tell([recovered, *fleet.fleet()[1:], beside])
@@ -268,7 +268,7 @@ def test_who_may_not_read_gates_can_watch_robots(stand: FakeKubectl) -> None:
         watching.until("fleet/robot-19-navigation; Healthy")
         asked = len([line for line in stand.asked if "get networkpolicies" in line])
         stand.tell([*recovering(began=time.time())[1:]], forbidden=["networkpolicies"])
-        watching.until("fleet/robot-17-navigation; is gone")
+        watching.until("fleet/robot-17-navigation; deleted")
         assert "Recovering" not in watching.told
         assert len([line for line in stand.asked if "get networkpolicies" in line]) == asked, (
             "once is enough for a while"
@@ -288,8 +288,8 @@ def test_elsewhere_each_change_is_a_line(stand: FakeKubectl, watching: Watching)
     failed = fleet.well()
     failed["status"] |= {"health": "Failed"}
     stand.tell([failed, fleet.degraded()])
-    changed = watching.until("fleet/robot-19-navigation; is gone")
-    assert "fleet/robot-17-navigation; Failed; protected; in control robot-17-navigation-x8v2m (epoch 41)" in changed
+    changed = watching.until("fleet/robot-19-navigation; deleted")
+    assert "fleet/robot-17-navigation; Failed; protected; active robot-17-navigation-x8v2m (epoch 41)" in changed
     assert "robot-18" not in changed, "it is as it was"
     stand.tell([fleet.well(), fleet.degraded()])
     watching.until("fleet/robot-17-navigation; Healthy")

@@ -70,7 +70,7 @@ def test_where_not_all_fits_on_the_screen_what_is_not_well_comes_first() -> None
     assert len(found) == 10
     assert found[0] == "4 robots: 2 not protected; 1 degraded, 2 healthy, 1 unwatched"
     assert found[3].startswith("robot-19-navigation")
-    assert found[-1] == f"… {len(everything) - 9} more lines: make the window taller, or name some robots"
+    assert found[-1] == f"… {len(everything) - 9} more lines: enlarge the window, or name robots"
 
 
 def test_no_column_moves_when_a_health_changes() -> None:
@@ -111,7 +111,7 @@ def test_nobody_in_control_and_a_recovery_that_came_to_nothing() -> None:
     failed = fleet.recovery(1, 60, result="Failed", recovery_seconds=None, strategy="")
     status = fleet.status(name, "", 4, health="Failed", recoveries=[failed], recovery_count=1)
     found = list(lines([robot(fleet.workload(name, status=status))], [], LOOK))
-    assert "nobody (4)" in found[1]
+    assert "none (4)" in found[1]
     assert "FAILED, 59s ago" in found[1]
 
 
@@ -148,7 +148,7 @@ def test_all_in_one_line() -> None:
 def test_one_robot_in_a_line_of_its_own_says_nothing_of_passing_time() -> None:
     found = in_a_line(ROBOTS[2])
     assert found.startswith(
-        "fleet/robot-19-navigation; Healthy; NOT PROTECTED; in control robot-19-navigation-c5n8r (epoch 7); standby Executing (0/1); "
+        "fleet/robot-19-navigation; Healthy; NOT PROTECTED; active robot-19-navigation-c5n8r (epoch 7); standby Executing (0/1); "
         "not protected (ImagePullBackOff): pod"
     )
     assert "last recovery #3 509 ms by Fallback/Executing" in in_a_line(ROBOTS[0])

@@ -88,9 +88,9 @@ def test_a_script_is_given_what_the_monitor_says(
     [
         ({"workload": None}, 'robotworkloads.understudy.dev "robot-2" not found'),
         ({"pods": []}, "RobotWorkload robot-2 has no monitor; see why: kubectl describe robotworkload robot-2"),
-        ({"pods": [{"metadata": {"name": "m"}, "status": {"phase": "Pending"}}]}, "the monitor of robot-2 isn't ready (Pending)"),
-        ({"port": None}, "the monitor can't be reached: unable to forward port"),
-        ({"port": 1}, "the monitor doesn't answer: "),
+        ({"pods": [{"metadata": {"name": "m"}, "status": {"phase": "Pending"}}]}, "the monitor of robot-2 is not ready (Pending)"),
+        ({"port": None}, "the monitor cannot be reached: unable to forward port"),
+        ({"port": 1}, "the monitor does not answer: "),
     ],
 )  # fmt: skip
 def test_what_is_in_the_way_is_said(
@@ -107,7 +107,7 @@ def test_what_is_in_the_way_is_said(
 def test_without_kubectl(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert main(["robot-1-drive"]) == 2
-    assert "kubectl isn't on the PATH; install it" in capsys.readouterr().err
+    assert "kubectl is not on the PATH; install it" in capsys.readouterr().err
 
 
 def test_an_older_monitor(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
@@ -118,7 +118,7 @@ def test_an_older_monitor(cluster: Cluster, capsys: pytest.CaptureFixture[str]) 
     server = asyncio.run_coroutine_threadsafe(begin(), loop).result(20)
     cluster.tell(port=server.sockets[0].getsockname()[1])
     assert main(["robot-1-drive"]) == 2
-    assert "of a version without a live tree; upgrade the operator" in capsys.readouterr().err
+    assert "does not support a live tree; upgrade the operator" in capsys.readouterr().err
     loop.call_soon_threadsafe(server.close)
     loop.call_soon_threadsafe(loop.stop)
     thread.join(20)

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 from typing import get_args
 
-from understudy.advice.order_explanation import named
+from understudy.advice.order_explanation import strategy_name
 from understudy.advice.strategy_figures import PUBLISHED_CPU, PUBLISHED_SECONDS, Figures
-from understudy.advice.strategy_order import NEXT_TO_NOTHING, SOON, Candidate, ordered
+from understudy.advice.strategy_order import NEGLIGIBLE, SOON, Candidate, order_strategies
 from understudy.api.kinds.requirements_spec import Level, Requirements
 from understudy.trees.core.leaf import duration
 
@@ -39,16 +39,16 @@ def test_the_orders_are_those_that_requirements_come_to() -> None:
         before = ""
         for availability, cell in zip(get_args(Level), told, strict=True):
             asked = Requirements.model_validate({"resourceUsage": usage.strip("`"), "availability": availability})
-            found = ordered(asked, POOLS, Figures())
+            found = order_strategies(asked, POOLS, Figures())
             words, _, missed = cell.partition(", and it isn't met")
-            order = ", ".join(named(one.candidate) for one in found.chosen)
+            order = ", ".join(strategy_name(one.candidate) for one in found.chosen)
             assert order == (before if words.startswith("the same") else words)
-            assert cell.endswith("isn't met") == (not found.soon_enough), missed
+            assert cell.endswith("isn't met") == (not found.is_fast_enough), missed
             before = order
 
 
 def test_the_levels_are_as_told() -> None:
-    assert (SOON["Medium"], SOON["High"], NEXT_TO_NOTHING) == (2.0, 0.5, 0.1)
+    assert (SOON["Medium"], SOON["High"], NEGLIGIBLE) == (2.0, 0.5, 0.1)
     levels = {row[0].split("`")[1]: row for row in rows("## What can be required")}
     assert levels["availability"][2:4] == [duration(SOON["Medium"]), duration(SOON["High"])]
     defaults = Requirements().to_wire()

@@ -5,28 +5,29 @@ from __future__ import annotations
 import pytest
 
 from understudy.cli.plan.size import main
-from understudy.cli.plan.text_wrap import fitted
+from understudy.cli.plan.text_wrap import wrap_labelled
 
 PAPER = ["--robots", "1000", "--failures-per-robot-hour", "1", "--recovery-seconds", "6"]
 
 
 def test_without_a_width_it_stays_as_it_is():
-    assert fitted("asked for  " + "word " * 40, None) == "asked for  " + "word " * 40
+    assert wrap_labelled("asked for  " + "word " * 40, None) == "asked for  " + "word " * 40
 
 
 def test_what_is_too_long_goes_on_below_the_beginning_of_what_stands_behind_its_label():
-    assert fitted("asked for  a recovery within two seconds of it\nnext", 30) == (
+    assert wrap_labelled("asked for  a recovery within two seconds of it\nnext", 30) == (
         "asked for  a recovery within\n           two seconds of it\nnext"
     )
     assert (
-        fitted("1.  Initialized (warm)  830 ms  the cheapest", 32) == "1.  Initialized (warm)  830 ms\n    the cheapest"
+        wrap_labelled("1.  Initialized (warm)  830 ms  the cheapest", 32)
+        == "1.  Initialized (warm)  830 ms\n    the cheapest"
     )
-    assert fitted("plain words that are too long", 20) == "plain words that are\ntoo long"
+    assert wrap_labelled("plain words that are too long", 20) == "plain words that are\ntoo long"
 
 
 def test_a_row_without_a_label_stays_in_one_piece():
     row = "window: more than 4 failures within 6 s          2.75 %     2.71 %"
-    assert fitted(row, 40) == row
+    assert wrap_labelled(row, 40) == row
 
 
 def test_all_but_the_table_of_a_size_fits_a_terminal(
@@ -35,7 +36,7 @@ def test_all_but_the_table_of_a_size_fits_a_terminal(
     monkeypatch.setenv("COLUMNS", "80")
     assert main([*PAPER, "--fallbacks", "4"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("           by trial") for line in lines)
+    assert any(line.startswith("           simulated") for line in lines)
     assert all(
         len(line) <= 80
         for line in lines

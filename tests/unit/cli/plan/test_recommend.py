@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from tests.unit.controller import test_choosing as chosen
-from understudy.cli.plan.recommend import CANT, DONE, NOT_MET, main
+from understudy.cli.plan.recommend import ERROR, MET, NOT_MET, main
 
 WORKLOAD = """\
 apiVersion: understudy.dev/v1alpha1
@@ -105,7 +105,7 @@ def cluster(file: Callable[..., str], tmp_path: Path, monkeypatch: pytest.Monkey
     return tell
 
 
-def answered(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = DONE) -> list[dict[str, Any]]:
+def answered(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = MET) -> list[dict[str, Any]]:
     assert main([*arguments, "-o", "json"]) == status
     found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
     return found
@@ -113,7 +113,7 @@ def answered(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 
 
 def test_as_yaml_it_is_the_same(file: Callable[..., str], capsys: pytest.CaptureFixture[str]) -> None:
     found = answered(capsys, file())
-    assert main([file(), "-o", "yaml"]) == DONE
+    assert main([file(), "-o", "yaml"]) == MET
     assert yaml.safe_load(capsys.readouterr().out) == found
 
 
@@ -122,20 +122,20 @@ def order(found: dict[str, Any]) -> list[str]:
 
 
 def test_the_trade_off_is_told_as_a_table_with_the_reason_for_each_place(file, capsys):
-    assert main([file()]) == DONE
+    assert main([file()]) == MET
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "fleet/robot-17, FailurePolicy navigation"
     assert lines[1].startswith(
-        "asked for  a recovery within 2 s of the detection (availability Medium), with no more standbys"
+        "required   a recovery within 2 s after detection (availability Medium), with no more standbys"
     )
     table = [" ".join(line.split()) for line in lines[3:8]]
     assert table == [
-        "STRATEGY RECOVERS IN CPU KEPT WHY",
-        "1. Initialized (warm) 830 ms published 68 % published the cheapest that is soon enough",
-        "2. Uninitialized (spare) 3.96 s published 0 % published if those before it fail",
-        "3. Restart 4.67 s published 0 % if those before it fail",
-        "- Executing (hot) 50 ms published 96 % published would take 0.96 of a working instance's CPU, and behind the first one come "
-        "only those that take 0.1 at most",
+        "STRATEGY RECOVERS IN CPU RESERVED WHY",
+        "1. Initialized (warm) 830 ms published 68 % published the cheapest that is fast enough",
+        "2. Uninitialized (spare) 3.96 s published 0 % published if the strategies before it fail",
+        "3. Restart 4.67 s published 0 % if the strategies before it fail",
+        "- Executing (hot) 50 ms published 96 % published would use 0.96 of a working instance's CPU, but strategies after "
+        "the first may use at most 0.1",
     ]
     assert "published  measured with this project's navigation stack, see docs/choosing.md" in "\n".join(lines)
 
@@ -175,7 +175,7 @@ def test_what_can_not_be_had_is_told_and_the_exit_status_says_so(file, capsys):
     assert main([file(), "--availability", "High", "--resource-usage", "Low"]) == NOT_MET
     told = capsys.readouterr().out
     assert (
-        "not met    availability High asks for 500 ms, and Uninitialized (spare), the soonest that may go first, needs"
+        "not met    availability High requires 500 ms, but Uninitialized (spare), the fastest that may go first, needs"
         in told
     )
 
@@ -214,20 +214,20 @@ def test_recoveries_in_the_cluster_count_as_measured(file, cluster, capsys):
 
 def test_a_cluster_that_does_not_answer_is_told_and_only_fatal_where_it_was_asked_for(file, cluster, capsys):
     cluster("echo 'connection refused' >&2; exit 1")
-    assert main([file()]) == DONE
+    assert main([file()]) == MET
     said = capsys.readouterr()
     assert "recoveries in the cluster aren't taken into account: connection refused" in said.err
     assert "830 ms  published" in said.out
-    assert main([file(), "--context", "fleet"]) == CANT
+    assert main([file(), "--context", "fleet"]) == ERROR
     assert "understudy recommend: connection refused" in capsys.readouterr().err
 
 
 def test_strategies_that_are_written_out_stand_beside_what_would_be_chosen(file, capsys):
     written = POLICY.replace("{type: Auto}", "{type: Fallback, poolRef: {name: hot}}\n    - {type: Restart}")
     written = written.replace("  requirements: {availability: Medium}\n", "")
-    assert main([file(WORKLOAD, written, POOLS)]) == DONE
+    assert main([file(WORKLOAD, written, POOLS)]) == MET
     assert (
-        "policy     has its strategies written out: Executing, Restart, and states no requirements: the defaults were taken"
+        "policy     has its strategies written out: Executing, Restart, and states no requirements, so the defaults were used"
         in capsys.readouterr().out
     )
 
@@ -244,7 +244,7 @@ def test_what_is_recommended_is_what_the_operator_then_chooses(file, capsys, lev
 def test_it_is_drawn(file, capsys, tmp_path, form):
     pytest.importorskip("matplotlib")
     picture = tmp_path / f"tradeoff.{form}"
-    assert main([file(), "--plot", str(picture)]) == DONE
+    assert main([file(), "--plot", str(picture)]) == MET
     assert picture.stat().st_size > 10_000
 
 
@@ -262,8 +262,8 @@ def test_it_is_drawn(file, capsys, tmp_path, form):
             ["--workload", "robot-71"],
             "--workload: there is no RobotWorkload 'robot-71' in the files (did you mean",
         ),
-        ((WORKLOAD, POLICY.replace("Medium", "Middle"), POOLS), [], "the manifests can't be followed\n"),
-        ((WORKLOAD, "spec: {a: [}\n"), [], "the files can't be read\n"),
+        ((WORKLOAD, POLICY.replace("Medium", "Middle"), POOLS), [], "the manifests is invalid\n"),
+        ((WORKLOAD, "spec: {a: [}\n"), [], "the files cannot be read\n"),
         (ALL, ["--plot", "tradeoff.txt"], "--plot: found 'tradeoff.txt'; its name must end in .png"),
         (
             (WORKLOAD, WORKLOAD.replace("robot-17", "robot-18"), POLICY, POOLS),
@@ -273,7 +273,7 @@ def test_it_is_drawn(file, capsys, tmp_path, form):
     ],
 )
 def test_what_cannot_be_done_is_said_with_the_way_out(file, capsys, texts, more, expected):
-    assert main([file(*texts), *more]) == CANT
+    assert main([file(*texts), *more]) == ERROR
     error = capsys.readouterr().err
     assert error.startswith("understudy recommend: ")
     assert expected in error

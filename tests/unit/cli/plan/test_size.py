@@ -56,7 +56,7 @@ def test_as_json_everything_is_a_figure(capsys):
 def test_waiting_without_end_is_null_in_json_and_said_in_words(capsys):
     found = json.loads(printed(capsys, "--fallbacks", "1", "-o", "json"))
     assert (found["outcome"]["waiting"], found["outcome"]["wait"]) == (1, None)
-    assert "without end" in printed(capsys, "--fallbacks", "1")
+    assert "unbounded" in printed(capsys, "--fallbacks", "1")
     assert json.loads(printed(capsys, "--fallbacks", "0", "-o", "json"))["trial"]["wait"]["mean"] is None
 
 
@@ -72,7 +72,7 @@ def test_as_yaml_it_is_the_same(capsys):
 def test_figures_as_far_apart_as_may_be_are_answered(capsys, rate, seconds):
     figures = ["--robots", "1", "--failures-per-robot-hour", rate, "--recovery-seconds", seconds, "--fallbacks", "1"]
     assert main(figures) == 0
-    assert "loss: a failure goes without a fallback" in capsys.readouterr().out
+    assert "loss: a failure finds no fallback" in capsys.readouterr().out
 
 
 def test_a_risk_gives_the_size_by_each_measure(capsys):
@@ -145,7 +145,7 @@ def test_it_is_drawn(capsys, tmp_path, form):
             "found '1e-300'; give a duration, such as 500ms or 6s, from 1e-09",
         ),
         (["--fallbacks", "4", "--failures-per-robot-hour", "1e300"], "such as 0.2, from 1e-09 to 1e+09"),
-        (["--fallbacks", "4", "--fallback-cpu", "-1"], "--fallback-cpu: found '-1'; give a share, from 0 on"),
+        (["--fallbacks", "4", "--fallback-cpu", "-1"], "--fallback-cpu: found '-1'; give a share of at least 0"),
         (["--risk", "0%"], "--risk: found '0%'; give a probability, above 0"),
         (["--risk", "%"], "--risk: found '%'"),
     ],
@@ -161,8 +161,8 @@ def test_what_makes_no_sense_is_refused_by_name(capsys, more, expected):
     ("more", "expected"),
     [
         (["--fallbacks", "4", "--plot", "size.txt"], "--plot: found 'size.txt'; its name must end in .png"),
-        (["--fallbacks", "4", "--plot", "/nowhere/size.png"], "--plot: there is no folder /nowhere"),
-        (["--risk", "0.01", "--refill-seconds", "1e9"], "--risk: not even 1000000 fallbacks are enough"),
+        (["--fallbacks", "4", "--plot", "/nowhere/size.png"], "--plot: the folder /nowhere does not exist"),
+        (["--risk", "0.01", "--refill-seconds", "1e9"], "--risk: 1000000 fallbacks are not enough"),
     ],
 )
 def test_what_cannot_be_done_is_said_with_the_way_out(capsys, more, expected):

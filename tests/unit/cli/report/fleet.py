@@ -38,7 +38,7 @@ def robot(
 
 
 def failed(number: int, seconds_ago: float, reason: str = "no /cmd_vel for 500 ms", **more: Any) -> Recovery:
-    """A recovery in which nothing that was tried came to drive."""
+    """A recovery in which no strategy was verified."""
     attempts = [
         Attempt(strategy="Fallback/Executing", result="NotAvailable", message="no standby is ready"),
         Attempt(strategy="Restart", pod="robot-z9", result="NotVerified", message="no output within 60 s"),

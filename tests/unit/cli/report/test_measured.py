@@ -56,16 +56,16 @@ def read(told: Measured) -> Read:
 
 def test_its_figures_are_those_that_were_told_and_say_from_where() -> None:
     shown = read(measured())
-    assert f"by Prometheus at {URL} under the heading that says so" in shown.text
-    assert f"The figures under this heading, and no others, come from Prometheus at {URL}." in shown.text
+    assert f"from Prometheus at {URL} in the section with that title" in shown.text
+    assert f"Only the figures in this section come from Prometheus at {URL}." in shown.text
     rows = [[cell[0] for cell in row] for row in shown.table("Recoveries by strategy and result")]
     assert rows == [
         ["recovery", "Restart", "Recovered", "3"],
         ["recovery", "none", "Failed", "1"],
         ["switchover, planned", "Failover", "Recovered", "2"],
-        ["failure not recovered at once", "BudgetSpent", "–", "1"],
+        ["deferred recovery", "BudgetSpent", "–", "1"],
     ]
-    four = shown.table("The four times by strategy")
+    four = shown.table("The parts of the recovery time by strategy")
     assert [(row[0][0], row[1][0], value(row[2])) for row in four] == [
         ("Restart", "detection", 3), ("Restart", "cluster", 3), ("Restart", "recovery time", 3),
         ("Fallback/Executing", "recovery time", 7),
@@ -90,11 +90,11 @@ def test_bars_are_as_high_as_there_are_many() -> None:
     ("more", "words"),
     [
         ({"recovered": 9}, "The operator's own count, which outlives monitors, grew by 9: 3 recoveries are missing"),
-        ({"seen": [DAY.begin + 7200]}, "Monitors were told of at 1 of 5 moments, first at 2026-11-21 16:06:24Z, last at"),
-        ({"seen": []}, "It has nothing of these robots' monitors in this period."),
+        ({"seen": [DAY.begin + 7200]}, "There is data of monitors at 1 of 5 times, first at 2026-11-21 16:06:24Z, last at"),
+        ({"seen": []}, "Prometheus has no data on these robots in this period."),
         ({"counts": [], "recovered": None}, "No monitor counted a recovery in this period."),
-        ({"times": []}, "Of no recovery in this period the times are known."),
-        ({"pools": []}, "It has nothing of pools here: there is none, or the operator isn't scraped."),
+        ({"times": []}, "There are no times of recoveries in this period."),
+        ({"pools": []}, "There is no data on pools: there are none, or the operator is not scraped."),
     ],
 )  # fmt: skip
 def test_what_it_lacks_is_said(more: dict[str, object], words: str) -> None:

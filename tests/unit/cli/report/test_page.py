@@ -39,9 +39,9 @@ def test_the_figures_are_those_of_the_records() -> None:
         assert (row[0][0], value(row[1])) == (group.name, len(group.entries))
         assert [value(cell) for cell in row[2:6]] == list(group.parts.values())
         assert [value(cell) for cell in row[7:9]] == [group.spread.p50, group.spread.p95]
-    for row, course in zip(shown.table("Robots:"), found.courses, strict=True):
-        assert (row[0][0], value(row[7])) == (course.robot.name, course.down)
-        assert row[8][0] == availability(course.availability)
+    for row, robot_period in zip(shown.table("Robots:"), found.robot_periods, strict=True):
+        assert (row[0][0], value(row[7])) == (robot_period.robot.name, robot_period.down)
+        assert row[8][0] == availability(robot_period.availability)
 
 
 def test_bars_are_as_long_as_the_parts_took() -> None:
@@ -77,7 +77,7 @@ def test_what_is_reserved_by_strategy() -> None:
     assert (pool[0][0], value(pool[6])) == ("pool spare", 2.0)
     assert "No pod of these robots requests CPU" in read(fleet.whole()).text
     told = Read(written(findings([fleet.whole()], DAY, pods_unknown="you may not list pods"))).text
-    assert "The pods can't be told: you may not list pods" in told
+    assert "The pods could not be listed: you may not list pods" in told
 
 
 def test_names_and_messages_of_others_are_text() -> None:
@@ -107,28 +107,28 @@ def test_the_data_can_be_taken_from_the_page() -> None:
 
 
 def test_what_is_not_known_is_said_first() -> None:
-    assert "Not the whole period is known." in read(*fleet.robots()).text
+    assert "The data on this period is incomplete." in read(*fleet.robots()).text
     told = read(fleet.forgetful()).text
-    assert "robot-2-drive: 2 of 12 are not kept; known since 2026-11-22 04:06:24Z" in told
+    assert "robot-2-drive: 2 of 12 are no longer recorded; known since 2026-11-22 04:06:24Z" in told
     assert "Of 12 recoveries that these robots ever had, 10 are kept; 10 of those began in this period." in told
-    assert "Not the whole period" not in read(fleet.whole()).text
-    assert "These robots have had no recovery since they were made." in read(fleet.quiet()).text
+    assert "The data on this period is incomplete" not in read(fleet.whole()).text
+    assert "These robots have had no recovery since they were created." in read(fleet.quiet()).text
 
 
 def test_only_robots_to_which_something_happened_have_a_lane() -> None:
     shown = read(*fleet.robots())
     assert shown.texts.count("robot-1-drive") > shown.texts.count("robot-5-drive") == 1, "it is in the table of robots"
-    assert "Of 1 robot there is nothing to be shown." in shown.text
+    assert "1 robot without an event is not shown." in shown.text
 
 
 def test_a_period_without_recoveries_says_so() -> None:
     told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).text
-    assert "Nothing that is known happened to these robots in this period." in told
+    assert "No recovery or outage of these robots is recorded in this period." in told
     assert (
-        "No recovery that is known began in this period. The last one that is known ended at 2026-11-22 13:06:24Z."
+        "No recovery that began in this period is recorded. The last recorded one ended at 2026-11-22 13:06:24Z."
         in told
     )
-    assert "Nothing was recovered in this period, so far as it is known." in told
+    assert "No recovery of this period is recorded." in told
     assert "No gap was recorded in this period." in told
 
 
@@ -136,7 +136,7 @@ def test_what_failed_is_told_with_all_that_was_tried() -> None:
     told = read(fleet.in_vain()).text
     assert "Fallback/Executing: not available: no standby is ready" in told
     assert "Restart with robot-z9: not verified: no output within 60 s" in told
-    assert "FAILED: nothing verified" in told
+    assert "FAILED: no strategy was verified" in told
 
 
 def test_robots_of_several_namespaces_are_told_apart() -> None:

@@ -90,10 +90,10 @@ def test_a_token_is_for_the_one_that_was_named_alone(server: Server, other: Serv
     ("status", "text", "words"),
     [
         (401, "", "answers 401: it wants a token; give one by --prometheus-token-file FILE"),
-        (404, "<html>", "isn't a Prometheus (404): give the address before /api/v1"),
-        (200, "<html>", "isn't a Prometheus: give the address before /api/v1"),
-        (200, "[]", "isn't a Prometheus"),
-        (200, '{"data": {"result": [{"metric": {}}]}}', "isn't a Prometheus"),
+        (404, "<html>", "is not a Prometheus (404): give the address before /api/v1"),
+        (200, "<html>", "is not a Prometheus: give the address before /api/v1"),
+        (200, "[]", "is not a Prometheus"),
+        (200, '{"data": {"result": [{"metric": {}}]}}', "is not a Prometheus"),
         (422, '{"errorType": "execution", "error": "too many samples"}', "can't tell: too many samples; name robots, or"),
         (503, '{"errorType": "timeout", "error": "query timed out"}', "can't tell: query timed out; name robots, or"),
         (400, '{"errorType": "bad_data", "error": "parse error"}', "can't tell: parse error"),
@@ -111,24 +111,22 @@ def test_nobody_answers(server: Server) -> None:
     url = server.url.replace("127.0.0.1", "127.0.0.2")
     with pytest.raises(CommandError) as raised:
         Prometheus(url).query("up", 0.0)
-    assert str(raised.value).startswith(
-        f"Prometheus at {url} can't be reached: Connection refused; one in the cluster is "
-    )
+    assert str(raised.value).startswith(f"Prometheus at {url} cannot be reached: Connection refused; ")
 
 
 @pytest.mark.parametrize(
     "url", ["localhost:9090", "file:///etc/passwd", "http://", "http://u:p@here", "http://here?a=b"]
 )
 def test_an_address_that_is_none(url: str) -> None:
-    with pytest.raises(CommandError, match=r"^--prometheus: found .*; write where it is served") as raised:
+    with pytest.raises(CommandError, match=r"^--prometheus: found .*; give its address, such as") as raised:
         Prometheus(url)
     assert "u:p" not in str(raised.value)
 
 
 def test_files_that_can_not_be_used(tmp_path: Path) -> None:
     (tmp_path / "text").write_text("no certificate")
-    with pytest.raises(CommandError, match=r"^--prometheus-token-file: .*/none can't be read: No such file"):
+    with pytest.raises(CommandError, match=r"^--prometheus-token-file: .*/none cannot be read: No such file"):
         Prometheus("http://here", token_file=str(tmp_path / "none"))
     for name in ("none", "text"):
-        with pytest.raises(CommandError, match=rf"^--prometheus-ca-file: .*/{name} can't be used: "):
+        with pytest.raises(CommandError, match=rf"^--prometheus-ca-file: .*/{name} cannot be used: "):
             Prometheus("http://here", ca_file=str(tmp_path / name))

@@ -11,7 +11,7 @@ from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY
 from understudy.api.kinds.robot_workload import DependencyRecovery
 from understudy.cli.common.errors import CommandError
-from understudy.cli.report.recovery_records import Span, course, findings
+from understudy.cli.report.recovery_records import Span, findings, robot_period
 from understudy.cli.report.sample_statistics import quantile
 
 HOUR = 3600.0
@@ -22,7 +22,7 @@ def close(value: float) -> object:
 
 
 def test_downtime_is_what_the_recoveries_took() -> None:
-    found = course(fleet.whole(), DAY)
+    found = robot_period(fleet.whole(), DAY)
     assert found.known == DAY
     assert found.down == close(0.509 + 0.510 + 0.511 + 3.682 + 0.008)
     assert found.availability == close(1 - found.down / DAY.length)
@@ -31,12 +31,12 @@ def test_downtime_is_what_the_recoveries_took() -> None:
 
 def test_of_what_was_forgotten_nothing_is_said() -> None:
     found = findings([fleet.forgetful(), fleet.whole()], DAY)
-    forgetful = found.courses[1]
+    forgetful = found.robot_periods[1]
     assert forgetful.known is not None
     assert (forgetful.known.begin, forgetful.forgotten) == (close(NOW - 10 * HOUR), 2)
     assert [one.robot.name for one in found.incomplete] == ["robot-2-drive"]
     known = DAY.length + 10 * HOUR
-    assert found.availability == close(1 - sum(one.down for one in found.courses) / known)
+    assert found.availability == close(1 - sum(one.down for one in found.robot_periods) / known)
 
 
 def test_records_that_reach_back_beyond_the_period_are_whole() -> None:
@@ -47,56 +47,56 @@ def test_records_that_reach_back_beyond_the_period_are_whole() -> None:
 
 def test_where_all_that_is_kept_is_newer_than_the_period_nothing_is_known() -> None:
     found = findings([fleet.forgetful()], Span(NOW - 20 * HOUR, NOW - 15 * HOUR))
-    assert found.courses[0].known is None
-    assert (found.courses[0].availability, found.availability) == (None, None)
+    assert found.robot_periods[0].known is None
+    assert (found.robot_periods[0].availability, found.availability) == (None, None)
     assert len(found.incomplete) == 1
 
 
 def test_a_robot_is_known_from_when_it_was_made() -> None:
     found = findings([fleet.quiet()], DAY)
-    assert found.courses[0].known == Span(NOW - 2 * HOUR, NOW)
-    assert found.courses[0].availability == 1.0
+    assert found.robot_periods[0].known == Span(NOW - 2 * HOUR, NOW)
+    assert found.robot_periods[0].availability == 1.0
     assert found.incomplete == [], "before that there was nothing to be known"
 
 
 def test_what_failed_counts_until_it_was_healthy_again() -> None:
-    assert course(fleet.in_vain(), DAY).down == close(HOUR - 1800.0 + 3.682)
+    assert robot_period(fleet.in_vain(), DAY).down == close(HOUR - 1800.0 + 3.682)
 
 
 def test_a_failure_that_is_not_over_counts_until_the_end() -> None:
     item = fleet.robot("robot-1-drive", [fleet.failed(1, 500.0)], health="Failed", failing_since=ago(600.0))
-    found = course(item, DAY)
+    found = robot_period(item, DAY)
     assert (found.down, found.down_at_least) == (close(600.0), False)
-    assert course(fleet.robot("r", [], health="Failed", failing_since=ago(60.0)), DAY).down == close(60.0)
+    assert robot_period(fleet.robot("r", [], health="Failed", failing_since=ago(60.0)), DAY).down == close(60.0)
 
 
 def test_where_the_end_was_not_recorded_it_is_at_least_so_long() -> None:
     unhealthy = said("Healthy", "False", "NotWell", since=30.0)
-    found = course(fleet.robot("robot-1-drive", [fleet.failed(1, 500.0)], unhealthy), DAY)
+    found = robot_period(fleet.robot("robot-1-drive", [fleet.failed(1, 500.0)], unhealthy), DAY)
     assert (found.down, found.down_at_least) == (close(64.0), True)
-    later = course(fleet.robot("r", [fleet.restart(2, 100.0), fleet.failed(1, 500.0)]), DAY)
+    later = robot_period(fleet.robot("r", [fleet.restart(2, 100.0), fleet.failed(1, 500.0)]), DAY)
     assert later.down_at_least, "when it was healthy in between, nobody has written down"
-    at_once = course(fleet.robot("r", [fleet.restart(2, 440.0), fleet.failed(1, 500.0)]), DAY)
+    at_once = robot_period(fleet.robot("r", [fleet.restart(2, 440.0), fleet.failed(1, 500.0)]), DAY)
     assert (at_once.down, at_once.down_at_least) == (close(64.0), False)
 
 
 def test_what_began_before_the_period_counts_as_far_as_it_reaches_into_it() -> None:
-    found = course(fleet.robot("r", [fleet.restart(1, 102.0)]), Span(NOW - 100.0, NOW))
+    found = robot_period(fleet.robot("r", [fleet.restart(1, 102.0)]), Span(NOW - 100.0, NOW))
     assert (found.entries, found.down) == ([], close(1.682))
 
 
 def test_time_that_the_budget_held_it_for_is_in_no_part_and_counts() -> None:
     held = recovery(1, 500.0)
     held.moments.held, held.moments.released = held.moments.detected, ago(500.0 - 0.503 - 40.0)
-    (entry,) = course(fleet.robot("r", [held]), DAY).entries
+    (entry,) = robot_period(fleet.robot("r", [held]), DAY).entries
     assert (entry.held, entry.down) == (close(40.0), close(40.509))
 
 
 def test_the_gap_is_between_outputs() -> None:
-    found = {entry.recovery.number: entry.gap for entry in course(fleet.whole(), DAY).entries}
+    found = {entry.recovery.number: entry.gap for entry in robot_period(fleet.whole(), DAY).entries}
     assert found[5] == close(0.509 + 0.031)
     assert found[1] == close(0.040), "of a switchover from the former's last output on"
-    assert course(fleet.in_vain(), DAY).entries[0].gap is None
+    assert robot_period(fleet.in_vain(), DAY).entries[0].gap is None
 
 
 def test_what_no_failure_was_the_cause_of_is_compared_apart() -> None:
@@ -126,5 +126,5 @@ def test_quantiles_are_those_of_the_standard_library() -> None:
 def test_a_status_that_is_not_understood_is_not_guessed_at() -> None:
     item = fleet.whole()
     item["status"]["recoveries"][0]["result"] = "Sideways"
-    with pytest.raises(CommandError, match="Is this command as new as the operator"):
+    with pytest.raises(CommandError, match="Does this command have the version of the operator"):
         findings([item], DAY)

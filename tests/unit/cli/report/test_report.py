@@ -11,6 +11,7 @@ import pytest
 
 from tests.support import fleet as others
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_shown
 from tests.unit.cli.report import fleet
 from understudy.cli.report.command import main
 
@@ -29,8 +30,8 @@ def written(stand: FakeKubectl, tmp_path: Path) -> Path:
 def test_a_page_and_the_data(stand: FakeKubectl, written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["-n", "fleet", "-o", str(written), "--csv", str(written.parent / "data")]) == 0
     assert capsys.readouterr().out == (
-        f"{written}: 5 robots, 18 recoveries from 2026-11-21 14:06:24Z to 2026-11-22 14:06:24Z; of 1 robot not the whole "
-        "period is known, since a status keeps the last ten recoveries only\n"
+        f"{written}: 5 robots, 18 recoveries from 2026-11-21 14:06:24Z to 2026-11-22 14:06:24Z; the data on 1 robot is "
+        "incomplete, because a status records only the last ten recoveries\n"
     )
     robots, *pods = stand.asked
     assert robots.startswith("--namespace=fleet get robotworkloads.understudy.dev -o json")
@@ -50,7 +51,7 @@ def test_the_documentation_shows_what_it_says(
     stand.tell(fleet.robots())
     ((arguments, expected),) = re.findall(r"\$ understudy report (.*?)\n(.*?)```", DOCUMENTATION.read_text(), re.DOTALL)
     assert main(shlex.split(arguments)) == 0
-    assert capsys.readouterr().out == expected
+    assert_shown(DOCUMENTATION, expected, capsys.readouterr().out)
     assert (tmp_path / "understudy-report.html").exists()
 
 
@@ -83,7 +84,7 @@ def test_every_namespace(stand: FakeKubectl, written: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-n", "flet"], "there is no namespace flet"),
+        (["-n", "flet"], "namespace flet does not exist"),
         (["-n", "lab"], "there is no RobotWorkload in this namespace"),
         ([], "there is no RobotWorkload in this namespace"),
         (["-A"], "there is no RobotWorkload in the cluster"),
@@ -113,12 +114,12 @@ def test_what_can_not_be_told(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--prometheus", "prometheus:9090"], "--prometheus: found 'prometheus:9090'; write where it is served"),
+        (["--prometheus", "prometheus:9090"], "--prometheus: found 'prometheus:9090'; give its address, such as"),
         (
             ["--prometheus", "http://127.0.0.1:1"],
-            "Prometheus at http://127.0.0.1:1 can't be reached: Connection refused;",
+            "Prometheus at http://127.0.0.1:1 cannot be reached: Connection refused;",
         ),
-        (["--prometheus-ca-file", "ca.crt"], "--prometheus-ca-file is for --prometheus URL, which isn't given"),
+        (["--prometheus-ca-file", "ca.crt"], "--prometheus-ca-file applies to --prometheus URL, which is not given"),
     ],
 )
 def test_a_prometheus_that_can_not_be_asked(
@@ -132,4 +133,4 @@ def test_a_prometheus_that_can_not_be_asked(
 def test_a_place_that_can_not_be_written_to(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written.mkdir()
     assert main(["-o", str(written)]) == 2
-    assert "can't be written: Is a directory; give another place" in capsys.readouterr().err
+    assert "cannot be written: Is a directory; give another path" in capsys.readouterr().err

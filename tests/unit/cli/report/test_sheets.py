@@ -40,7 +40,7 @@ def test_robots_and_strategies() -> None:
     robots = {row["robot"]: row for row in rows(data["robots.csv"])}
     assert (robots["robot-2-drive"]["recoveries_ever"], robots["robot-2-drive"]["recoveries_kept"]) == ("12", "10")
     assert robots["robot-3-drive"]["protected"] == "false"
-    assert float(robots["robot-3-drive"]["down_seconds"]) == pytest.approx(found.courses[2].down, abs=1e-6)
+    assert float(robots["robot-3-drive"]["down_seconds"]) == pytest.approx(found.robot_periods[2].down, abs=1e-6)
     restart = next(row for row in rows(data["strategies.csv"]) if row["strategy"] == "Restart")
     assert (restart["count"], float(restart["p50_seconds"])) == ("2", 3.682)
 

@@ -38,7 +38,7 @@ def learn(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dic
 
 def failures(bag: Path, tree: dict[str, Any]) -> list[str]:
     with Bag.open(str(bag)) as opened:
-        return [one.reason for one in replay(load(tree), 0.0, opened).course.detections]
+        return [one.reason for one in replay(load(tree), 0.0, opened).evaluation.detections]
 
 
 def test_what_is_learnt_holds_there_and_fails_where_it_is_slower_faster_or_silent(
@@ -69,14 +69,16 @@ def test_bounds_that_the_recording_itself_breaks_are_said_and_end_with_1(
     status, tree, err = learn(capsys, "--bag", str(write(tmp_path / "bag", said)), "--topic", "/a")
     assert status == 1
     assert tree["parallel"][0]["topic"]["gap"] == "50ms", "one gap of thousands is no measure"
-    assert "these bounds would have failed in this very bag, at 30.025 s: no /a for 50 ms; was it healthy then?" in err
+    assert (
+        "these bounds would have failed in this bag, at 30.025 s: no /a for 50 ms; was the robot healthy then?" in err
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         (["--topic", "/aa"], "the bag has no topic '/aa', did you mean '/a'?"),
-        (["--topic", "/few"], "the bag has 3 messages of /few; at least 20 are needed to learn from"),
+        (["--topic", "/few"], "the bag has 3 messages of /few; at least 20 are required"),
     ],
 )
 def test_what_cannot_be_learnt_ends_with_2(

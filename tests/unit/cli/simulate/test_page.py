@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_shown
 from tests.unit.cli.simulate.patrol import record
 from understudy.cli.simulate import learn, simulate
 
-PAGE = (Path(__file__).resolve().parents[4] / "docs" / "trying.md").read_text()
+PAGE = Path(__file__).resolve().parents[4] / "docs" / "trying.md"
 COMMANDS: dict[str, Callable[[list[str]], int]] = {"simulate": simulate.main, "learn": learn.main}
 
 
@@ -21,13 +22,13 @@ def test_the_recording_is_judged_as_the_page_says(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     record(tmp_path)
-    (policy,) = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    (policy,) = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)
     (tmp_path / "policy.yaml").write_text(policy)
-    shown = re.findall(r"```console\n\$ understudy (simulate|learn) (.*?)\n(.*?)```", PAGE, re.DOTALL)
+    shown = re.findall(r"```console\n\$ understudy (simulate|learn) (.*?)\n(.*?)```", PAGE.read_text(), re.DOTALL)
     assert [command for command, _, _ in shown] == ["simulate", "learn"]
     for command, arguments, expected in shown:
         COMMANDS[command](shlex.split(arguments))
-        assert capsys.readouterr().out == expected
+        assert_shown(PAGE, expected, capsys.readouterr().out)
 
 
 @pytest.mark.parametrize("command", [simulate.main, learn.main])
@@ -36,4 +37,4 @@ def test_help_says_what_the_exit_status_means(
 ) -> None:
     with pytest.raises(SystemExit):
         command(["--help"])
-    assert "Exit status: 0 where" in capsys.readouterr().out
+    assert "Exit status: 0 if" in capsys.readouterr().out

@@ -51,10 +51,10 @@ class Tried:
 
     @property
     def detections(self) -> list[Failure]:
-        return self.found.course.detections
+        return self.found.evaluation.detections
 
     def states(self, path: str) -> list[str]:
-        return [span.state for span in self.found.course.spans[path]]
+        return [span.state for span in self.found.evaluation.spans[path]]
 
     def only(self) -> Failure:
         (one,) = self.detections
@@ -174,14 +174,14 @@ def test_what_fails_for_less_than_the_debounce_is_passed_over(tmp_path: Path) ->
     tried = Tried(tmp_path, said, "{topic: {name: /cmd_vel, gap: 1s}}", debounce="300ms")
     assert tried.only().failed == unix(3) + 1.0
     assert tried.only().detected == unix(3) + 1.0 + 0.3
-    passed = [one for one in tried.found.course.failures if one.detected is None]
+    passed = [one for one in tried.found.evaluation.failures if one.detected is None]
     assert [(one.failed, one.recovered) for one in passed] == [(unix(1) + 1.0, unix(2.2))]
 
 
 def test_what_was_never_received_fails_with_the_grace_counted_from_the_bag_s_start(tmp_path: Path) -> None:
     tried = Tried(tmp_path, clock(9), "{topic: {name: /scan, gap: 1s}}", also={"/scan": SCAN}, grace="5s")
     assert tried.only().detected == unix(0) + 5.0
-    assert tried.found.course.healthy is None
+    assert tried.found.evaluation.healthy is None
 
 
 def test_what_gets_better_by_time_alone_is_noted_at_its_moment(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
     assert list(tried.found.topics) == ["scan"]
     told = {leaf: one.why for one in tried.found.left_out for leaf in one.leaves}
     assert told.keys() == {"imu", "scan.publisher", "sent", "pod.Ready", "a.b.parameter", "driving/scan"}
-    assert told["imu"] == "the bag lacks /imu"
+    assert told["imu"] == "the bag does not contain /imu"
     assert "needs the live ROS graph" in told["scan.publisher"]
     assert told["sent"] == "it needs the time at which messages were sent, which a bag does not contain (/scan)"
     assert told["pod.Ready"] == "it needs the cluster's API, which a bag does not contain (pod)"
@@ -215,7 +215,8 @@ def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
 
 def test_with_nothing_to_judge_there_is_no_verdict(tmp_path: Path) -> None:
     with pytest.raises(
-        CommandError, match="nothing of the policy's tree can be judged by this bag\nimu: the bag lacks /imu"
+        CommandError,
+        match="this bag contains nothing that the policy's tree can evaluate\nimu: the bag does not contain /imu",
     ):
         Tried(tmp_path, clock(2), "{topic: {name: /imu, gap: 1s}}")
 

@@ -35,9 +35,9 @@ def test_it_says_what_and_when_and_ends_with_1(folder: Path, capsys: pytest.Capt
     assert main(["policy.yaml", "--bag", "bag"]) == 1
     told = capsys.readouterr()
     assert told.err == ""
-    assert "DETECTED  WALL TIME (UTC)          LEAF     LAST WELL  RECOVERED  REASON\n" in told.out
+    assert "DETECTED  WALL TIME (UTC)          LEAF     LAST HEALTHY  RECOVERED  REASON\n" in told.out
     assert "3.400 s   2026-05-28 20:26:43.400  cmd_vel  2.900 s    5.000 s    no /cmd_vel for 500 ms\n" in told.out
-    assert "all that was recorded came from the robot or from the instance in control" in told.out
+    assert "all messages came from the robot or from the active instance" in told.out
     assert "cmd_vel  /cmd_vel  60        7.468 Hz  2.1 s        1x, 1.6 s, first at 3.400 s  Healthy\n" in told.out
 
 
@@ -88,7 +88,7 @@ def test_for_programs_it_is_json(folder: Path, capsys: pytest.CaptureFixture[str
         (["3"], "Onset at 3.000 s: detected 400 ms later\n"),
         (["2026-05-28T20:26:43Z"], "Onset at 3.000 s: detected 400 ms later\n"),
         (["1", "3s"], "Onset at 1.000 s: NOT DETECTED\nOnset at 3.000 s: detected 400 ms later\n"),
-        (["6"], "Onset at 6.000 s: NOT DETECTED\nDetected at 3.400 s: belongs to no onset that was given\n"),
+        (["6"], "Onset at 6.000 s: NOT DETECTED\nDetected at 3.400 s: matches no given onset\n"),
     ],
 )
 def test_onsets_that_are_given_are_told_beside_their_detections(
@@ -122,38 +122,38 @@ def test_it_draws_detections_and_failed_times(folder: Path) -> None:
         (["none.yaml", "--bag", "bag"], "none.yaml: No such file or directory; give a file with a FailurePolicy"),
         (
             ["policy.yaml", "--bag", "none"],
-            "none: there is no such file or folder; give a rosbag2 folder, or an .mcap or .db3",
+            "none: no such file or folder; give a rosbag2 folder, or an .mcap or .db3",
         ),
         (
             ["policy.yaml", "--bag", "policy.yaml"],
-            "policy.yaml: this can't be read as a bag: Unrecognized storage format '.yaml'; its name",
+            "policy.yaml: this cannot be read as a bag: Unrecognized storage format '.yaml'; its name",
         ),
-        (["policy.yaml", "--bag", "."], "this can't be read as a bag: "),
-        (["policy.yaml", "--bag", "no.mcap"], "no.mcap: this can't be read as a bag: File magic is invalid; give"),
+        (["policy.yaml", "--bag", "."], "this cannot be read as a bag: "),
+        (["policy.yaml", "--bag", "no.mcap"], "no.mcap: this cannot be read as a bag: File magic is invalid; give"),
         (
             ["policy.yaml", "--bag", "no.db3"],
-            "no.db3: this can't be read as a bag: Cannot open database no.db3: file is not a database; it isn't one that rosbag2 has",
+            "no.db3: this cannot be read as a bag: Cannot open database no.db3: file is not a database; rosbag2 did not write it",
         ),
-        (["policy.yaml", "--bag", "cut.mcap"], "a recording that was cut off is repaired by `mcap recover`"),
+        (["policy.yaml", "--bag", "cut.mcap"], "repair an incomplete recording with `mcap recover`"),
         (
             ["policy.yaml", "--bag", "bag", "--onset", "soon"],
-            "--onset: 'soon' is no time: give seconds from the bag's start such",
+            "--onset: 'soon' is not a time: give seconds from the bag's start such",
         ),
         (["policy.yaml", "--bag", "bag", "--onset", "9"], "--onset: '9' is not within the bag, which is 7.900 s long"),
         (
             ["policy.yaml", "--bag", "bag", "--plot", "a.gif"],
             "--plot: found 'a.gif'; its name must end in .png, .svg, .pdf",
         ),
-        (["policy.yaml", "--bag", "bag", "--plot", "no/a.png"], "--plot: there is no folder no; make it"),
+        (["policy.yaml", "--bag", "bag", "--plot", "no/a.png"], "--plot: the folder no does not exist; create it"),
         (
             ["policy.yaml", "--bag", "bag", "--policy", "tired"],
-            "there is no FailurePolicy 'tired' in it, did you mean 'tried'?",
+            "the file contains no FailurePolicy 'tired', did you mean 'tried'?",
         ),
         (
             ["pod.yaml", "--bag", "bag"],
-            "pod.yaml: there is no FailurePolicy in it, found Pod web; give the file that holds",
+            "pod.yaml: the file contains no FailurePolicy, found Pod web; give the file with",
         ),
-        (["two.yaml", "--bag", "bag"], "two.yaml: it holds 2 policies; choose one by --policy: one, two"),
+        (["two.yaml", "--bag", "bag"], "two.yaml: the file contains 2 policies; choose one with --policy: one, two"),
         (
             ["treeless.yaml", "--bag", "bag"],
             "treeless.yaml:5:3: error: FailurePolicy tried: spec.monitoring.yaml: a health tree is required",
@@ -162,7 +162,7 @@ def test_it_draws_detections_and_failed_times(folder: Path) -> None:
         (["wrong.yaml", "--bag", "bag"], "spec.monitoring.yaml.topic.gap: found 500, which has no unit"),
         (
             ["typed.yaml", "--bag", "bag"],
-            "the policy's tree says std_msgs/msg/Empty of /cmd_vel, but it was recorded as geometry",
+            "the policy's tree has the type std_msgs/msg/Empty for /cmd_vel, but it was recorded as geometry",
         ),
         (["field.yaml", "--bag", "bag"], "geometry_msgs/msg/Twist has no field 'linnear', did you mean 'linear'?"),
     ],
@@ -260,10 +260,7 @@ def test_a_type_that_nobody_knows_can_be_counted_but_not_looked_into(
     (folder / "look.yaml").write_text(policy('{value: {topic: /arm, type: acme_msgs/msg/Arm, holds: "joints > 3"}}'))
     assert main(["count.yaml", "--bag", "own"]) == 1
     assert main(["look.yaml", "--bag", "own"]) == 2
-    assert (
-        "the type acme_msgs/msg/Arm of /arm is not known, and the tree looks into its messages"
-        in capsys.readouterr().err
-    )
+    assert "the type acme_msgs/msg/Arm of /arm is unknown, but the tree reads its messages" in capsys.readouterr().err
 
 
 def test_the_bag_s_own_definitions_count(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -147,13 +147,15 @@ def test_where_nothing_fails_it_ends_with_0(
     command = watch("{topic: {name: /chat, gap: 20s}}")
     command.until("chat is healthy")
     status, said = command.ended(signal.SIGTERM)
-    assert (status, said) == (0, "understudy watch: no failure was seen\n")
+    assert (status, said) == (0, "understudy watch: no failure was detected\n")
 
 
 def test_it_ends_by_itself_and_says_what_never_came(watch: Callable[..., Command]) -> None:
     status, said = watch("{topic: {name: /never, type: std_msgs/msg/String, gap: 1s}}", "--for", "300ms").ended()
     assert status == 0
-    assert "no failure was seen, but it wasn't healthy either: waiting for the first /never, for up to 30 s" in said
+    assert (
+        "no failure was detected, but the tree was never healthy: waiting for the first /never, for up to 30 s" in said
+    )
 
 
 def test_another_grace_than_the_policy_s(watch: Callable[..., Command]) -> None:
@@ -175,7 +177,7 @@ def test_what_only_the_cluster_tells_is_left_out_and_said(
 ) -> None:
     publish("/chat")
     command = watch("{parallel: [{topic: {name: /chat, gap: 20s}}, {pod: {condition: Ready}}]}")
-    command.until("pod.Ready is told by the cluster, which isn't asked here: it isn't judged")
+    command.until("pod.Ready needs the cluster, which this command does not use: not evaluated")
     command.until("the tree is healthy")
     assert command.ended(signal.SIGINT)[0] == 0
 
@@ -183,7 +185,7 @@ def test_what_only_the_cluster_tells_is_left_out_and_said(
 def test_where_nothing_else_is_left_that_is_said(watch: Callable[..., Command]) -> None:
     status, said = watch("{pod: {restarts: 2, window: 10m}}").ended()
     assert status == 2
-    assert "nothing of the policy's tree can be judged here: pod.restarts is told by the cluster" in said
+    assert "no leaf of the policy's tree can be evaluated here: pod.restarts needs the cluster" in said
 
 
 def test_it_only_receives(graph: Any, publish: Callable[[str], Publishing], watch: Callable[..., Command]) -> None:
