@@ -235,7 +235,10 @@ def test_a_bad_status_is_refused(cluster: Cluster, make, status: Object, field: 
     ("path", "texts"),
     [
         ("robotworkload", ["One application of one robot", "spec\t<Object> -required-"]),
-        ("rw.spec", ["failurePolicyRef\t<Object> -required-", "outputs\t<[]Object> -required-", "All of them are gated"]),
+        (
+            "rw.spec",
+            ["failurePolicyRef\t<Object> -required-", "outputs\t<[]Object> -required-", "All of them are gated"],
+        ),
         ("rw.spec.outputs", ["type\t<string> -required-", "ROS type, such as geometry_msgs/msg/Twist"]),
         ("rw.spec.ros.discovery", ["enum: Managed, External, Multicast", "runs a Fast DDS discovery server"]),
         ("rw.spec.template.spec", ["containers\t<[]Object> -required-"]),

@@ -9,7 +9,7 @@ from pydantic import Field
 from understudy.api.base import Duration, Model, ObjectName, Percentage, matching, rules
 from understudy.api.conditions import Condition, Time
 from understudy.api.kinds.procedure_spec import Check, Procedure
-from understudy.api.schema.pod_template import pod_template
+from understudy.api.kinds.pod_template import pod_template
 
 Readiness = Literal["Uninitialized", "Initialized", "Executing"]
 
