@@ -8,8 +8,8 @@ from pydantic import Field
 
 from understudy.api.base import Duration, Model, ObjectName, Percentage, matching, rules
 from understudy.api.conditions import Condition, Time
-from understudy.api.kinds.procedure_spec import Check, Procedure
 from understudy.api.kinds.pod_template import pod_template
+from understudy.api.kinds.procedure_spec import Check, Procedure
 
 Readiness = Literal["Uninitialized", "Initialized", "Executing"]
 

@@ -19,13 +19,13 @@ from understudy.api.base import (
 from understudy.api.conditions import Condition, Time
 from understudy.api.kinds.failure_policy import MOST_COUNTED
 from understudy.api.kinds.pause_spec import Pause
+from understudy.api.kinds.pod_template import pod_template
 from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.api.kinds.state_spec import KeptStatus, RestoredState
 from understudy.api.kinds.switchover_spec import Draining, Kind, SwitchoverStatus
 from understudy.api.kinds.task_spec import Task, TaskStatus
 from understudy.api.ros_names import ROS_TYPE_MESSAGE, ROS_TYPE_PATTERN
-from understudy.api.kinds.pod_template import pod_template
 
 STOCKED_MOST = 8
 """Maximum number of shared pools that a status lists as having a pod for a workload."""

@@ -149,7 +149,7 @@ def test_what_only_the_operator_refuses() -> None:
     [
         (
             ("name: navigation}", "name: Navigation}"),
-            'a.yaml:3:12: error: FailurePolicy Navigation: metadata.name: "Navigation": names of objects have lower-case',
+            'a.yaml:3:12: error: FailurePolicy Navigation: metadata.name: "Navigation": the name of an object must consist of lower-case',
         ),
         (
             ("name: navigation}", "labels: {a: true}, name: b}"),

@@ -44,7 +44,7 @@ def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: FakeKube
     ("more", "words"),
     [
         (["--until", "tonight"], '--until "tonight": write a date, a time and a time zone (RFC 3339)'),
-        (["--until", "2026-02-30T00:00:00Z"], '--until "2026-02-30T00:00:00Z": write a moment'),
+        (["--until", "2026-02-30T00:00:00Z"], '--until "2026-02-30T00:00:00Z": write a date'),
         (["--until", "2026-11-22T14:00:00Z"], "--until 2026-11-22T14:00:00Z is over already"),
         (["--for", "30"], '--for "30": write a duration as a number with ms, s, m or h'),
         (["--owner", " "], "--owner is empty"),
