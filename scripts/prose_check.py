@@ -41,7 +41,7 @@ READ = (
 )
 """What is read if no path is given."""
 
-_GENERATED = ("charts/understudy/files", "docs/reference")
+_GENERATED = ("charts/understudy/files/crds", "docs/reference")
 """Copies of texts that are checked at their source."""
 
 _WITHOUT_USERS = ("tests", "bench", "testcluster", "scripts")
@@ -167,8 +167,8 @@ def texts(relative: str, path: Path) -> Iterator[Text]:
     """The English in a file."""
     if path.suffix == ".py" or _first_line(path).endswith("python3"):
         yield from python_texts(path.read_text())
-    elif relative.startswith("crds/"):
-        yield from crd_texts(path.read_text())
+    elif relative.startswith(("crds/", "charts/understudy/files/")) and path.suffix == ".yaml":
+        yield from yaml_texts(path.read_text())
     elif path.suffix == ".json" and relative.startswith("charts/"):
         yield from _matching("messages", path.read_text(), r'"description": "(.*)"')
     elif path.name == "NOTES.txt":
@@ -202,13 +202,13 @@ def _matching(kind: str, source: str, pattern: str) -> Iterator[Text]:
         yield Text(kind, tuple(together))
 
 
-def crd_texts(source: str) -> Iterator[Text]:
-    """Descriptions and messages of rules in a CustomResourceDefinition."""
+def yaml_texts(source: str) -> Iterator[Text]:
+    """Descriptions, summaries and messages in a YAML document: a CustomResourceDefinition, or alerts."""
 
     def walk(node: yaml.Node) -> Iterator[Text]:
         if isinstance(node, yaml.MappingNode):
             for key, value in node.value:
-                if key.value in ("description", "message") and isinstance(value, yaml.ScalarNode):
+                if key.value in ("description", "message", "summary") and isinstance(value, yaml.ScalarNode):
                     yield Text("messages", ((value.start_mark.line + 1, value.value),))
                 else:
                     yield from walk(value)

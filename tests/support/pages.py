@@ -9,6 +9,7 @@ from pathlib import Path
 REPOSITORY = Path(__file__).parents[2]
 PAGES = [
     REPOSITORY / "README.md",
+    REPOSITORY / "CONTRIBUTING.md",
     REPOSITORY / "charts" / "understudy" / "README.md",
     REPOSITORY / "testcluster" / "README.md",
     *sorted((REPOSITORY / "docs").rglob("*.md")),

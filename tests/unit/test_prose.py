@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scripts.prose_check import Text, crd_texts, python_texts
+from scripts.prose_check import Text, python_texts, yaml_texts
 
 SOURCE = '''"""A module."""
 
@@ -37,7 +37,7 @@ def test_sentences_in_code_are_messages_and_keys_are_not() -> None:
 
 def test_descriptions_and_rules_of_a_crd_are_messages() -> None:
     source = "spec:\n  description: What is kept.\n  x:\n  - rule: self > 1\n    message: give more than one\n"
-    assert list(crd_texts(source)) == [
+    assert list(yaml_texts(source)) == [
         Text("messages", ((2, "What is kept."),)),
         Text("messages", ((5, "give more than one"),)),
     ]

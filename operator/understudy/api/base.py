@@ -1,4 +1,4 @@
-"""What all models of the API share: camelCase on the wire, durations, and how CEL rules are attached."""
+"""Shared parts of the API models: camelCase on the wire, durations, and CEL rules."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ API_VERSION = f"{GROUP}/{VERSION}"
 
 
 def rules(*entries: tuple[str, str] | tuple[str, str, str]) -> dict[str, Any]:
-    """``json_schema_extra`` with CEL validation rules (KEP-2876): each a rule, a message and, where the rule is about one field
-    of the object, that field's path such as ``.poolRef``, under which the API server then reports it.
+    """``json_schema_extra`` with CEL validation rules (KEP-2876). Each is a rule, a message and, if the rule is about one field of the
+    object, the path of that field such as ``.poolRef``, under which the API server reports the error.
     """
     return {
         "x-kubernetes-validations": [
@@ -31,11 +31,11 @@ def rules(*entries: tuple[str, str] | tuple[str, str, str]) -> dict[str, Any]:
 
 
 def matching(pattern: str, message: str) -> dict[str, Any]:
-    """``json_schema_extra`` for a text with a pattern that says what was found and what would be right.
+    """``json_schema_extra`` for a text with a pattern. The error shows the value and says what is expected.
 
-    A schema's own ``pattern`` is refused with the bare expression; CRD generation leaves it out in favour of this rule.
+    The error for a schema's own ``pattern`` shows only the expression, so CRD generation replaces it by this rule.
     """
-    assert not set("'\\") & set(message), "it becomes a text of CEL"
+    assert not set("'\\") & set(message), "the message is embedded in a CEL text"
     rule = {
         "rule": f"self.matches(r'{pattern}')",
         "message": message,
@@ -58,22 +58,24 @@ Percentage = Annotated[
     Field(
         pattern=PERCENTAGE_PATTERN,
         max_length=16,
-        json_schema_extra=matching(PERCENTAGE_PATTERN, "write a share above 0% and below 100%, such as 1% or 0.5%"),
+        json_schema_extra=matching(
+            PERCENTAGE_PATTERN, "write a percentage above 0% and below 100%, such as 1% or 0.5%"
+        ),
     ),
 ]
-"""A share such as ``1%``, neither none nor all."""
+"""A percentage such as ``1%``, neither 0% nor 100%."""
 
 
 def fraction(percentage: str) -> float:
-    """A percentage such as ``0.5%`` from 0 to 1."""
+    """Return a percentage such as ``0.5%`` as a number from 0 to 1."""
     return float(percentage.removesuffix("%")) / 100
 
 
 class Model(BaseModel):
-    """Base of every object in the API; its fields are camelCase on the wire.
+    """Base of every object in the API. Field names are camelCase on the wire.
 
-    Unknown fields are refused by the API server's schema; they are ignored here, so that an older operator
-    reads what a newer one has stored.
+    The API server's schema refuses unknown fields. They are ignored here, so that an older operator can read what a newer one
+    stored.
     """
 
     model_config = ConfigDict(alias_generator=to_camel, populate_by_name=True, extra="ignore")
@@ -85,7 +87,8 @@ class Model(BaseModel):
 
 OBJECT_NAME_PATTERN = r"^[a-z0-9]([-a-z0-9.]*[a-z0-9])?$"
 OBJECT_NAME_MESSAGE = (
-    "names of objects have lower-case letters, digits, dashes and dots only, and begin and end with a letter or digit"
+    "the name of an object must consist of lower-case letters, digits, dashes and dots, and must begin and end "
+    "with a letter or digit"
 )
 
 ObjectName = Annotated[

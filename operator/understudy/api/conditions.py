@@ -16,40 +16,40 @@ MESSAGE_MOST = 32768
 Status = Literal["True", "False", "Unknown"]
 
 Time = Annotated[str, Field(json_schema_extra={"format": "date-time"})]
-"""A moment as RFC 3339, with any number of digits for the fraction of a second."""
+"""A time in RFC 3339, with any number of digits for the fraction of a second."""
 
 
 class Condition(Model):
     """One aspect of an object's state, as ``kubectl describe`` and ``kubectl wait`` read it."""
 
-    type: str = Field(max_length=316, description="What is said, such as Ready or Protected.")
+    type: str = Field(max_length=316, description="Type of the condition, such as Ready or Protected.")
     status: Status = Field(description="True, False or Unknown.")
     reason: str = Field(
         min_length=1,
         max_length=1024,
         pattern=r"^[A-Za-z]([A-Za-z0-9_,:]*[A-Za-z0-9_])?$",
-        description="Reason, one word.",
+        description="Reason for the status, in one CamelCase word.",
     )
     message: str = Field(
-        default="", max_length=MESSAGE_MOST, description="What was found, and what would put it right."
+        default="", max_length=MESSAGE_MOST, description="What was found and, if something is wrong, how to correct it."
     )
     last_transition_time: Time = Field(description="When the status last changed, RFC 3339.")
     observed_generation: int | None = Field(
-        default=None, ge=0, description="Generation of the spec that this is about."
+        default=None, ge=0, description="Generation of the spec that the condition refers to."
     )
 
 
 def now() -> str:
-    """The present time as RFC 3339 with seconds, as Kubernetes writes it."""
+    """Return the current time in RFC 3339 with seconds, as Kubernetes writes it."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def condition(
     type_: str, status: Status | bool, reason: str, message: str = "", *, generation: int | None = None
 ) -> Condition:
-    """A condition as of now; :func:`merged` keeps the older transition time where the status is the same.
+    """Return a condition that begins now. :func:`merged` keeps an older transition time if the status did not change.
 
-    The message may be of any length, such as what the API server says of each of a template's fields: its beginning is told.
+    A message that is too long, such as the API server's errors for every field of a template, is cut at the end.
     """
     text: Status = status if isinstance(status, str) else ("True" if status else "False")
     return Condition(
@@ -63,7 +63,7 @@ def condition(
 
 
 def merged(old: Iterable[Condition], new: Iterable[Condition]) -> list[Condition]:
-    """The new conditions, each with the old transition time unless its status changed."""
+    """Return the new conditions. Each keeps the old transition time unless its status changed."""
     before = {c.type: c for c in old}
     return [
         c.model_copy(update={"last_transition_time": before[c.type].last_transition_time})

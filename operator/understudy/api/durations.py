@@ -1,4 +1,4 @@
-"""How long things are: durations as they are written, and a tree's text. Without models, as agents need it."""
+"""Durations, and the maximum length of a tree's text. Does not import pydantic, because agents use it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ _DURATION_PART = re.compile(r"([0-9]+(?:\.[0-9]+)?)(ms|s|m|h)")
 _UNIT_SECONDS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0}
 
 LONGEST_TEXT = 65536
-"""Characters that a tree may have that is a text: some hundred nodes and what an editor adds, far below what etcd takes."""
+"""Maximum length of a tree's text in characters: several hundred nodes with an editor's additions, far below the limit of etcd."""
 
 
 def seconds(duration: str) -> float:
-    """The length of a duration such as ``1m30s`` in seconds.
+    """Return the length of a duration such as ``1m30s`` in seconds.
 
-    Raises ValueError when it isn't one.
+    Raises ValueError if the text is not a duration.
     """
     if not re.fullmatch(DURATION_PATTERN, duration):
         raise ValueError(f"{duration!r} is not a duration: write a number with ms, s, m or h, such as 500ms or 1m30s")

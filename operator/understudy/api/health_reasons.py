@@ -1,4 +1,4 @@
-"""Why a workload is as it is, from what its conditions say."""
+"""Explains a workload's health from its conditions."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ _PLAIN: Mapping[str, str] = {
     "Degraded": "it is degraded",
     "Failed": "it has failed",
     "Recovering": "it is being recovered",
-    "Unknown": "nothing can be told: there is no policy in force, or no instance that runs",
+    "Unknown": "the health is unknown: no policy is in effect, or no instance is running",
 }
 
 PAST = ("Recovered", "HealthyAgain", "Superseded")
-"""Reasons of the condition Recovering that are about something that is over."""
+"""Reasons of the condition Recovering that refer to a recovery that has ended."""
 
 
 def why(health: str, active: str, conditions: Iterable[Condition]) -> str:
-    """Why the health is what it is; ``active`` is the pod in control."""
+    """Return why the health is what it is. ``active`` is the name of the active pod."""
     if health == "Healthy":
         return f"{active} is in control" if active else "healthy"
     found = telling(health, active, conditions)
@@ -27,7 +27,7 @@ def why(health: str, active: str, conditions: Iterable[Condition]) -> str:
 
 
 def telling(health: str, active: str, conditions: Iterable[Condition]) -> Condition | None:
-    """The condition that says why a workload isn't healthy; None where none does."""
+    """Return the condition that explains why a workload is not healthy, or None."""
     found = {condition.type: condition for condition in conditions}
     degraded, recovering, judged = found.get("Degraded"), found.get("Recovering"), found.get("Healthy")
     held = found.get("DependencyFailed")

@@ -1,4 +1,4 @@
-"""What a command prints for programs: plain values as JSON or as YAML."""
+"""Machine-readable output of commands: plain values as JSON or YAML."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ import yaml
 
 
 def structured(told: Any, form: str) -> str:
-    """Plain values as ``json`` or ``yaml``, without a newline at the end."""
+    """Return plain values as ``json`` or ``yaml``, without a newline at the end."""
     return json.dumps(told, indent=2) if form == "json" else yaml.safe_dump(told, sort_keys=False).rstrip()

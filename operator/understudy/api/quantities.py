@@ -6,7 +6,7 @@ import re
 from decimal import Decimal
 
 QUANTITY = r"(?:[0-9]{1,20}(?:\.[0-9]{0,20})?|\.[0-9]{1,20})(?:[eE][-+]?[0-9]{1,2}|[numkMGTPE]|[KMGTPE]i)?"
-"""What one looks like that isn't negative."""
+"""Pattern of a quantity that is not negative."""
 
 _PARTS = re.compile(r"([+-]?[0-9]*\.?[0-9]+|[+-]?[0-9]+\.)([eE][+-]?[0-9]{1,3}|[numkMGTPE]|[KMGTPE]i)?")
 _SUFFIXES = {
@@ -16,9 +16,9 @@ _SUFFIXES = {
 
 
 def amount(quantity: str) -> Decimal:
-    """A quantity such as ``1500m`` or ``256Mi`` as a number, exactly: of cores or bytes.
+    """Return a quantity such as ``1500m`` or ``256Mi`` as an exact number of cores or bytes.
 
-    Raises ValueError when it isn't one.
+    Raises ValueError if the text is not a quantity.
     """
     found = _PARTS.fullmatch(quantity)
     if found is None:

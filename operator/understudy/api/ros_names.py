@@ -1,4 +1,4 @@
-"""How topics, services, actions, nodes and their types are written. Without models: agents go by these too, and have none in memory."""
+"""Patterns of ROS names and types. Does not import pydantic, because agents use it."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def test_what_a_structural_schema_cannot_say_is_an_error() -> None:
 
         above: int = Field(gt=0)
 
-    with pytest.raises(ValueError, match=r"Exclusive\.above: exclusiveMinimum"):
+    with pytest.raises(ValueError, match=r"Exclusive\.above: .*exclusiveMinimum"):
         structural(Exclusive)
 
 

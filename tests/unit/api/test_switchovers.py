@@ -34,5 +34,5 @@ def test_times_as_other_programs_write_them(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["", "failover", "fence 2026-11-22T14:02:11Z", "failover tomorrow", "failover 1 2"])
 def test_anything_else_is_refused_with_what_would_be_right(text: str) -> None:
-    with pytest.raises(ValueError, match='write failover or failback and the present time, such as "failover 20'):
+    with pytest.raises(ValueError, match='write failover or failback and the current time, such as "failover 20'):
         parse(text)

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from tests.support.manifests import MODELS, WITH_A_LEAF_OF_ITS_OWN, covers
-from tests.support.pages import PAGES, page_name, typed
+from tests.support.pages import PAGES, REPOSITORY, page_name, typed
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.schema.definitions import root
 from understudy.api.schema.printed_kinds import KINDS
@@ -89,3 +89,17 @@ def test_what_commands_in_pages_look_at_is_there(path: str) -> None:
 
 def test_there_are_paths_in_the_pages() -> None:
     assert len(paths()) >= 10
+
+
+PATH = re.compile(r"`([a-z_0-9.-]+(?:/[a-z_0-9.-]+)+/?|[a-z_]+\.py)`")
+
+
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", "docs/explanation/architecture.md"])
+def test_every_path_that_a_developer_page_names_exists(page: str) -> None:
+    file = REPOSITORY / page
+    if not file.exists():
+        pytest.skip(f"{page} does not exist yet")
+    roots = (REPOSITORY, REPOSITORY / "operator" / "understudy", REPOSITORY / "charts" / "understudy")
+    named = set(PATH.findall(file.read_text()))
+    assert named
+    assert {path for path in named if not any((root / path).exists() for root in roots)} == set()

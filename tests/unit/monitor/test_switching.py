@@ -184,7 +184,7 @@ async def test_what_was_asked_for_long_ago_or_makes_no_sense_is_told_and_not_don
     assert "It was asked for 3600 s ago" in scene.told.message
     scene.ask("failover now")
     assert await scene.looked(0.05) is None
-    assert "'failover now' asks for nothing that is known: write failover or failback and the present time" in (
+    assert "'failover now' is not a known request: write failover or failback and the current time" in (
         scene.told.message
     )
     assert scene.told.reasons == ["SwitchoverNotDone"] * 2, "each is told once"

@@ -1,4 +1,4 @@
-"""FailurePolicy: what healthy means, and what is done when it isn't."""
+"""FailurePolicy: what healthy means, and what to do if a workload is not healthy."""
 
 from __future__ import annotations
 
@@ -29,57 +29,56 @@ from understudy.api.kinds.state_spec import State
 from understudy.api.kinds.tree_spec import Form, Written, short_form, text
 
 _KEY_PATTERN = r"^[-._a-zA-Z0-9]+\.(yaml|yml|xml|osc)$"
-_KEY_MESSAGE = (
-    "give a key that says by its ending what the tree is written in: .yaml (the short form), .xml (BehaviorTree.CPP 4) or .osc "
-    "(OpenSCENARIO 2)"
-)
+_KEY_MESSAGE = "the suffix of the key must be .yaml (short form), .xml (BehaviorTree.CPP 4) or .osc (OpenSCENARIO 2)"
 
 _ENDINGS: dict[str, Form] = {"yaml": "yaml", "yml": "yaml", "xml": "xml", "osc": "osc"}
 
 
 class TreeReference(Model):
-    """A health tree that is a key of a ConfigMap."""
+    """A health tree in a ConfigMap."""
 
     name: ObjectName = Field(
-        description=f"Name of the ConfigMap, in the policy's namespace, with the label {names.HEALTH_TREE}=true."
+        description=f"Name of the ConfigMap, in the policy's namespace. The ConfigMap must have the label {names.HEALTH_TREE}=true."
     )
     key: str = Field(
         pattern=_KEY_PATTERN,
         max_length=253,
-        description="The key, which says by its ending what the tree is written in: .yaml, .xml or .osc.",
+        description="Key in the ConfigMap. Its suffix selects the language of the tree: .yaml, .xml or .osc.",
         json_schema_extra=matching(_KEY_PATTERN, _KEY_MESSAGE),
     )
 
     @property
     def form(self) -> Form:
-        """What the tree is written in: the field of ``spec.monitoring`` that it could stand in."""
+        """The language of the tree, as the field of ``spec.monitoring`` that would hold it."""
         return _ENDINGS[self.key.rpartition(".")[2]]
 
 
 class Monitoring(Written):
-    """What healthy means, as a behaviour tree, and when its verdict counts."""
+    """What healthy means, as a behaviour tree, and how long it must fail to count as a failure."""
 
     model_config = Written.model_config | {
         "json_schema_extra": rules(
             (
                 "has(self.yaml) || has(self.xml) || has(self.osc) || has(self.configMapKeyRef)",
-                "a health tree is required: give exactly one of yaml (the short form), xml (BehaviorTree.CPP 4), osc (OpenSCENARIO 2) "
-                "and configMapKeyRef",
+                "a health tree is required: give exactly one of yaml (short form), xml (BehaviorTree.CPP 4), "
+                "osc (OpenSCENARIO 2) and configMapKeyRef",
                 ".yaml",
             ),
             (
                 "!has(self.yaml) || !has(self.xml)",
-                "the health tree is given as yaml already: give exactly one of yaml, xml, osc and configMapKeyRef",
+                "the health tree is already given as yaml: give exactly one of yaml, xml, osc and configMapKeyRef",
                 ".xml",
             ),
             (
                 "!has(self.osc) || !has(self.yaml) && !has(self.xml)",
-                "the health tree is given as yaml or xml already: give exactly one of yaml, xml, osc and configMapKeyRef",
+                "the health tree is already given as yaml or xml: give exactly one of yaml, xml, osc and "
+                "configMapKeyRef",
                 ".osc",
             ),
             (
                 "!has(self.configMapKeyRef) || !has(self.yaml) && !has(self.xml) && !has(self.osc)",
-                "the health tree is given in the policy already: give exactly one of yaml, xml, osc and configMapKeyRef",
+                "the health tree is already given in the policy: give exactly one of yaml, xml, osc and "
+                "configMapKeyRef",
                 ".configMapKeyRef",
             ),
         )
@@ -89,20 +88,19 @@ class Monitoring(Written):
         "The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md."
     )
     xml: str | None = text(
-        "The health tree instead as the text of a BehaviorTree.CPP 4 file, as Groot 2 writes it. See docs/trees.md."
+        "The health tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/trees.md."
     )
-    osc: str | None = text(
-        "The health tree instead as the text of an OpenSCENARIO 2 file that imports osc.understudy. See docs/trees-osc.md."
-    )
+    osc: str | None = text("The health tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/trees-osc.md.")
     config_map_key_ref: TreeReference | None = Field(
-        default=None, description="The health tree instead in a ConfigMap, where several policies may share it."
+        default=None, description="The health tree in a ConfigMap, which several policies can share."
     )
     debounce: Duration = Field(
         default="0s",
-        description="The tree must fail for this long before it counts as a failure. Adds to the detection time.",
+        description="How long the tree must fail without interruption to count as a failure. This time adds to the "
+        "detection time.",
     )
     startup_grace: Duration = Field(
-        default="30s", description="A newly started instance has this long to become healthy for the first time."
+        default="30s", description="How long a new instance may take to become healthy for the first time."
     )
 
     @model_validator(mode="after")
@@ -113,15 +111,15 @@ class Monitoring(Written):
 
     @property
     def form(self) -> Form:
-        """What the health tree is written in: the field that it stands in, or would, of one in a ConfigMap.
+        """The language of the health tree: the field that holds it, or for a tree in a ConfigMap the field that would.
 
-        That one's text has to be put in (:func:`in_force`) before there is a :attr:`tree`.
+        A tree from a ConfigMap must be inserted (:func:`in_force`) before :attr:`tree` can be read.
         """
         return self.config_map_key_ref.form if self.config_map_key_ref is not None else super().form
 
 
 class Strategy(Model):
-    """One way to bring the workload back."""
+    """One way to recover the workload."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
@@ -132,70 +130,72 @@ class Strategy(Model):
             ),
             (
                 "self.type == 'Fallback' || !has(self.poolRef)",
-                "poolRef is only for a strategy of type Fallback",
+                "poolRef is allowed only for a strategy of type Fallback",
                 ".poolRef",
             ),
             (
                 "self.type != 'Auto' || !has(self.recovery)",
-                "recovery is not for Auto, which may come to any strategy: give the workload a bringUp, or write the strategies out",
+                "recovery is not allowed for type Auto, which can choose any strategy: set bringUp in the "
+                "workload, or list the strategies yourself",
                 ".recovery",
             ),
             (
                 f"!self.verifyWithin.matches(r'{DURATION_PATTERN}') || duration(self.verifyWithin) >= duration('100ms')",
-                "verifyWithin is at least 100ms",
+                "verifyWithin must be at least 100ms",
                 ".verifyWithin",
             ),
             (
                 "self.type == 'Fallback' || !has(self.waitFor)",
-                "waitFor is only for a strategy of type Fallback: it says how long to wait for a pod of its pool",
+                "waitFor is allowed only for a strategy of type Fallback: it is the time to wait for a pod of its pool",
                 ".waitFor",
             ),
         )
     }
 
     type: Literal["Fallback", "Restart", "Auto"] = Field(
-        description="Fallback: an understudy from a pool takes over. Restart: the pod is deleted and a new one starts. Auto, alone: "
-        "Fallbacks from the pools that serve the workload, and Restart, in an order that spec.requirements ask for. See docs/choosing.md."
+        description="Fallback: an understudy from a pool takes over. Restart: Understudy deletes the pod, and a new one "
+        "starts. Auto: Understudy chooses from Restart and the pools that serve the workload, in the order that "
+        "best meets spec.requirements. Auto must be the only strategy. See docs/choosing.md."
     )
-    pool_ref: LocalReference | None = Field(
-        default=None, description="The FallbackPool that the understudy comes from."
-    )
+    pool_ref: LocalReference | None = Field(default=None, description="The FallbackPool that provides the understudy.")
     recovery: Procedure | None = Field(
         default=None,
-        description="What is done to the instance that takes over, behind the closed gate, instead of the workload's bringUp. Kept "
-        "state is restored first, unless the tree says where (restore_state).",
+        description="Procedure to run on the instance that takes over, behind the closed gate, instead of the workload's "
+        "bringUp. Kept state is restored before it, unless the procedure contains a restore_state step.",
     )
     wait_for: Duration | None = Field(
         default=None,
-        description="How long to wait, with the gate closed, for a pod of a shared pool (Uninitialized) that has none that is ready; then "
-        "the next strategy is tried. Who has the higher spec.poolPriority is served first. Absent: the next strategy at once. See "
-        "docs/waiting.md.",
+        description="How long to wait, with the gate closed, if the shared pool (Uninitialized) has no ready pod. After "
+        "this time the next strategy is tried. Workloads with a higher spec.poolPriority are served first. "
+        "Absent: the next strategy is tried immediately. See docs/waiting.md.",
     )
     verify_within: Duration = Field(
         default="30s",
-        description="How long it may take until outputs are seen from the new instance and from no other; then the next strategy is tried. "
-        "What it waited for a pod (waitFor) doesn't count.",
+        description="How long it may take until the robot receives outputs from the new instance and from no other. After "
+        "this time the next strategy is tried. Time spent waiting for a pod (waitFor) does not count.",
     )
 
 
 _SITUATION_PATTERN = r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$"
 _SITUATION_MESSAGE = (
-    "names of situations have lower-case letters, digits and dashes only, and begin and end with a letter or digit"
+    "the name of a situation must consist of lower-case letters, digits and dashes, and must begin and end with "
+    "a letter or digit"
 )
 
 
 class Situation(Model):
-    """A situation of the robot in which other strategies are in force."""
+    """A situation of the robot in which other strategies apply."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
                 "has(self.strategies) != has(self.requirements)",
-                "say what is in force then: give strategies, or requirements where spec.strategies are Auto",
+                "give the strategies of the situation; or, if spec.strategies is Auto, its requirements",
             ),
             (
                 "!has(self.strategies) || self.strategies.all(s, s.type != 'Auto')",
-                "a situation has no Auto of its own: leave spec.strategies to Auto, and give the situation requirements",
+                "a situation cannot have a strategy of type Auto: set Auto in spec.strategies, and give the "
+                "situation requirements",
                 ".strategies",
             ),
         )
@@ -204,44 +204,51 @@ class Situation(Model):
     name: str = Field(
         pattern=_SITUATION_PATTERN,
         max_length=63,
-        description="What it is called in statuses and Events, such as carrying.",
+        description="Name of the situation in statuses and Events, such as carrying.",
         json_schema_extra=matching(_SITUATION_PATTERN, _SITUATION_MESSAGE),
     )
-    when: When = Field(description="When the robot is in it. Where several are so, the first of the list is in force.")
-    after: Duration = Field(default="0s", description="It must be so for this long, without a break, to be in force.")
+    when: When = Field(
+        description="Condition that detects the situation. If several situations apply, the first in the list is used."
+    )
+    after: Duration = Field(
+        default="0s",
+        description="How long the condition must be true without interruption before the situation takes effect.",
+    )
     clear_after: Duration = Field(
-        default="10s", description="It must not be so for this long, without a break, to be in force no longer."
+        default="10s",
+        description="How long the condition must be false without interruption before the situation ends.",
     )
     strategies: list[Strategy] | None = Field(
         default=None,
         min_length=1,
         max_length=8,
-        description="Tried in order instead of spec.strategies. Standbys are kept of the pools that are named by what is in force.",
+        description="Strategies to try in order, instead of spec.strategies. Standbys are kept in the pools that the "
+        "strategies in effect name.",
     )
     requirements: Requirements | None = Field(
-        default=None, description="What the strategies are chosen by instead of spec.requirements."
+        default=None, description="Requirements for choosing the strategies, instead of spec.requirements."
     )
 
 
 MOST_COUNTED = 20
-"""Recoveries that a budget may have: when each began is kept in the workload's status."""
+"""Maximum of recoveries in a budget. The workload's status keeps the start time of each."""
 
 
 class Budget(Model):
-    """How many recoveries are made by themselves in a window of time that moves on."""
+    """Maximum number of automatic recoveries in a sliding time window."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
                 f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
-                "within is at least 1s",
+                "within must be at least 1s",
                 ".within",
             ),
         )
     }
 
-    recoveries: int = Field(ge=1, le=MOST_COUNTED, description="How many may begin in any such time.")
-    within: Duration = Field(description="The length of the window, such as 1h.")
+    recoveries: int = Field(ge=1, le=MOST_COUNTED, description="How many recoveries may begin within the window.")
+    within: Duration = Field(description="Length of the window, such as 1h.")
 
     @property
     def length(self) -> float:
@@ -250,79 +257,88 @@ class Budget(Model):
 
     @property
     def words(self) -> str:
-        """It as people are told it."""
+        """The budget as text for users."""
         return f"{self.recoveries} {'recovery' if self.recoveries == 1 else 'recoveries'} within {self.within}"
 
 
 class StormGuard(Model):
-    """When so many workloads fail at once that it looks like the network or the cluster, and not like any of them."""
+    """Detects that many workloads fail at once, which suggests that the network or the cluster failed and not the workloads."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
                 f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
-                "within is at least 1s",
+                "within must be at least 1s",
                 ".within",
             ),
         )
     }
 
     percent: int = Field(
-        default=50, ge=1, le=99, description="More than so many percent of the policy's workloads must fail."
+        default=50,
+        ge=1,
+        le=99,
+        description="A storm begins if more than this percentage of the policy's workloads fail.",
     )
-    workloads: int = Field(default=3, ge=2, description="And at least so many of them.")
+    workloads: int = Field(
+        default=3, ge=2, description="Minimum number of workloads that must fail for a storm, in addition to percent."
+    )
     within: Duration = Field(
-        default="10s", description="Those that have failed in this time count too, whatever became of it."
+        default="10s",
+        description="A workload counts as failing if it failed within this time, even if it has recovered since.",
     )
     hold_for: Duration = Field(
-        default="2m", description="How long recoveries are held for it at most, also where nobody says that it is over."
+        default="2m",
+        description="Maximum time that recoveries are suspended, even if nothing reports the end of the storm.",
     )
 
 
 class Limits(Model):
-    """Bounds on what is done automatically."""
+    """Limits of automatic actions."""
 
     cooldown: Duration = Field(
-        default="0s", description="Least time between the end of one recovery and the start of the next."
+        default="0s", description="Minimum time between the end of one recovery and the start of the next."
     )
     healthy_delay: Duration = Field(
         default="2s",
-        description="How long an instance that took over must be healthy to count as recovered. One that fails sooner is the same failure, "
-        "which goes on with the next strategy.",
+        description="How long an instance that took over must be healthy to count as recovered. If it fails earlier, the "
+        "recovery continues with the next strategy.",
     )
     budget: Budget | None = Field(
         default=None,
-        description="How many recoveries are made by themselves in a window of time. Once it is spent, an instance that fails is fenced "
-        "and nothing else is done, until the window has moved on or understudy resume says so. Absent: any number. See docs/limits.md.",
+        description="Maximum number of automatic recoveries in a time window. When the budget is used up, a failed instance "
+        "is fenced and nothing else is done, until the window allows another recovery or a user runs understudy "
+        "resume. Absent: no maximum. See docs/limits.md.",
     )
     storm_guard: StormGuard | None = Field(
         default=None,
-        description="While so many of the policy's workloads fail at once, no pod of a shared pool is taken and nothing is restarted. "
-        "Standbys that are ready take over as ever. Absent: no guard. See docs/limits.md.",
+        description="Response to many simultaneous failures. While so many of the policy's workloads fail at once, no pod "
+        "of a shared pool is claimed and no pod is restarted. Ready standbys still take over. Absent: no guard. "
+        "See docs/limits.md.",
     )
 
 
 class SafeCommand(Model):
-    """What a robot is told while nobody drives it."""
+    """A message to the robot while no instance controls it."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
                 f"!self.every.matches(r'{DURATION_PATTERN}') || duration(self.every) >= duration('10ms')",
-                "every is at least 10ms",
+                "every must be at least 10ms",
                 ".every",
             ),
         )
     }
 
-    topic: RosName = Field(description="The topic, one of the workload's outputs.")
+    topic: RosName = Field(description="Topic to publish on. It must be one of the workload's outputs.")
     message: dict[str, Any] = Field(
         default_factory=dict,
-        description="Fields of the message; the others keep their defaults. Without any, a Twist says to stand still. now is the "
-        "present time where a field is a time.",
+        description="Fields of the message. Fields that are absent keep their default value, so an empty Twist means: stand "
+        "still. In a field of type time, the text now is replaced by the current time.",
         json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
     )
-    every: Duration = Field(default="100ms", description="How often it is sent.")
+    every: Duration = Field(default="100ms", description="How often the message is sent.")
 
 
 class Safety(Model):
@@ -332,7 +348,7 @@ class Safety(Model):
         "json_schema_extra": rules(
             (
                 "self.commands.all(a, self.commands.exists_one(b, b.topic == a.topic))",
-                "commands has the same topic twice",
+                "commands contains the same topic twice",
                 ".commands",
             ),
         )
@@ -341,59 +357,63 @@ class Safety(Model):
     commands: list[SafeCommand] = Field(
         min_length=1,
         max_length=8,
-        description="What the robot is told meanwhile.",
+        description="Messages to publish while no instance is in control.",
     )
     after: Duration = Field(
         default="100ms",
-        description="How long nobody has to be in control before it is told. An executing standby is faster, so that the robot "
-        "doesn't brake for it.",
+        description="How long no instance must be in control before the messages are sent. A takeover by an executing "
+        "standby takes less time, so the robot does not brake for it.",
     )
 
 
 class FailurePolicySpec(Model):
-    """What healthy means, and what is done when it isn't."""
+    """What healthy means, and what to do if a workload is not healthy."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
                 "!has(self.degraded) || !has(self.degraded.actions) || self.degraded.actions.all(a, !has(a.prewarm) || "
                 "self.strategies.exists(s, has(s.poolRef) && s.poolRef.name == a.prewarm.poolRef.name))",
-                "prewarm names a pool that no strategy takes an instance from: name one that a Fallback strategy names",
+                "prewarm names a pool that no strategy uses: name the pool of a Fallback strategy",
                 ".degraded.actions",
             ),
             (
                 "self.strategies.all(s, s.type != 'Auto') || size(self.strategies) == 1",
-                "Auto comes to a whole order: let it stand alone, or write all strategies out",
+                "Auto chooses the complete order of strategies: use it as the only strategy, or list all "
+                "strategies yourself",
                 ".strategies",
             ),
             (
                 "self.strategies.all(s, s.type != 'Auto') || has(self.requirements)",
-                "required for a strategy of type Auto, which goes by them",
+                "requirements is required for a strategy of type Auto, which uses them to choose",
                 ".requirements",
             ),
             (
                 "!has(self.situations) || self.situations.all(a, self.situations.exists_one(b, b.name == a.name))",
-                "situations has the same name twice",
+                "situations contains the same name twice",
                 ".situations",
             ),
             (
                 "!has(self.situations) || self.strategies.exists(s, s.type == 'Auto') || self.situations.all(a, has(a.strategies))",
-                "the policy's strategies are written out, so write out those of each situation too, in its strategies",
+                "the policy lists its strategies, so each situation must list its own: set strategies",
                 ".situations",
             ),
             (
                 "!has(self.situations) || self.strategies.all(s, s.type != 'Auto') || self.situations.all(a, has(a.requirements))",
-                "the policy's strategies are left to be chosen (Auto), so say in each situation by which requirements",
+                "the policy's strategies are chosen automatically (Auto), so each situation must state what to "
+                "choose by: set requirements",
                 ".situations",
             ),
             (
                 "self.priority != 'Safety' || !has(self.limits.budget)",
-                "priority Safety says that limits don't delay a recovery, and a budget that is spent would: leave one of the two out",
+                "with priority Safety, limits must not delay a recovery, but a budget can: remove the budget or "
+                "the priority",
                 ".limits.budget",
             ),
             (
                 "self.priority != 'Safety' || !has(self.limits.stormGuard)",
-                "priority Safety says that limits don't delay a recovery, and a storm guard would: leave one of the two out",
+                "with priority Safety, limits must not delay a recovery, but a storm guard can: remove the "
+                "storm guard or the priority",
                 ".limits.stormGuard",
             ),
         )
@@ -403,54 +423,56 @@ class FailurePolicySpec(Model):
     strategies: list[Strategy] = Field(
         min_length=1,
         max_length=8,
-        description="Tried in order; the next one when one isn't available or doesn't verify in its time.",
+        description="Strategies to try in order. If one is not available or is not verified in time, the next one is tried.",
     )
     requirements: Requirements | None = Field(
         default=None,
-        description="What the order of strategies is chosen by where they are Auto. Where they are written out, only understudy recommend "
-        "goes by it.",
+        description="Requirements that determine the order of strategies of type Auto. If the strategies are listed, only "
+        "the command understudy recommend uses them.",
     )
     situations: list[Situation] = Field(
         default_factory=list,
         max_length=4,
-        description="Situations of the robot in which other strategies are in force, and so other standbys are kept. None: always the "
-        "same. See docs/situations.md.",
+        description="Situations of the robot in which other strategies, and so other standbys, are used. Empty: the "
+        "strategies never change. See docs/situations.md.",
     )
     degraded: Degraded | None = Field(
         default=None,
-        description="What well means beyond healthy, and what is done while it isn't so. Absent: nothing is. See docs/degraded.md.",
+        description="When a healthy workload counts as degraded, and what to do then. Absent: workloads are never degraded. "
+        "See docs/degraded.md.",
     )
     state: State = Field(
-        default_factory=State, description="State of a healthy instance that is kept for the one that takes over."
+        default_factory=State,
+        description="State of a healthy instance that is kept and restored to the instance that takes over.",
     )
-    limits: Limits = Field(default_factory=Limits, description="Bounds on what is done automatically.")
+    limits: Limits = Field(default_factory=Limits, description="Limits of automatic actions.")
     priority: Literal["Normal", "Safety"] = Field(
         default="Normal",
-        description="Safety: limits don't delay a recovery. After none of the strategies verified, they are tried again in 2 s, however "
-        "often that was so.",
+        description="Safety: limits never delay a recovery. If no strategy was verified, all of them are tried again every "
+        "2 s.",
     )
     safety: Safety | None = Field(
-        default=None, description="What the robot is told while no instance is verified to be in control."
+        default=None, description="Messages to the robot while no instance is verified to be in control."
     )
     black_box: BlackBox | None = Field(
         default=None,
-        description="Keep what the monitor received around each failure, as an MCAP file that understudy blackbox fetches. Absent: nothing "
-        "is kept. See docs/blackbox.md.",
+        description="Record what the monitor received around each failure in an MCAP file, which understudy blackbox "
+        "downloads. Absent: nothing is recorded. See docs/blackbox.md.",
     )
 
     @property
     def auto(self) -> bool:
-        """Whether its strategies are left to be chosen."""
+        """Whether Understudy chooses the strategies."""
         return any(strategy.type == "Auto" for strategy in self.strategies)
 
     @property
     def varies(self) -> bool:
-        """Whether which strategies are in force depends on the workload, or on its situation: then the operator says."""
+        """Whether the strategies in effect depend on the workload or on its situation. The operator then determines them."""
         return self.auto or bool(self.situations)
 
     @property
     def everywhere(self) -> list[tuple[str, Strategy]]:
-        """All its strategies, those of its situations too, each with its path in the spec."""
+        """All strategies, including those of situations, each with its path in the spec."""
         found = [(f"strategies[{i}]", one) for i, one in enumerate(self.strategies)]
         for i, situation in enumerate(self.situations):
             found += [(f"situations[{i}].strategies[{j}]", one) for j, one in enumerate(situation.strategies or ())]
@@ -458,45 +480,45 @@ class FailurePolicySpec(Model):
 
     @property
     def recoveries(self) -> list[tuple[str, Procedure | None]]:
-        """The procedures of all its strategies, each with its path in the spec."""
+        """The procedures of all strategies, each with its path in the spec."""
         return [(f"{path}.recovery", one.recovery) for path, one in self.everywhere]
 
 
 class TreeInForce(Model):
-    """The last health tree of the ConfigMap that loaded: monitors go by it, whatever becomes of the ConfigMap."""
+    """The last valid health tree from the ConfigMap. Monitors use it even if the ConfigMap is changed to an invalid tree or deleted."""
 
-    name: str = Field(description="Name of the ConfigMap that it was read from.")
-    key: str = Field(description="The key that it was read from.")
+    name: str = Field(description="Name of the ConfigMap that contained the tree.")
+    key: str = Field(description="Key in the ConfigMap.")
     yaml: dict[str, Any] | None = Field(
         default=None,
-        description="The tree, where it is written in the short form.",
+        description="The tree, if it is in the short form.",
         json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
     )
-    xml: str | None = Field(default=None, description="The tree, where it is written as BehaviorTree.CPP 4 XML.")
-    osc: str | None = Field(default=None, description="The tree, where it is written in OpenSCENARIO 2.")
+    xml: str | None = Field(default=None, description="The tree, if it is BehaviorTree.CPP 4 XML.")
+    osc: str | None = Field(default=None, description="The tree, if it is OpenSCENARIO 2.")
 
 
 class FailurePolicyStatus(Model):
-    """What is so."""
+    """Observed state."""
 
-    observed_generation: int | None = Field(default=None, description="Generation of the spec that was checked last.")
-    workloads: int | None = Field(default=None, description="How many RobotWorkloads use it.")
-    strategies: str | None = Field(default=None, description="The strategies in short, in order.")
+    observed_generation: int | None = Field(default=None, description="Generation of the spec that was last checked.")
+    workloads: int | None = Field(default=None, description="Number of RobotWorkloads that use this policy.")
+    strategies: str | None = Field(default=None, description="The strategies in short form, in order.")
     tree: TreeInForce | None = Field(
-        default=None, description="The health tree in force, where spec.monitoring refers to a ConfigMap."
+        default=None, description="The health tree in effect, if spec.monitoring refers to a ConfigMap."
     )
     conditions: list[Condition] | None = Field(
         default=None,
-        description="Accepted: the tree and the strategies can be followed. Storm, where limits.stormGuard is given: so many of its "
-        "workloads fail at once that their monitors hold what can't help.",
+        description="Accepted: the tree and the strategies are valid. Storm (if limits.stormGuard is set): so many of the "
+        "policy's workloads fail at once that their monitors suspend recoveries that could not help.",
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
     )
 
 
 def in_force(spec: FailurePolicySpec, status: Mapping[str, Any] | None) -> FailurePolicySpec | None:
-    """The policy with its health tree: that of a ConfigMap as the operator has last put it into the policy's status.
+    """Return the policy with its health tree. A tree from a ConfigMap is read from the policy's status, where the operator puts it.
 
-    None where there is none yet.
+    Returns None if the status has no tree yet.
     """
     if spec.monitoring.config_map_key_ref is None:
         return spec
@@ -509,9 +531,9 @@ def in_force(spec: FailurePolicySpec, status: Mapping[str, Any] | None) -> Failu
 
 
 def following(spec: FailurePolicySpec, chosen: Sequence[Strategy] | None) -> FailurePolicySpec | None:
-    """The policy with the strategies in force: those ``chosen`` for a workload where it leaves that, or has situations.
+    """Return the policy with the strategies in effect: ``chosen`` if the policy has Auto or situations, otherwise its own.
 
-    None where there are none that can be carried out before they are chosen.
+    Returns None for a policy with Auto if no strategies were chosen yet.
     """
     if not spec.varies:
         return spec

@@ -1,4 +1,4 @@
-"""A procedure: a behaviour tree that is run once on an instance, from inside its pod, to bring it somewhere."""
+"""A procedure: a behaviour tree that the agent runs once on an instance, from inside its pod, to bring it to a certain state."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ class _Tree(Written):
         "json_schema_extra": rules(
             (
                 "has(self.yaml) || has(self.xml) || has(self.osc)",
-                "a tree is required: give exactly one of yaml (the short form), xml (BehaviorTree.CPP 4) and osc (OpenSCENARIO 2)",
+                "a tree is required: give exactly one of yaml (short form), xml (BehaviorTree.CPP 4) and osc "
+                "(OpenSCENARIO 2)",
                 ".yaml",
             ),
             (
                 "!has(self.yaml) || !has(self.xml)",
-                "the tree is given as yaml already: give exactly one of yaml, xml and osc",
+                "the tree is already given as yaml: give exactly one of yaml, xml and osc",
                 ".xml",
             ),
             (
                 "!has(self.osc) || !has(self.yaml) && !has(self.xml)",
-                "the tree is given as yaml or xml already: give exactly one of yaml, xml and osc",
+                "the tree is already given as yaml or xml: give exactly one of yaml, xml and osc",
                 ".osc",
             ),
         )
@@ -41,30 +42,26 @@ class _Tree(Written):
 
 
 class Procedure(_Tree):
-    """What is done to one instance, and the time that it has. It can be repeated: what is so already is left alone."""
+    """Steps to run on one instance, and the time they may take. Steps whose result already exists do nothing."""
 
     yaml: dict[str, Any] | None = short_form(
         "The tree in the short form: one node, such as sequence, set_lifecycle or call_service. See docs/procedures.md."
     )
     xml: str | None = text(
-        "The tree instead as the text of a BehaviorTree.CPP 4 file, as Groot 2 writes it. See docs/procedures.md."
+        "The tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/procedures.md."
     )
-    osc: str | None = text(
-        "The tree instead as the text of an OpenSCENARIO 2 file that imports osc.understudy. See docs/procedures.md."
-    )
-    within: Duration = Field(default="60s", description="It fails when it isn't done in this time.")
+    osc: str | None = text("The tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/procedures.md.")
+    within: Duration = Field(default="60s", description="The procedure fails if it takes longer than this.")
 
 
 class Check(_Tree):
-    """What must hold of one instance, looked at again and again from inside its pod."""
+    """A condition of one instance, evaluated repeatedly from inside its pod."""
 
     yaml: dict[str, Any] | None = short_form(
-        "The tree in the short form, of conditions only, such as lifecycle_is or topic. See docs/procedures.md."
+        "The tree in the short form, with conditions only, such as lifecycle_is or topic. See docs/procedures.md."
     )
     xml: str | None = text(
-        "The tree instead as the text of a BehaviorTree.CPP 4 file, of conditions only. See docs/procedures.md."
+        "The tree as a BehaviorTree.CPP 4 XML document, with conditions only. See docs/procedures.md."
     )
-    osc: str | None = text(
-        "The tree instead as the text of an OpenSCENARIO 2 file, of conditions only. See docs/procedures.md."
-    )
-    period: Duration = Field(default="1s", description="Time between two looks.")
+    osc: str | None = text("The tree as OpenSCENARIO 2 text, with conditions only. See docs/procedures.md.")
+    period: Duration = Field(default="1s", description="Time between two evaluations.")

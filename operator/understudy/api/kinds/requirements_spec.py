@@ -1,4 +1,4 @@
-"""What a workload asks of its protection, in the paper's terms: by this the order of its strategies is chosen."""
+"""What a workload requires of its protection, in the paper's terms. Strategies of type Auto are ordered by these requirements."""
 
 from __future__ import annotations
 
@@ -12,25 +12,28 @@ Level = Literal["Low", "Medium", "High"]
 
 
 class Requirements(Model):
-    """How much each of the paper's factors counts (section III, taxonomy). What each level means is in docs/choosing.md."""
+    """How important each of the paper's factors is (section III, taxonomy). docs/choosing.md explains each level."""
 
     safety: Level = Field(
         default="Low",
-        description="What must be known of the instance that takes over. Low: nothing more than is seen of every one before a recovery "
-        "counts. Medium: one that is up already goes first (Initialized, Executing). High: one that was seen to be healthy while it "
-        "waited goes first (Executing), whatever it costs.",
+        description="What must be known about the instance that takes over. Low: only what is checked before every recovery "
+        "counts as complete. Medium: instances that are already running are tried first (Initialized, "
+        "Executing). High: an instance that was observed to be healthy while it waited is tried first "
+        "(Executing), at any cost.",
     )
     availability: Level = Field(
         default="Medium",
-        description="How soon after its detection a failure is to be recovered from. Low: any time will do. Medium: 2 s. High: 500 ms.",
+        description="How soon after its detection a failure must be recovered from. Low: no limit. Medium: within 2 s. "
+        "High: within 500 ms.",
     )
     resource_usage: Level = Field(
         default="Medium",
-        description="How much its standbys may take. Low: next to nothing (a tenth of a working instance's CPU). Medium: what it takes to "
-        "recover soon enough, and no more. High: all that its pools offer.",
+        description="How many resources the standbys may use. Low: almost none (one tenth of the CPU of a working "
+        "instance). Medium: what is needed to recover in time. High: everything that the pools offer.",
     )
     task_criticality: Level = Field(
         default="Low",
-        description="How much is lost by an interruption of what the robot does. Low: nothing that availability doesn't say. Medium: as "
-        "much as with availability Medium at least. High: as with availability High, and whatever it costs.",
+        description="How much an interruption of the robot's work costs. Low: no more than availability states. Medium: at "
+        "least as much as with availability Medium. High: as much as with availability High, and resources do "
+        "not matter.",
     )

@@ -1,4 +1,4 @@
-"""Situations of a robot: when each of them is, as a policy says it, and which one is in force, as the monitor says it."""
+"""Situations of a robot: how a policy defines them, and how the monitor reports the current one."""
 
 from __future__ import annotations
 
@@ -10,19 +10,20 @@ from understudy.api.base import Model, RosName, rules
 from understudy.api.conditions import Time
 from understudy.api.kinds.tree_spec import Written, short_form, text
 
-_ONE = "say when it is by exactly one of task, yaml (the short form), xml (BehaviorTree.CPP 4) and osc (OpenSCENARIO 2)"
+_ONE = "give exactly one of task, yaml (short form), xml (BehaviorTree.CPP 4) and osc (OpenSCENARIO 2)"
 
 
 class ActiveTask(Model):
-    """A task that is being worked on."""
+    """A task with an active goal."""
 
     action: RosName = Field(
-        description="The action, fully qualified, such as /navigate_to_pose: one of the workload's tasks, or of another server."
+        description="Fully qualified name of the action, such as /navigate_to_pose. It can be one of the workload's tasks "
+        "or belong to another server."
     )
 
 
 class When(Written):
-    """When a robot is in a situation: while a goal of an action is active, or while a tree holds."""
+    """Condition of a situation: an action has an active goal, or a tree succeeds."""
 
     model_config = Written.model_config | {
         "json_schema_extra": rules(
@@ -30,12 +31,15 @@ class When(Written):
         )
     }
 
-    task: ActiveTask | None = Field(default=None, description="While a goal of this action is active.")
-    yaml: dict[str, Any] | None = short_form(
-        "Instead, while this tree holds, of the leaves of health trees in the short form. See docs/trees.md."
+    task: ActiveTask | None = Field(
+        default=None, description="The situation applies while this action has an active goal."
     )
-    xml: str | None = text("Instead, the tree as the text of a BehaviorTree.CPP 4 file.")
-    osc: str | None = text("Instead, the tree as the text of an OpenSCENARIO 2 file that imports osc.understudy.")
+    yaml: dict[str, Any] | None = short_form(
+        "The situation applies while this tree succeeds, in the short form with the leaves of health trees. See "
+        "docs/trees.md."
+    )
+    xml: str | None = text("The tree as a BehaviorTree.CPP 4 XML document.")
+    osc: str | None = text("The tree as OpenSCENARIO 2 text that imports osc.understudy.")
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -45,8 +49,8 @@ class When(Written):
 
 
 class SituationStatus(Model):
-    """The situation that the robot is in."""
+    """The current situation of the robot."""
 
-    name: str = Field(description="One of spec.situations of the policy.")
-    since: Time = Field(description="Since when.")
-    reason: str = Field(default="", description="By what it is known.")
+    name: str = Field(description="Name of one of the policy's spec.situations.")
+    since: Time = Field(description="When the situation began.")
+    reason: str = Field(default="", description="Why the situation applies.")

@@ -1,4 +1,4 @@
-"""State that is kept of a healthy instance and given to the one that takes over."""
+"""State that is kept of a healthy instance and restored to the instance that takes over."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ _IS_POSE = f"self.type in [{', '.join(repr(name) for name in POSE_TYPES)}]"
 
 
 class CarriedBy(Model):
-    """Odometry by which a kept pose is brought to the present when it is restored."""
+    """Odometry that brings a kept pose up to date when the pose is restored."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
-            (f"!has(self.type) || {_IS_POSE}", f"odometry has a type with a pose: {_POSES}", ".type"),
+            (f"!has(self.type) || {_IS_POSE}", f"the type of the odometry must contain a pose: {_POSES}", ".type"),
         )
     }
 
     topic: RosName = Field(
-        description="The robot's odometry, such as /odom: of the same body as the pose, and published by what outlasts the "
-        "instance."
+        description="The robot's odometry topic, such as /odom. It must describe the same body as the pose, and its "
+        "publisher must keep running when the instance fails."
     )
-    type: str = Field(default=ODOMETRY, max_length=256, description=f"Its type: {_POSES}.")
+    type: str = Field(default=ODOMETRY, max_length=256, description=f"Type of the odometry topic: {_POSES}.")
     required: bool = Field(
         default=False,
-        description="A pose that can't be carried is not restored. Otherwise it is restored as it was kept, and that is reported.",
+        description="True: do not restore a pose that cannot be brought up to date. False: restore it as it was kept, and "
+        "report that.",
     )
 
 
@@ -42,88 +43,95 @@ class KeptTopic(Model):
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
-            ("has(self.restoreTo) || !has(self.confirm)", "confirm is only for a topic with restoreTo", ".confirm"),
+            (
+                "has(self.restoreTo) || !has(self.confirm)",
+                "confirm is allowed only for a topic with restoreTo",
+                ".confirm",
+            ),
             (
                 "has(self.restoreTo) || !has(self.carriedBy)",
-                "carriedBy is only for a topic with restoreTo",
+                "carriedBy is allowed only for a topic with restoreTo",
                 ".carriedBy",
             ),
             (
                 f"!has(self.carriedBy) || (has(self.type) && {_IS_POSE})",
-                f"carriedBy needs the type of what is carried, one with a pose: {_POSES}",
+                f"carriedBy needs the type of the kept topic, and it must contain a pose: {_POSES}",
                 ".type",
             ),
             (
                 "!has(self.carriedBy) || self.carriedBy.topic != self.topic",
-                "carriedBy names the topic itself: give the robot's odometry",
+                "carriedBy names the kept topic itself: give the robot's odometry",
                 ".carriedBy",
             ),
         )
     }
 
-    topic: RosName = Field(description="Topic that is kept, fully qualified, such as /amcl_pose.")
+    topic: RosName = Field(description="Fully qualified name of the topic to keep, such as /amcl_pose.")
     type: str | None = Field(
         default=None,
         pattern=MESSAGE_TYPE_PATTERN,
         max_length=256,
-        description="Its type, such as geometry_msgs/msg/PoseWithCovarianceStamped; taken from the ROS graph where absent.",
+        description="Type of the topic, such as geometry_msgs/msg/PoseWithCovarianceStamped. Absent: the type is read from "
+        "the ROS graph.",
         json_schema_extra=matching(MESSAGE_TYPE_PATTERN, ROS_TYPE_MESSAGE),
     )
     restore_to: RosName | None = Field(
         default=None,
-        description="Topic on which the kept message is published to the instance that takes over, such as /initialpose. Absent: "
-        "it is kept for trees only.",
+        description="Topic on which the kept message is published to the instance that takes over, such as /initialpose. "
+        "Absent: the message is kept for trees only.",
     )
     stamp: Literal["now", "kept"] = Field(
-        default="kept", description="The stamp of a message with a header when it is restored: now, or as it was kept."
+        default="kept",
+        description="Time stamp of a restored message that has a header. now: the current time. kept: the original stamp.",
     )
     max_age: Duration = Field(
-        default="1m", description="A message older than this when the failure began is reported and not restored."
+        default="1m",
+        description="A message that was older than this when the failure began is not restored, and that is reported.",
     )
     confirm: RosName | None = Field(
         default=None,
-        description="Restored counts as done when the instance itself has published on this topic afterwards. Absent: when a "
-        "subscriber has taken it in.",
+        description="The restoration is complete when the new instance publishes on this topic. Absent: when a subscriber "
+        "has received the message.",
     )
     carried_by: CarriedBy | None = Field(
         default=None,
-        description="Odometry that tells how the robot moved since: a kept pose is brought to the present by it. Absent: it is "
-        "restored as it was kept.",
+        description="Odometry that brings a kept pose up to date, because the robot may have moved since. Absent: the pose "
+        "is restored as it was kept.",
     )
 
 
 class KeptParameters(Model):
-    """Parameters of a node that are kept and set again."""
+    """Parameters of a node that are kept and restored."""
 
-    node: RosName = Field(description="The node, fully qualified, such as /controller_server.")
+    node: RosName = Field(description="Fully qualified name of the node, such as /controller_server.")
     names: list[Annotated[str, Field(min_length=1, max_length=256)]] = Field(
         min_length=1, max_length=64, description="Names of the parameters."
     )
 
 
 class Storage(Model):
-    """Where kept state lies."""
+    """Where kept state is stored."""
 
     claim_name: ObjectName | None = Field(
         default=None,
-        description="PersistentVolumeClaim in the same namespace. Absent: an emptyDir, which outlives the monitor's container and "
-        "not its pod.",
+        description="Name of a PersistentVolumeClaim in the same namespace. Absent: an emptyDir, which survives a restart "
+        "of the monitor's container but not the deletion of its pod.",
     )
 
 
 class State(Model):
-    """What is kept of a healthy instance, how often and how much."""
+    """Which state of a healthy instance is kept, how often and how much."""
 
     model_config = Model.model_config | {
         "json_schema_extra": rules(
             (
                 "!has(self.keep) || self.keep.all(a, self.keep.exists_one(b, b.topic == a.topic))",
-                "keep has the same topic twice",
+                "keep contains the same topic twice",
                 ".keep",
             ),
             (
                 "!has(self.parameters) || self.parameters.all(a, self.parameters.exists_one(b, b.node == a.node))",
-                "parameters has the same node twice: name all of its parameters in one entry",
+                "parameters contains the same node twice: list all of its parameters in one entry",
                 ".parameters",
             ),
         )
@@ -136,43 +144,48 @@ class State(Model):
     lifecycle: list[RosName] = Field(
         default_factory=list,
         max_length=32,
-        description="Managed nodes whose lifecycle state is kept; the instance that takes over is brought to the same states, in "
-        "this order.",
+        description="Managed nodes whose lifecycle state is kept. The instance that takes over is brought to the same "
+        "states, in this order.",
     )
     margin: Duration = Field(
         default="500ms",
-        description="What is restored was taken while the health tree held, at least this long before the failure began.",
+        description="Only state from at least this long before the failure began is restored. The health tree succeeded "
+        "when it was taken.",
     )
-    period: Duration = Field(default="200ms", description="Least time between two kept messages of a topic.")
+    period: Duration = Field(default="200ms", description="Minimum time between two kept messages of a topic.")
     max_bytes: int = Field(
         default=16 * 1024 * 1024,
         ge=1024,
         le=256 * 1024 * 1024,
-        description="Most bytes of all that is kept; a message that doesn't fit is not kept, which is reported.",
+        description="Maximum size of all kept state in bytes. A message that does not fit is not kept, and that is "
+        "reported.",
     )
-    within: Duration = Field(default="5s", description="Restoring fails when it isn't done in this time.")
-    storage: Storage = Field(default_factory=Storage, description="Where kept state lies.")
+    within: Duration = Field(default="5s", description="The restoration fails if it takes longer than this.")
+    storage: Storage = Field(default_factory=Storage, description="Where kept state is stored.")
 
 
 class KeptStatus(Model):
-    """One thing that is kept."""
+    """One item of kept state."""
 
-    name: str = Field(description="Topic, or node of the parameters or the lifecycle state.")
+    name: str = Field(description="Name of the topic, or of the node for parameters and lifecycle states.")
     kind: Literal["Topic", "Parameters", "Lifecycle"] = Field(description="Topic, Parameters or Lifecycle.")
-    taken_at: Time | None = Field(default=None, description="When the message was taken that would be restored now.")
-    bytes: int = Field(default=0, description="Its size.")
-    message: str = Field(default="", description="What is wrong with it, if anything.")
+    taken_at: Time | None = Field(default=None, description="When the message that would be restored now was taken.")
+    bytes: int = Field(default=0, description="Size in bytes.")
+    message: str = Field(default="", description="What is wrong with the item, if anything.")
 
 
 class RestoredState(Model):
-    """What became of one thing that is kept, in a recovery."""
+    """Result of the restoration of one item of kept state."""
 
-    name: str = Field(description="Topic, or node with what of it.")
-    restored: bool = Field(description="Whether the instance that took over was given it.")
-    age_seconds: float | None = Field(default=None, description="How old it was when the failure began, in seconds.")
+    name: str = Field(description="Name of the topic, or of the node and the kind of its state.")
+    restored: bool = Field(description="True if the instance that took over received it.")
+    age_seconds: float | None = Field(default=None, description="Age at the beginning of the failure, in seconds.")
     carried_metres: float | None = Field(
-        default=None, description="How far odometry carried it to the present, in metres; absent where it didn't."
+        default=None,
+        description="Distance between the kept pose and the restored one, from odometry, in metres. Absent if odometry was "
+        "not used.",
     )
     message: str = Field(
-        default="", description="Why it was not restored, or was not carried, or what is uncertain about that."
+        default="",
+        description="Why the item was not restored or not brought up to date, or what is uncertain about it.",
     )

@@ -1,7 +1,7 @@
-"""Planned switchovers: how one is asked for, and how it is told what becomes of it.
+"""Planned switchovers: how a user requests one, and how its progress is reported.
 
-A request is an annotation, ``failover`` or ``failback`` and the moment in which it was written. The moment makes it unlike every other
-one, so it is carried out once and no more, and tells one that nobody took up in time.
+A request is an annotation that contains ``failover`` or ``failback`` and the time at which it was written. The time makes every
+request unique, so that it is carried out only once, and it reveals requests that nobody handled in time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Kind = Literal["Failover", "Failback", "Drain"]
 Phase = Literal["Waiting", "Preparing", "Switching", "Done", "NotDone"]
 
 ENDED: tuple[Phase, ...] = ("Done", "NotDone")
-"""The phases in which nothing more comes of a switchover."""
+"""The final phases of a switchover."""
 
 _KINDS: dict[str, Kind] = {"failover": "Failover", "failback": "Failback"}
 _WRITTEN = re.compile(r"(\S+)\s+(\S+)")
@@ -29,22 +29,22 @@ _WRITTEN = re.compile(r"(\S+)\s+(\S+)")
 
 @dataclass(frozen=True)
 class Request:
-    """A switchover that was asked for."""
+    """A request for a switchover."""
 
     text: str
-    """As it stands in the annotation, which is what tells it from every other one."""
+    """The text of the annotation, which identifies the request."""
     kind: Kind
     at: float
-    """When it was, in unix seconds, by the clock of whoever asked."""
+    """When the request was made, in unix seconds, by the clock of the user who made it."""
 
 
 def request(verb: Verb, now: float) -> str:
-    """The annotation by which a switchover is asked for now (unix seconds)."""
+    """Return the annotation that requests a switchover now (unix seconds)."""
     return f"{verb} {datetime.fromtimestamp(now, UTC).isoformat(timespec='microseconds').replace('+00:00', 'Z')}"
 
 
 def parse(text: str) -> Request:
-    """What an annotation asks for. Raises ValueError, which says what would be right."""
+    """Return the request in an annotation. Raises ValueError, whose message says what is expected."""
     found = _WRITTEN.fullmatch(text.strip())
     try:
         if found is None or found[1] not in _KINDS:
@@ -52,44 +52,50 @@ def parse(text: str) -> Request:
         at = datetime.fromisoformat(found[2].replace("Z", "+00:00").replace(",", "."))
     except ValueError:
         raise ValueError(
-            f"{text!r} asks for nothing that is known: write failover or failback and the present time, such as "
+            f"{text!r} is not a known request: write failover or failback and the current time, such as "
             f'"{request("failover", 1.8e9)}"'
         ) from None
     return Request(text, _KINDS[found[1]], (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp())
 
 
 class SwitchoverStatus(Model):
-    """The last planned switchover, or the one that is under way."""
+    """The last planned switchover, or the one in progress."""
 
-    kind: Kind = Field(description="Failover or Failback: somebody asked for it. Drain: its node is to be emptied.")
-    request: str = Field(default="", description="The annotation that asked for it; empty where none did.")
-    handled: str = Field(
-        default="", description="The last such annotation that came to its end. It is not carried out again."
+    kind: Kind = Field(
+        description="Failover or Failback: a user requested it. Drain: the node of the active instance is being drained."
     )
+    request: str = Field(default="", description="The annotation that requested the switchover. Empty for Drain.")
+    handled: str = Field(default="", description="The last annotation that was handled. It is not carried out again.")
     phase: Phase = Field(
-        description="Waiting: it can't begin yet. Preparing: the understudy is brought to where it can drive. Switching: the gate names "
-        "it, and it is awaited at the robot. Done, or NotDone: the robot is driven by the one that drove it before."
+        description="Waiting: the switchover cannot begin yet. Preparing: the understudy is being prepared. Switching: the "
+        "gate is open for the understudy, and its outputs are not yet verified at the robot. Done: the "
+        "understudy controls the robot. NotDone: the previous instance still controls the robot."
     )
-    message: str = Field(default="", description="Why it waits or came to nothing, and what came of it.")
-    target: str = Field(default="", description="The understudy.")
-    recovery: str = Field(default="", description="Id of its record in recoveries, once the gate was switched.")
-    since: Time = Field(description="Since when it is in this phase.")
+    message: str = Field(default="", description="Why the switchover waits or did not happen, or its result.")
+    target: str = Field(default="", description="Name of the understudy's pod.")
+    recovery: str = Field(
+        default="", description="Id of the switchover's record in recoveries. Empty until the gate has switched."
+    )
+    since: Time = Field(description="When this phase began.")
 
 
 class Draining(Model):
-    """What becomes of the instance in control while its node is being drained."""
+    """What happens to the active instance while its node is drained."""
 
     hold_for: Duration = Field(
         default="5m",
-        description="How long evictions of the instance in control wait for an understudy on another node to take over, from when the "
-        "operator saw the node cordoned; 0s: they don't. See docs/switchover.md.",
+        description="How long evictions of the active instance wait for an understudy on another node to take over, from "
+        "the moment when the operator saw that the node was cordoned. 0s: evictions do not wait. See "
+        "docs/switchover.md.",
     )
 
 
 class Drain(Model):
-    """What the operator tells a monitor whose instance in control runs on a node that is to be emptied."""
+    """What the operator reports to a monitor whose active instance runs on a node that is being drained."""
 
-    uid: str = Field(description="UID of that instance.")
-    node: str = Field(description="The node.")
-    since: float = Field(description="When the operator saw that, in unix seconds.")
-    cordoned: list[str] = Field(description="All nodes that are to be emptied: an understudy on them would be next.")
+    uid: str = Field(description="UID of the active instance's pod.")
+    node: str = Field(description="Name of the node.")
+    since: float = Field(description="When the operator saw that the node is drained, in unix seconds.")
+    cordoned: list[str] = Field(
+        description="All nodes that are being drained. An understudy on one of them would have to move next."
+    )

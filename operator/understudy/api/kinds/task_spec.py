@@ -1,4 +1,4 @@
-"""Tasks of a workload: actions whose goals outlive the instance that works on them."""
+"""Tasks of a workload: actions whose goals survive the instance that executes them."""
 
 from __future__ import annotations
 
@@ -13,33 +13,36 @@ ACTION_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/action/[A-Z][a-zA-Z0-9]*$"
 
 
 class Task(Model):
-    """An action that the workload serves. Clients talk to a proxy of the same name, which outlives every instance."""
+    """An action that the workload serves. Clients send goals to a proxy of the same name, which survives every instance."""
 
-    action: RosName = Field(description="Action that the workload serves, fully qualified, such as /navigate_to_pose.")
+    action: RosName = Field(
+        description="Fully qualified name of an action that the workload serves, such as /navigate_to_pose."
+    )
     type: str = Field(
         pattern=ACTION_TYPE_PATTERN,
         max_length=256,
-        description="Type of the action, such as nav2_msgs/action/NavigateToPose. It must be installed in the monitor's image.",
+        description="Type of the action, such as nav2_msgs/action/NavigateToPose. The monitor's image must contain it.",
         json_schema_extra=matching(ACTION_TYPE_PATTERN, ROS_TYPE_MESSAGE),
     )
     on_failover: Literal["Resend", "Abort", "Tree"] = Field(
         default="Resend",
-        description="What becomes of a goal when another instance takes over. Resend: it stays active and is sent to the new "
-        "instance. Abort: it is aborted. Tree: it stays active, and the strategy's recovery tree sends it (resend_goals).",
+        description="What happens to an active goal when another instance takes over. Resend: the goal stays active and is "
+        "sent to the new instance. Abort: the goal is aborted. Tree: the goal stays active, and the strategy's "
+        "recovery procedure sends it (resend_goals).",
     )
     abort_grace: Duration = Field(
         default="2s",
-        description="An abort that nobody asked for is told to the client this much later, and not at all if a failure is seen by "
-        "then: an instance that dies may abort its goals first.",
+        description="How long the proxy delays an abort that no client requested. If a failure is detected meanwhile, the "
+        "client does not receive the abort, because an instance that dies may abort its goals first.",
     )
 
 
 class TaskStatus(Model):
-    """How a task is doing."""
+    """State of a task."""
 
-    action: str = Field(description="The action.")
-    active: int = Field(default=0, description="Goals that are active now.")
+    action: str = Field(description="Name of the action.")
+    active: int = Field(default=0, description="Number of active goals.")
     resent: int = Field(
-        default=0, description="Goals that another instance took over, since the task proxy is in its present pod."
+        default=0, description="Number of goals that another instance took over, since the action proxy's pod started."
     )
-    message: str = Field(default="", description="What is wrong with it, if anything.")
+    message: str = Field(default="", description="What is wrong with the task, if anything.")

@@ -1,4 +1,4 @@
-"""Trees as they are written: in the short form, or as a text of BehaviorTree.CPP 4 or OpenSCENARIO 2, each in a field of its own."""
+"""Trees in the API: in the short form, as BehaviorTree.CPP 4 XML, or as OpenSCENARIO 2, each in its own field."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pydantic import Field
 from understudy.api.base import LONGEST_TEXT, Model
 
 Form = Literal["yaml", "xml", "osc"]
-"""What a tree is written in: the field that it stands in."""
+"""The language of a tree, as the name of the field that holds it."""
 
 
 def short_form(description: str) -> Any:
-    """The field of a tree in the short form."""
+    """Return the field of a tree in the short form."""
     return Field(
         default=None,
         min_length=1,
@@ -23,12 +23,12 @@ def short_form(description: str) -> Any:
 
 
 def text(description: str) -> Any:
-    """The field of a tree that is a text."""
+    """Return the field of a tree that is a text."""
     return Field(default=None, min_length=1, max_length=LONGEST_TEXT, description=description)
 
 
 class Written(Model):
-    """What has a tree in one of the three languages; which trees, its fields say, and by its rules that there is one."""
+    """Base of models that hold a tree in one of the three languages. Subclasses describe the fields and require exactly one."""
 
     yaml: dict[str, Any] | None = None
     xml: str | None = None
@@ -36,19 +36,19 @@ class Written(Model):
 
     @property
     def given(self) -> int:
-        """In how many languages there is one."""
+        """Number of languages in which a tree is given."""
         return sum(one is not None for one in (self.yaml, self.xml, self.osc))
 
     @property
     def form(self) -> Form:
-        """What the tree is written in: the field that it stands in."""
+        """The language of the tree: the name of the field that holds it."""
         if self.yaml is not None:
             return "yaml"
         return "xml" if self.xml is not None else "osc"
 
     @property
     def tree(self) -> dict[str, Any] | str:
-        """The tree as it was written."""
+        """The tree, in the form in which it was given."""
         tree = next((one for one in (self.yaml, self.xml, self.osc) if one is not None), None)
-        assert tree is not None, "one of them is given"
+        assert tree is not None, "a tree is given"
         return tree

@@ -1,12 +1,12 @@
-"""What the monitor and an agent say to each other, and how the monitor proves that it may command one.
+"""The messages between the monitor and an agent, and how the monitor proves that it may command the agent.
 
 TCP, one JSON object per line. The agent speaks first: ``{"nonce", "pod", "uid", "version"}``. The monitor answers
 ``{"workload", "claim", "mac"}``, and from then on sends requests ``{"id", "op", ...}``, each answered by
-``{"id", "ok": true, ...}`` or ``{"id", "error"}``, in the order in which they are done. Between the answers the agent
-sends ``{"status": ...}`` on every change and once a second, so that silence means that one side is gone, and
-``{"event": ...}`` for what happens, such as a goal's feedback.
+``{"id", "ok": true, ...}`` or ``{"id", "error"}``, in the order in which they are completed. In between, the agent
+sends ``{"status": ...}`` on every change and once a second, so that silence means that the connection is lost, and
+``{"event": ...}`` for events such as the feedback of a goal.
 
-Plain dataclasses and no pydantic: an agent sits in every pod, and a held one should be small.
+Plain dataclasses, without pydantic: every pod has an agent, and a held agent should need little memory.
 """
 
 from __future__ import annotations
@@ -19,50 +19,50 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 PROTOCOL = 1
-"""Version of the protocol, said in the greeting."""
+"""Version of the protocol, sent in the greeting."""
 
 MAX_LINE = 1 << 25
-"""Bytes of one message: a claim's whole environment, a policy's tree or a kept map fits in."""
+"""Maximum size of a message in bytes: enough for a claim's environment, a policy's tree or a kept map."""
 
 MAX_GREETING = 4096
-"""Bytes of one message before the mac was right."""
+"""Maximum size of a message in bytes before the monitor is authenticated."""
 
 STATUS_PERIOD = 1.0
-"""Seconds between two status messages when nothing changes."""
+"""Seconds between two status messages if nothing changes."""
 
 SILENCE = 3.0
-"""Seconds without a message after which the other side is taken for gone."""
+"""Seconds without a message after which the connection counts as lost."""
 
 GAVE_WAY = "gave way to another procedure"
-"""Said of a procedure whose place a newer one took."""
+"""Error of a procedure that a newer procedure replaced."""
 
 Phase = Literal["Held", "Starting", "Running"]
 
 
 class ProtocolError(Exception):
-    """The other side sent something that is no message."""
+    """The other side sent something that is not a message."""
 
 
 def mac(token: bytes, nonce: str, workload: str, claim: str) -> str:
-    """Proof of the token for one session (HMAC-SHA256, RFC 2104), in hex. A nonce makes it worthless for another."""
+    """Return the proof of the token for one session (HMAC-SHA256, RFC 2104) in hex. A nonce makes it invalid for other sessions."""
     return hmac.new(token, f"{nonce}\n{workload}\n{claim}".encode(), hashlib.sha256).hexdigest()
 
 
 def encode(message: Mapping[str, Any]) -> bytes:
-    """One message as a line.
+    """Return a message as one line.
 
-    Raises ProtocolError when it is longer than the other side would read.
+    Raises ProtocolError if it is longer than the other side would read.
     """
     line = json.dumps(message, separators=(",", ":")).encode() + b"\n"
     if len(line) > MAX_LINE:
-        raise ProtocolError(f"the message has {len(line)} bytes, the most is {MAX_LINE}")
+        raise ProtocolError(f"the message has {len(line)} bytes, the maximum is {MAX_LINE}")
     return line
 
 
 def decode(line: bytes) -> dict[str, Any]:
-    """The message of a line.
+    """Return the message in a line.
 
-    Raises ProtocolError when it is none.
+    Raises ProtocolError if the line is not a message.
     """
     try:
         message = json.loads(line)
@@ -75,7 +75,7 @@ def decode(line: bytes) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class OutputCount:
-    """What an instance has put out on one topic."""
+    """What an instance has published on one topic."""
 
     count: int = 0
     last: float | None = None
@@ -84,37 +84,37 @@ class OutputCount:
 
 @dataclass(frozen=True)
 class AgentStatus:
-    """An instance as seen from inside its pod. Times are Unix seconds of its node's clock."""
+    """State of an instance, observed from inside its pod. Times are Unix seconds of its node's clock."""
 
     phase: Phase = "Held"
-    """Held: a container waits for its claim. Starting: not yet healthy since the start. Running: it has been."""
+    """Held: a container waits for its claim. Starting: not yet healthy since the start. Running: healthy at least once since the start."""
     ready: bool = False
-    """Held: every held container waits. Else: the tree holds on this pod's own outputs and the robot's inputs."""
+    """While held: every held container waits. Otherwise: the tree succeeds on this pod's own outputs and the robot's inputs."""
     reason: str = ""
-    """Why it isn't ready."""
+    """Why the instance is not ready."""
     started_at: float | None = None
     process_up_at: float | None = None
-    """When the application's first publisher or server for an output was seen."""
+    """When the application's first publisher or server of an output was discovered."""
     ready_at: float | None = None
-    """When the health tree held for the first time since the start."""
+    """When the health tree succeeded for the first time since the start."""
     configured: bool = False
-    """Whether it has a health tree."""
+    """Whether the agent has a health tree."""
     outputs: Mapping[str, OutputCount] = field(default_factory=dict)
     initialized: str = ""
-    """What a procedure has brought it to, as the monitor called it; empty where none has, or while one runs."""
+    """The last completed procedure, by the name that the monitor gave it. Empty if there is none, or while one runs."""
     check: str = ""
-    """Why its readiness check doesn't hold; empty where it does or there is none."""
+    """Why the readiness check fails. Empty if it succeeds or there is none."""
     procedure: str = ""
-    """Name of the procedure that runs on it."""
+    """Name of the running procedure."""
     strength: tuple[int, int] | None = None
-    """Least and greatest ownership strength that its writers may have; None where they have none, or none is up."""
+    """Minimum and maximum ownership strength of its writers; None if they have none, or none was discovered."""
     cut_off: float | None = None
-    """Since when its application is held, since nobody answered; None while it runs."""
+    """Since when the application is held because nobody answered. None while it runs."""
     unfenced: str = ""
-    """Why its application couldn't be held if it were cut off; empty where it could, or needn't."""
+    """Why the application could not be held if the pod were cut off. Empty if it could, or if that is not needed."""
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {
             "phase": self.phase,
             "ready": self.ready,
@@ -134,9 +134,9 @@ class AgentStatus:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> AgentStatus:
-        """From what was sent; fields of a newer agent are passed over.
+        """Return the status in a message. Unknown fields, as a newer agent sends them, are ignored.
 
-        Raises ProtocolError when it is no status.
+        Raises ProtocolError if it is not a status.
         """
         try:
             strength = data.get("strength")

@@ -1,9 +1,9 @@
-"""How an application is held without an end to its processes: a few lines of POSIX ``sh`` around the user's own command.
+"""Pauses an application without ending its processes: a few lines of POSIX ``sh`` around the user's own command.
 
-The agent has no right to signal the processes of other containers, and needs none: the script, which runs as the
-application's own user in its own container, stops and continues them for it. The two meet in the pod's shared emptyDir.
-A file there says whether the application is held; a line through a FIFO only makes the script look. So whichever of the two
-is restarted finds out how things are, and nothing polls.
+The agent may not signal processes of other containers, and does not need to: the script runs as the application's own user in
+its own container, and stops and continues the processes. Agent and script communicate through the pod's shared emptyDir. A file
+there means that the application must be held; a line through a FIFO only makes the script check for the file. So either of the
+two can restart and find out the current state, and nothing polls.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Literal
 from understudy.api import names
 
 HELD_NAME = "cut-off"
-"""File in the shared volume; there while the application must not run."""
+"""File in the shared volume. It exists while the application must not run."""
 
 Scope = Literal["all", "own"]
 """What is stopped. all: all processes that the container sees, since it sees no others. own: those in its control groups, where
@@ -110,10 +110,10 @@ def fenced_command(
     scope: Scope,
     directory: str = names.AGENT_DIR,
 ) -> list[str]:
-    """The ``command`` (with no ``args``) with which a container runs the given command so that the agent can hold it.
+    """Return the ``command`` (with no ``args``) that runs the given command in a way that lets the agent hold it.
 
-    Raises ValueError where ``command`` is empty: what the image would run can't be known from outside.
+    Raises ValueError if ``command`` is empty, because the image's entry point is unknown.
     """
     if not command:
-        raise ValueError(f"container {container}: command is missing; what the image would run can't be known")
+        raise ValueError(f"container {container}: command is missing, and the image's entry point is unknown")
     return ["/bin/sh", "-c", FENCE_SCRIPT, "understudy-fence", directory, container, scope, *command, *args]

@@ -1,8 +1,8 @@
-"""How a container of a held pod waits for its robot: a few lines of POSIX sh around the user's own command.
+"""Makes a container of a held pod wait for its robot: a few lines of POSIX sh around the user's own command.
 
-No binary goes into the user's image; ``sh`` is all it needs. The agent and the script meet in a shared emptyDir. The
-script opens its FIFO first and looks for the environment second, the agent writes the environment first and wakes the
-FIFO second: whichever comes first, the other one sees it. Nothing polls, so a held container costs no CPU.
+The user's image needs ``sh`` and no other binary. Agent and script communicate through a shared emptyDir. The script opens its
+FIFO first and checks for the environment second; the agent writes the environment first and writes to the FIFO second. So neither
+can miss the other. Nothing polls, and a held container uses no CPU.
 """
 
 from __future__ import annotations
@@ -56,30 +56,29 @@ def held_command(
     *,
     directory: str = names.AGENT_DIR,
 ) -> list[str]:
-    """The ``command`` (with no ``args``) with which a container waits for its robot and then becomes the given command.
+    """Return the ``command`` (with no ``args``) with which a container waits for its robot and then runs the given command.
 
-    Raises ValueError where ``command`` is empty: what the image would run can't be known from outside.
+    Raises ValueError if ``command`` is empty, because the image's entry point is unknown.
     """
     if not command:
         raise ValueError(
-            f"container {container}: command is missing; a held container must say its command, "
-            "since the image's own entry point can't be known"
+            f"container {container}: command is missing; a held container needs one, because the image's entry point is unknown"
         )
     return ["/bin/sh", "-c", HOLD_SCRIPT, "understudy-hold", directory, container, *warm_paths, "--", *command, *args]
 
 
 def env_name(container: str) -> str:
-    """File, written by the agent at the start: what the command's environment gets on top."""
+    """File that the agent writes at the start: variables to add to the command's environment."""
     return f"env-{container}"
 
 
 def wake_name(container: str) -> str:
-    """FIFO; a line through it makes the script look for the environment. It has a reader only while it is waited on."""
+    """FIFO; a line through it makes the script check for the environment. It has a reader only while the script waits."""
     return f"wake-{container}"
 
 
 def waiting_name(container: str) -> str:
-    """Empty file, written by the script once its warm paths are read and it waits."""
+    """Empty file that the script writes when it has read its warm paths and waits."""
     return f"waiting-{container}"
 
 

@@ -1,6 +1,6 @@
-"""Kept state as the monitor hands it to an agent, and what the agent says became of it.
+"""Kept state, as the monitor sends it to an agent, and the agent's report of what was restored.
 
-Plain dataclasses and no pydantic: an agent sits in every pod, and should be small. Times are Unix seconds by the
+Plain dataclasses, without pydantic: every pod has an agent, which should need little memory. Times are Unix seconds of the
 monitor's clock.
 """
 
@@ -18,38 +18,38 @@ from understudy.kinematics.poses import HERE, Pose
 Stamp = Literal["now", "kept"]
 
 LARGEST = 22 * 1024 * 1024
-"""Bytes of messages that fit into one request to an agent, with what base64 and JSON add."""
+"""Maximum size of the messages in one request to an agent, in bytes, without the overhead of base64 and JSON."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What carries a kept pose to the present: where odometry had the robot when the pose was so, and had it last."""
+    """Motion that brings a kept pose up to date: the robot's odometry when the pose was taken, and the latest odometry."""
 
     topic: str
     type: str
     required: bool = False
-    """Whether a pose that can't be carried is not to be restored."""
+    """Whether a pose that cannot be brought up to date must not be restored."""
     missing: str = ""
-    """Why it can't be carried, in plain words; then what follows says nothing."""
+    """Why the pose cannot be brought up to date, as text. If it is set, the fields below have no meaning."""
     writer: bytes = b""
-    """GID of the odometry's publisher: another one's has another origin."""
+    """GID of the odometry's publisher. Another publisher has another origin."""
     frame: str = ""
     child: str = ""
     then: Pose = HERE
     last: Pose = HERE
     stamp: int = 0
-    """Of the last one, in ns by its publisher's clock; 0 where it doesn't say."""
+    """Stamp of the last odometry message, in ns of its publisher's clock; 0 if it has none."""
     received: float = 0.0
-    """When it was received."""
+    """When the last odometry message was received."""
     driven: float = 0.0
-    """Metres between the two."""
+    """Metres between the two poses."""
     turned: float = 0.0
-    """Radians between the two."""
+    """Radians between the two poses."""
     blind: float = 0.0
-    """Seconds between them for which nobody watched whether odometry was set anew."""
+    """Seconds between the two poses in which nothing watched whether odometry was reset."""
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         if self.missing:
             return {"topic": self.topic, "type": self.type, "required": self.required, "missing": self.missing}
         plain = {field.name: getattr(self, field.name) for field in fields(self)}
@@ -57,7 +57,7 @@ class Motion:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> Motion:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("motion", data):
             required = bool(data.get("required"))
             if data.get("missing"):
@@ -81,7 +81,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class KeptSample:
-    """A topic's message of a healthy instance."""
+    """A topic's message from a healthy instance."""
 
     topic: str
     type: str
@@ -89,13 +89,13 @@ class KeptSample:
     data: bytes
     """CDR with its 4-byte header."""
     to: str = ""
-    """Topic that it is restored to; empty where it is kept for trees only."""
+    """Topic on which the message is restored. Empty if it is kept for trees only."""
     stamp: Stamp = "kept"
-    """What becomes of the stamp of a message with a header."""
+    """What happens to the stamp of a message with a header."""
     confirm: str = ""
-    """Topic on which the instance itself publishes once it has taken it in; empty where a subscriber is enough."""
+    """Topic on which the instance publishes when it has processed the message. Empty if it is enough that a subscriber received it."""
     motion: Motion | None = None
-    """What carries it to the present; None where it is restored as it was kept."""
+    """Motion that brings the pose up to date. None if the message is restored as it was kept."""
 
     @property
     def name(self) -> str:
@@ -103,7 +103,7 @@ class KeptSample:
         return self.topic
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {
             "topic": self.topic,
             "type": self.type,
@@ -116,7 +116,7 @@ class KeptSample:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> KeptSample:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("kept message", data):
             stamp: Stamp = "now" if data.get("stamp") == "now" else "kept"
             return cls(
@@ -133,32 +133,32 @@ class KeptSample:
 
 @dataclass(frozen=True)
 class ParameterValues:
-    """A node's parameters of a healthy instance."""
+    """Parameters of a node of a healthy instance."""
 
     node: str
     values: Mapping[str, Any]
-    """Booleans, numbers, texts and lists of them, by name."""
+    """Booleans, numbers, strings and lists of them, by name."""
     taken_at: float
 
     @property
     def name(self) -> str:
-        """What it is called in reports."""
+        """Name of the item in reports."""
         return f"{self.node} (parameters)"
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {"node": self.node, "values": dict(self.values), "takenAt": self.taken_at}
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> ParameterValues:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("kept parameters", data):
             return cls(str(data["node"]), dict(data["values"]), float(data["takenAt"]))
 
 
 @dataclass(frozen=True)
 class LifecycleState:
-    """A managed node's state in a healthy instance."""
+    """Lifecycle state of a managed node of a healthy instance."""
 
     node: str
     state: str
@@ -167,67 +167,67 @@ class LifecycleState:
 
     @property
     def name(self) -> str:
-        """What it is called in reports."""
+        """Name of the item in reports."""
         return f"{self.node} (lifecycle)"
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {"node": self.node, "state": self.state, "takenAt": self.taken_at}
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> LifecycleState:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("kept lifecycle state", data):
             return cls(str(data["node"]), str(data["state"]), float(data["takenAt"]))
 
 
 @dataclass(frozen=True)
 class NotRestored:
-    """Something that the policy keeps and that the instance was not given."""
+    """An item of kept state that the instance did not receive."""
 
     name: str
-    """Topic, or node with what of it."""
+    """Name of the topic, or of the node and the kind of its state."""
     reason: str
     failed: bool = True
-    """Whether giving it was tried; it was not where it is too old or was never kept."""
+    """Whether the restoration was tried. False if the item is too old or was never kept."""
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {"name": self.name, "reason": self.reason, "failed": self.failed}
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> NotRestored:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("restore report", data):
             return cls(str(data["name"]), str(data.get("reason", "")), bool(data.get("failed", True)))
 
 
 @dataclass(frozen=True)
 class KeptState:
-    """All that the instance that takes over is to be given."""
+    """Everything to restore to the instance that takes over."""
 
     samples: tuple[KeptSample, ...] = ()
     parameters: tuple[ParameterValues, ...] = ()
     lifecycle: tuple[LifecycleState, ...] = ()
     left_out: tuple[NotRestored, ...] = ()
-    """What the policy keeps and what can't be given: too old, or never seen of a healthy instance."""
+    """Items that the policy lists and that cannot be restored, because they are too old or were never received from a healthy instance."""
 
     def __bool__(self) -> bool:
-        """Whether there is anything to give."""
+        """Whether there is anything to restore."""
         return bool(self.restored_samples or self.parameters or self.lifecycle)
 
     @property
     def restored_samples(self) -> tuple[KeptSample, ...]:
-        """The messages that are restored to a topic."""
+        """The messages that have a topic to restore them to."""
         return tuple(sample for sample in self.samples if sample.to)
 
     @property
     def size(self) -> int:
-        """Bytes of its messages."""
+        """Size of the messages in bytes."""
         return sum(len(sample.data) for sample in self.samples)
 
     def only(self, names: Collection[str]) -> KeptState:
-        """What is of these topics and nodes; all of it where none are named."""
+        """Return the part for these topics and nodes, or everything if none are given."""
         if not names:
             return self
         return KeptState(
@@ -238,7 +238,7 @@ class KeptState:
         )
 
     def batches(self, most: int) -> list[KeptState]:
-        """The same in parts whose messages have at most so many bytes, or are one; all but messages is in the first."""
+        """Split the state into parts with at most this many bytes of messages, or one message. The first part contains everything else."""
         parts: list[list[KeptSample]] = [[]]
         for sample in self.samples:
             if parts[-1] and sum(len(s.data) for s in parts[-1]) + len(sample.data) > most:
@@ -248,19 +248,19 @@ class KeptState:
         return [replace(self, samples=tuple(first)), *(KeptState(tuple(part)) for part in others)]
 
     def not_given(self, reason: str) -> RestoreReport:
-        """The report of who could give none of it."""
+        """Return the report of an agent that could restore nothing."""
         names = [s.name for s in self.restored_samples]
         names += [p.name for p in self.parameters] + [n.name for n in self.lifecycle]
         return RestoreReport((), (*self.left_out, *(NotRestored(name, reason) for name in names)))
 
     def contents(self) -> dict[str, object]:
-        """What is in each of its parts, by name, whenever it was taken."""
+        """The content of each item by name, without its time."""
         found: dict[str, object] = {s.name: s.data for s in self.samples}
         found |= {p.name: dict(p.values) for p in self.parameters}
         return found | {n.name: n.state for n in self.lifecycle}
 
     def changed_from(self, contents: Mapping[str, object]) -> KeptState:
-        """What is other than those contents, or not among them."""
+        """Return what differs from these contents, or is not among them."""
         changed = {name for name, content in self.contents().items() if contents.get(name) != content}
         return replace(
             self,
@@ -270,7 +270,7 @@ class KeptState:
         )
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {
             "samples": [s.to_wire() for s in self.samples],
             "parameters": [p.to_wire() for p in self.parameters],
@@ -280,7 +280,7 @@ class KeptState:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> KeptState:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("kept state", data):
             return cls(
                 tuple(KeptSample.from_wire(s) for s in data.get("samples", ())),
@@ -292,24 +292,24 @@ class KeptState:
 
 @dataclass(frozen=True)
 class Restored:
-    """Something that an instance was given."""
+    """An item that an instance received."""
 
     name: str
-    """Topic, or node with what of it."""
+    """Name of the topic, or of the node and the kind of its state."""
     taken_at: float
-    """When it was taken of the healthy instance."""
+    """When it was taken from the healthy instance."""
     carried: float | None = None
-    """Metres by which odometry carried it to the present; None where it didn't."""
+    """Distance in metres that the pose was moved with odometry to bring it up to date; None if odometry was not used."""
     note: str = ""
-    """Why it wasn't carried although it should have been, or what is uncertain about that."""
+    """Why the pose was not brought up to date, or what is uncertain about it."""
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {"name": self.name, "takenAt": self.taken_at, "carried": self.carried, "note": self.note}
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> Restored:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("restore report", data):
             carried = data.get("carried")
             return cls(
@@ -322,23 +322,23 @@ class Restored:
 
 @dataclass(frozen=True)
 class RestoreReport:
-    """What became of a state that was to be restored."""
+    """Result of a restoration."""
 
     restored: tuple[Restored, ...] = ()
     not_restored: tuple[NotRestored, ...] = ()
 
     @property
     def failed(self) -> tuple[NotRestored, ...]:
-        """What was tried in vain."""
+        """Items whose restoration was tried and failed."""
         return tuple(entry for entry in self.not_restored if entry.failed)
 
     @property
     def problem(self) -> str:
-        """What was tried in vain and why, in plain words; empty where nothing was."""
+        """The failed items with their reasons, as text. Empty if nothing failed."""
         return "; ".join(f"{entry.name}: {entry.reason}" for entry in self.failed)
 
     def merged(self, other: RestoreReport) -> RestoreReport:
-        """With what became of another part of the state; what was tried again counts as it ended last."""
+        """Return this report combined with that of another part of the state. For an item that was tried again, the later result counts."""
         names = {r.name for r in other.restored} | {n.name for n in other.not_restored}
         return RestoreReport(
             (*(r for r in self.restored if r.name not in names), *other.restored),
@@ -346,7 +346,7 @@ class RestoreReport:
         )
 
     def to_wire(self) -> dict[str, Any]:
-        """As it is sent."""
+        """Return the message for the wire."""
         return {
             "restored": [r.to_wire() for r in self.restored],
             "notRestored": [n.to_wire() for n in self.not_restored],
@@ -354,7 +354,7 @@ class RestoreReport:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> RestoreReport:
-        """From what was sent. Raises ProtocolError."""
+        """Return the value in a message. Raises ProtocolError."""
         with _reading("restore report", data):
             return cls(
                 tuple(Restored.from_wire(r) for r in data.get("restored", ())),
@@ -363,7 +363,7 @@ class RestoreReport:
 
 
 class _reading:
-    """Turns what goes wrong inside into a ProtocolError that says what was being read."""
+    """Turns errors inside the block into a ProtocolError that says what was being read."""
 
     def __init__(self, what: str, data: object) -> None:
         self._what, self._data = what, data

@@ -1,6 +1,6 @@
-"""What the operator tells a workload's monitor, as ``settings.json`` in a ConfigMap that the monitor mounts.
+"""Settings that the operator gives a workload's monitor, as ``settings.json`` in a ConfigMap that the monitor mounts.
 
-It holds what the monitor can't read from the three kinds: resolved addresses, gate ports, the process environment for a claim.
+They contain what the monitor cannot read from the three kinds: resolved addresses, gate ports, and the environment for a claim.
 """
 
 from __future__ import annotations
@@ -15,64 +15,67 @@ from understudy.api.kinds.switchover_spec import Drain
 
 
 class PoolChoice(Model):
-    """A pool that a strategy of the policy names and that serves this workload."""
+    """A pool that serves this workload and that a strategy of the policy names."""
 
     name: str = Field(description="FallbackPool.")
     readiness: Readiness = Field(description="Its readiness.")
-    template_hash: str = Field(default="", description="Hash of the template whose pods may be claimed; empty: of any.")
-    reserved: int = Field(default=0, description="The last ready pods of it that this workload may not take.")
-    initialization: Procedure | None = Field(default=None, description="What brings its standbys to its readiness.")
-    readiness_check: Check | None = Field(default=None, description="What must hold of its standbys.")
+    template_hash: str = Field(default="", description="Hash of the template whose pods may be claimed. Empty: any.")
+    reserved: int = Field(default=0, description="How many of the last ready pods this workload may not claim.")
+    initialization: Procedure | None = Field(
+        default=None, description="Procedure that brings the pool's standbys to their readiness."
+    )
+    readiness_check: Check | None = Field(default=None, description="Condition that the pool's standbys must meet.")
     keep_up: str | None = Field(
-        default=None, description="Time between two hand-overs of the kept state to its standbys; absent for none."
+        default=None, description="Time between two transfers of the kept state to the pool's standbys. Absent: none."
     )
 
 
 class Upstream(Model):
-    """A workload that this one depends on, directly or through others."""
+    """A workload that this one depends on, directly or indirectly."""
 
     name: str = Field(description="RobotWorkload.")
-    depends_on: list[str] = Field(default_factory=list, description="Those that it depends on in turn.")
+    depends_on: list[str] = Field(default_factory=list, description="The workloads that it depends on.")
 
 
 class WorkloadSettings(Model):
-    """The settings of one workload's monitor."""
+    """Settings of one workload's monitor."""
 
     workload: str = Field(description="RobotWorkload.")
-    namespace: str = Field(description="Its namespace.")
+    namespace: str = Field(description="Namespace of the workload.")
     uid: str = Field(description="Its UID.")
     source_kind: str = Field(description="ReplicaSet (template), Deployment or StatefulSet (workloadRef).")
     source_name: str = Field(description="Name of the controller that replaces deleted pods.")
     source_selector: dict[str, str] = Field(
         default_factory=dict,
-        description="For a workloadRef: matchLabels of its selector, so that the monitor sees new pods before they are labelled.",
+        description="For a workloadRef: matchLabels of its selector, so that the monitor finds new pods before they are "
+        "labelled.",
     )
     ros_environment: dict[str, str] = Field(default_factory=dict, description="ROS environment of this robot's graph.")
     container_environment: dict[str, dict[str, str]] = Field(
         default_factory=dict,
-        description="Per container of the template: the literal environment that a claimed pod is started with.",
+        description="For each container of the template: the literal environment with which a claimed pod starts.",
     )
     instance_profiles: str = Field(
-        default="", description="The profiles that a claimed pod is started with; empty where it needs none."
+        default="", description="The DDS profiles with which a claimed pod starts. Empty if it needs none."
     )
     tasks_problem: str = Field(
         default="",
-        description="Why the tasks, or some of them, have no proxy or one that can't do all; empty if it can.",
+        description="Why some or all tasks have no action proxy, or one with limits. Empty if there is no problem.",
     )
     pools: list[PoolChoice] = Field(
-        default_factory=list, description="Pools named by the policy that serve this workload."
+        default_factory=list, description="Pools that the policy names and that serve this workload."
     )
     drain: Drain | None = Field(
-        default=None, description="Where the instance in control runs on a node that is to be emptied."
+        default=None, description="Set if the active instance runs on a node that is being drained."
     )
     strategies: list[Strategy] | None = Field(
         default=None,
-        description="The strategies in force, in order, where its policy has Auto or situations.",
+        description="The strategies in effect, in order, if the policy has Auto or situations.",
     )
     situation: str | None = Field(
-        default=None, description="The situation of the policy whose strategies these are; absent for none."
+        default=None, description="The policy's situation that these strategies belong to. Absent: none."
     )
     upstream: list[Upstream] = Field(
         default_factory=list,
-        description="All that it depends on, each after those that it depends on in turn; none while that is a circle.",
+        description="All direct and indirect dependencies, each after its own. Empty if there is a cycle.",
     )

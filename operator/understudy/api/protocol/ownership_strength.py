@@ -1,19 +1,19 @@
-"""Ownership strengths of instances: every new one is weaker than all before it, so no running one needs to change.
+"""Ownership strengths of instances. Every new instance is weaker than all earlier ones, so no running one has to change.
 
-Imports nothing of ROS: an init container writes strengths.
+Does not import ROS, because an init container uses it.
 """
 
 from __future__ import annotations
 
 BEGIN = 1767225600.0
-"""2026-01-01T00:00:00Z in Unix seconds, from which strengths fall."""
+"""2026-01-01T00:00:00Z in Unix seconds. Strengths decrease from then on."""
 
 STRONGEST = 0xFFFFFFFF
-"""DDS strengths are unsigned and have 32 bits; in tenths of seconds they last for 13 years."""
+"""DDS strengths are unsigned 32-bit numbers. In tenths of a second they last for 13 years."""
 
 PER_SECOND = 10
 
 
 def strength(at: float) -> int:
-    """The strength of an instance whose processes start at a time, in Unix seconds of its own node's clock."""
+    """Return the strength of an instance whose processes start at this time, in Unix seconds of its node's clock."""
     return min(STRONGEST, max(0, STRONGEST - int((at - BEGIN) * PER_SECOND)))

@@ -1,7 +1,7 @@
-"""What differs from pod to pod in the profiles of instances, put in.
+"""Fills in what differs between the pods of a workload in their DDS profiles.
 
-Fast DDS puts variables of a process's environment into what it reads, but what isn't in the environment, or must be the
-same for all processes of a pod, is put in beforehand. Imports nothing of ROS: an init container does it.
+Fast DDS replaces variables of a process's environment. A value that is not in the environment, or that must be the same for all
+processes of a pod, is filled in beforehand. Does not import ROS, because an init container uses it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 
 def variables(text: str, values: Mapping[str, str]) -> str:
-    """The text with ``${NAME}`` replaced for each name that is given; others stay."""
+    """Return the text with ``${NAME}`` replaced for each given name. Other placeholders stay."""
     for name, value in values.items():
         text = text.replace(f"${{{name}}}", value)
     return text

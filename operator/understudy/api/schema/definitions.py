@@ -94,7 +94,7 @@ def definitions() -> dict[str, dict[str, Any]]:
 
 
 def root(kind: Kind) -> Schema:
-    """The schema of the whole object."""
+    """Return the schema of the whole object."""
     result: Schema = {
         "type": "object",
         "description": kind.description,
@@ -114,7 +114,7 @@ def root(kind: Kind) -> Schema:
 
 
 def structural(model: type[Model]) -> Schema:
-    """A model's structural schema (KEP-1693): references inlined, optional fields simply not required."""
+    """Return a model's structural schema (KEP-1693): references are inlined, and optional fields are simply not required."""
     schema = model.model_json_schema(by_alias=True)
     return _convert(schema, schema.get("$defs", {}), model.__name__)
 
@@ -137,9 +137,9 @@ def _convert(node: Mapping[str, Any], shared: Mapping[str, Schema], where: str) 
         del schema["pattern"]  # said by the rule, in words
 
     if unknown := schema.keys() - set(_KEYWORDS):
-        raise ValueError(f"{where}: {', '.join(sorted(unknown))} can't be said in a structural schema")
+        raise ValueError(f"{where}: a structural schema cannot express {', '.join(sorted(unknown))}")
     if "type" not in schema:
-        raise ValueError(f"{where}: a structural schema needs a type; unions other than with None have none")
+        raise ValueError(f"{where}: a structural schema needs a type, and only unions with None have one")
 
     if "properties" in schema:
         required = schema.get("required", ())
@@ -160,7 +160,7 @@ def _ordered(schema: Schema) -> Schema:
 
 
 def _resolved(node: Mapping[str, Any], shared: Mapping[str, Schema]) -> Schema:
-    """The node with its reference and its ``anyOf`` with null resolved; what the node itself says goes before."""
+    """Resolve a node's reference and its ``anyOf`` with null. Keywords of the node itself take precedence."""
     schema = dict(node)
     if "anyOf" in schema:
         others = [choice for choice in schema.pop("anyOf") if choice != {"type": "null"}]
@@ -173,7 +173,7 @@ def _resolved(node: Mapping[str, Any], shared: Mapping[str, Schema]) -> Schema:
 
 
 def _with_fields_default(schema: Schema) -> Schema:
-    """Defaults of fields in an object count only where the object is there; so an object of defaults is there by default."""
+    """Add a default to an object whose fields have defaults. The API server applies those only if the object is present."""
     if "default" in schema or schema.get("required") or PRESERVE in schema:
         return schema
     defaults = {name: child["default"] for name, child in schema.get("properties", {}).items() if "default" in child}
@@ -181,7 +181,7 @@ def _with_fields_default(schema: Schema) -> Schema:
 
 
 def _without_defaults(schema: Schema) -> Schema:
-    """The schema without defaults: what nobody has said about an object's state must not appear in it."""
+    """Return the schema without defaults, so that a status never shows values that nobody reported."""
     result = {key: value for key, value in schema.items() if key != "default"}
     if "properties" in result:
         result["properties"] = {name: _without_defaults(child) for name, child in result["properties"].items()}

@@ -10,10 +10,10 @@ from understudy.api.kinds.fallback_pool import FallbackPoolSpec, FallbackPoolSta
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec, RobotWorkloadStatus
 
 LONGEST_NAME = 48
-"""Names of objects and labels derived from a workload's or pool's name must fit 63 characters; the longest ending has 15."""
+"""Maximum length of a workload's or pool's name. Derived names and labels must fit 63 characters, and the longest suffix has 15."""
 
 NAME_PATTERN = r"^[a-z]([-a-z0-9]*[a-z0-9])?$"
-"""A name from which Services can be named (RFC 1035 labels)."""
+"""Pattern of a name that is also valid for Services (RFC 1035 labels)."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +25,12 @@ class Column:
     description: str
     type: str = "string"
     wide: bool = False
-    """Whether it is only in ``-o wide``."""
+    """Whether only ``-o wide`` shows the column."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of ours."""
+    """One of Understudy's kinds."""
 
     name: str
     plural: str
@@ -48,24 +48,25 @@ class Kind:
         return self.name.lower()
 
 
-AGE = Column("Age", ".metadata.creationTimestamp", "Since when it exists.", "date")
+AGE = Column("Age", ".metadata.creationTimestamp", "Time since the object was created.", "date")
 
 _SHORT_NAME = (
     (
         f"size(self.metadata.name) <= {LONGEST_NAME}",
-        f"metadata.name is longer than {LONGEST_NAME} characters: names of pods, policies and labels are made from it and must fit 63",
+        f"metadata.name is longer than {LONGEST_NAME} characters: names of pods, policies and labels are derived from it and must fit 63",
         ".metadata.name",
     ),
     (
         f"self.metadata.name.matches('{NAME_PATTERN}')",
-        "metadata.name must begin with a letter and have only lower-case letters, digits and dashes: a Service is named after it",
+        "metadata.name must begin with a letter and contain only lower-case letters, digits and dashes, because "
+        "a Service is named after it",
         ".metadata.name",
     ),
 )
 
 _NOT_ITSELF = (
     "!has(self.spec.dependsOn) || self.spec.dependsOn.all(d, d.name != self.metadata.name)",
-    "dependsOn names this workload itself; name the ones that it depends on",
+    "dependsOn contains this workload itself: name only other workloads",
     ".spec.dependsOn",
 )
 
@@ -74,20 +75,34 @@ KINDS = (
         name="RobotWorkload",
         plural="robotworkloads",
         short="rw",
-        description="One application of one robot: its pods, its ROS graph, what it sends to the robot, and the policy that protects it.",
+        description="One application of one robot: its pods, its ROS graph, its outputs to the robot, and the policy that "
+        "protects it.",
         spec=RobotWorkloadSpec,
         status=RobotWorkloadStatus,
         columns=(
-            Column("Active", ".status.active", "The pod in control of the robot."),
+            Column("Active", ".status.active", "The pod that controls the robot."),
             Column("Health", ".status.health", "Unknown, Starting, Healthy, Degraded, Failed or Recovering."),
-            Column("Standby", ".status.standby", "Readiness of the standby, and how many of how many are ready."),
-            Column("Strategy", ".status.strategy", "The strategy that would be used if it failed now."),
-            Column("Recoveries", ".status.recoveryCount", "Recoveries since it was created.", "integer"),
+            Column("Standby", ".status.standby", "Readiness of the standbys, and how many of them are ready."),
+            Column("Strategy", ".status.strategy", "The strategy that would be used if the workload failed now."),
+            Column(
+                "Recoveries", ".status.recoveryCount", "Number of recoveries since the workload was created.", "integer"
+            ),
             Column("Last", ".status.lastRecoveryTime", "Time since the last recovery.", "date"),
             Column("Order", ".status.strategies", "The strategies in order, with their pools.", wide=True),
-            Column("Situation", ".status.situation.name", "The situation that it is in, by its policy.", wide=True),
-            Column("Kept", ".status.kept", "What is kept of a healthy instance.", wide=True),
-            Column("Taken", ".status.state[0].takenAt", "How old the first of it is.", "date", wide=True),
+            Column(
+                "Situation",
+                ".status.situation.name",
+                "The situation that currently applies, as defined by the policy.",
+                wide=True,
+            ),
+            Column("Kept", ".status.kept", "Summary of the state that is kept of a healthy instance.", wide=True),
+            Column(
+                "Taken",
+                ".status.state[0].takenAt",
+                "Time since the first item of kept state was taken.",
+                "date",
+                wide=True,
+            ),
             AGE,
         ),
         rules=(*_SHORT_NAME, _NOT_ITSELF),
@@ -96,17 +111,17 @@ KINDS = (
         name="FailurePolicy",
         plural="failurepolicies",
         short="fp",
-        description="What healthy means for a RobotWorkload, and what is done, in which order, when it isn't.",
+        description="What healthy means for a RobotWorkload, and what to do, in which order, if it is not healthy.",
         spec=FailurePolicySpec,
         status=FailurePolicyStatus,
         columns=(
             Column(
                 "Accepted",
                 '.status.conditions[?(@.type=="Accepted")].status',
-                "Whether it was understood; see the condition's message.",
+                "Whether the policy is valid; see the condition's message.",
             ),
-            Column("Workloads", ".status.workloads", "How many RobotWorkloads use it.", "integer"),
-            Column("Strategies", ".status.strategies", "The strategies in short, in order."),
+            Column("Workloads", ".status.workloads", "Number of RobotWorkloads that use the policy.", "integer"),
+            Column("Strategies", ".status.strategies", "The strategies in short form, in order."),
             AGE,
         ),
     ),
@@ -114,16 +129,28 @@ KINDS = (
         name="FallbackPool",
         plural="fallbackpools",
         short="fbp",
-        description="A warm pool of understudies: how many, at which readiness, for which RobotWorkloads.",
+        description="A pool of warm understudies: how many, at which readiness, for which RobotWorkloads.",
         spec=FallbackPoolSpec,
         status=FallbackPoolStatus,
         columns=(
             Column("Readiness", ".spec.readiness", "Uninitialized, Initialized or Executing."),
-            Column("Desired", ".status.desired", "Pods that should exist.", "integer"),
-            Column("Ready", ".status.ready", "Pods that could take over now.", "integer"),
-            Column("Claimed", ".status.claimed", "Pods of this pool that drive a robot.", "integer"),
-            Column("Waiting", ".status.waiting", "Workloads that wait for a pod of it.", "integer", wide=True),
-            Column("Updated", ".status.updated", "Unclaimed pods of the present template.", "integer", wide=True),
+            Column("Desired", ".status.desired", "Number of pods that should exist.", "integer"),
+            Column("Ready", ".status.ready", "Number of pods that could take over now.", "integer"),
+            Column("Claimed", ".status.claimed", "Number of this pool's pods that control a robot.", "integer"),
+            Column(
+                "Waiting",
+                ".status.waiting",
+                "Number of workloads that wait for a pod of this pool.",
+                "integer",
+                wide=True,
+            ),
+            Column(
+                "Updated",
+                ".status.updated",
+                "Number of unclaimed pods with the current template.",
+                "integer",
+                wide=True,
+            ),
             AGE,
         ),
         rules=_SHORT_NAME,

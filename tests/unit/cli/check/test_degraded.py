@@ -65,13 +65,13 @@ def test_a_task_or_a_word_of_the_policy_tells_when_it_is() -> None:
 def test_two_words_of_when_are_one_too_many() -> None:
     finding = only(RESCHEDULING + "      - reschedule: {after: 2m}\n")
     assert (finding.severity, finding.field) == ("error", "spec.degraded.actions")
-    assert "reschedule is given twice" in finding.message
+    assert "actions contains reschedule twice" in finding.message
 
 
 def test_an_action_is_one_thing() -> None:
     finding = only(RESCHEDULING.replace("reschedule: {after: 1m}", "{resize: {cpu: 1500m}, reschedule: {after: 1m}}"))
     assert finding.field == "spec.degraded.actions[0]"
-    assert "an action is exactly one of" in finding.message
+    assert "each action has exactly one of" in finding.message
 
 
 def test_more_is_a_text_and_not_nothing() -> None:
@@ -80,7 +80,7 @@ def test_more_is_a_text_and_not_nothing() -> None:
     assert "in quotes if it looks like a number" in number.message
     assert "write cores as a text" in number.message
     nothing = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {container: app}"))
-    assert "say how much it gets" in nothing.message
+    assert "give the new amount" in nothing.message
 
 
 def test_a_shared_pool_is_not_prewarmed() -> None:

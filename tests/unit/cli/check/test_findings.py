@@ -149,7 +149,7 @@ def test_what_only_the_operator_refuses() -> None:
     [
         (
             ("name: navigation}", "name: Navigation}"),
-            'a.yaml:3:12: error: FailurePolicy Navigation: metadata.name: "Navigation": names of objects have lower-case',
+            'a.yaml:3:12: error: FailurePolicy Navigation: metadata.name: "Navigation": the name of an object must consist of lower-case',
         ),
         (
             ("name: navigation}", "labels: {a: true}, name: b}"),
@@ -355,4 +355,4 @@ def test_a_check_in_openscenario_has_places_of_the_file_too() -> None:
 def test_a_procedure_has_exactly_one_tree() -> None:
     both = WORKLOAD.replace("spec:\n", f"spec:\n  bringUp:\n      yaml: {{resend_goals: {{}}}}{PROCEDURE}\n", 1)
     told = [str(finding) for finding in found(both)]
-    assert any("the tree is given as yaml already: give exactly one of yaml, xml and osc" in line for line in told)
+    assert any("the tree is already given as yaml: give exactly one of yaml, xml and osc" in line for line in told)

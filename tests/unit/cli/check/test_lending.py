@@ -57,4 +57,4 @@ def test_what_a_policy_can_not_read(text: str, place: str, words: str) -> None:
 def test_a_key_that_does_not_say_what_it_is_written_in() -> None:
     finding = only(REFERRING.replace("health.yaml", "health"), TREES)
     assert (finding.severity, finding.field) == ("error", "spec.monitoring.configMapKeyRef.key")
-    assert '"health": give a key that says by its ending' in finding.message
+    assert '"health": the suffix of the key must be' in finding.message

@@ -117,7 +117,7 @@ def test_workloads_that_depend_on_each_other_in_a_circle() -> None:
 def test_a_workload_that_depends_on_itself_is_told_once() -> None:
     finding = only(POLICY, needing("a", "a"))
     assert (finding.severity, finding.field) == ("error", "spec.dependsOn")
-    assert "names this workload itself" in finding.message
+    assert "contains this workload itself" in finding.message
 
 
 def test_a_workload_that_another_depends_on_and_that_is_not_there() -> None:
@@ -133,7 +133,7 @@ def test_what_is_done_after_a_recovery_needs_what_it_is_done_with() -> None:
     other = WORKLOAD.replace("robot-17", "other")
     assert "procedure is required" in only(POLICY, other, one("onRecovery: Procedure")).message
     assert "procedure is required" in only(POLICY, other, one("procedure: {yaml: {wait_for: {node: /a}}}")).message
-    assert "there is none: give spec.bringUp" in only(POLICY, other, one("onRecovery: Reinitialize")).message
+    assert "which is missing: set spec.bringUp" in only(POLICY, other, one("onRecovery: Reinitialize")).message
     wrong = only(
         POLICY, other, one("onRecovery: Procedure, procedure: {yaml: {set_lifecycle: {node: amcl, state: active}}}")
     )

@@ -43,8 +43,8 @@ def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: FakeKube
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (["--until", "tonight"], '--until "tonight": write a moment as a date, a time and its zone (RFC 3339)'),
-        (["--until", "2026-02-30T00:00:00Z"], '--until "2026-02-30T00:00:00Z": write a moment'),
+        (["--until", "tonight"], '--until "tonight": write a date, a time and a time zone (RFC 3339)'),
+        (["--until", "2026-02-30T00:00:00Z"], '--until "2026-02-30T00:00:00Z": write a date'),
         (["--until", "2026-11-22T14:00:00Z"], "--until 2026-11-22T14:00:00Z is in the past"),
         (["--for", "30"], '--for "30": write a duration as a number with ms, s, m or h'),
         (["--owner", " "], "--owner is empty"),

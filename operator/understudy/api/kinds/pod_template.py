@@ -1,8 +1,8 @@
-"""The schema of pod templates embedded in our kinds.
+"""The schema of pod templates that are embedded in our kinds.
 
-Kubernetes' own pod schema would be thousands of lines in each kind and of another version than the cluster's. So what isn't
-named here is preserved as it is and judged by the API server when a pod is made from it; what is named here are the
-parts that Understudy relies on, so that a template which could never be protected is refused at once.
+A copy of Kubernetes' own pod schema would add thousands of lines to each kind, and could differ from the cluster's version. So
+only the parts that Understudy relies on are described here, and a template that could never be protected is refused at once. Other
+fields are preserved, and the API server checks them when it creates a pod.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ _MOST_LABELS = 64
 
 
 def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
-    """``json_schema_extra`` of a pod template, with CEL rules that hold for each of its containers."""
+    """``json_schema_extra`` of a pod template, with CEL rules for each of its containers."""
     return {
         "properties": {
             "metadata": {
                 "type": "object",
-                "description": "Labels and annotations of the pods. Names are given by Understudy.",
+                "description": "Labels and annotations of the pods. Understudy sets their names.",
                 "properties": {
                     "labels": _texts("Labels of the pods.")
                     | rules(
                         (
                             f"self.all(key, !key.startsWith('{GROUP}/'))",
-                            f"labels that begin with {GROUP}/ decide who drives the robot and are set by Understudy: take another name",
+                            f"labels that begin with {GROUP}/ decide which pod controls the robot, so only Understudy sets them: use another",
                         )
                     ),
                     "annotations": _texts("Annotations of the pods."),
@@ -49,12 +49,17 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                             "description": "A container, as in a pod (kubectl explain pod.spec.containers).",
                             "required": ["name", "image"],
                             "properties": {
-                                "name": {"type": "string", "minLength": 1, "maxLength": 63, "description": "Its name."},
-                                "image": {"type": "string", "minLength": 1, "description": "Its image."},
+                                "name": {
+                                    "type": "string",
+                                    "minLength": 1,
+                                    "maxLength": 63,
+                                    "description": "Name of the container.",
+                                },
+                                "image": {"type": "string", "minLength": 1, "description": "Image of the container."},
                                 "command": {
                                     "type": "array",
                                     "items": {"type": "string"},
-                                    "description": "What it runs; the image's own entry point where there is none.",
+                                    "description": "Command of the container. Absent: the entry point of the image.",
                                 },
                             },
                         }
@@ -63,7 +68,7 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                     },
                     "hostNetwork": {
                         "type": "boolean",
-                        "description": "Must not be true: no NetworkPolicy holds for a pod in its node's network.",
+                        "description": "Must not be true: NetworkPolicies do not apply to a pod in its node's network.",
                     },
                     "restartPolicy": {
                         "type": "string",
@@ -76,7 +81,7 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
             | rules(
                 (
                     "!has(self.hostNetwork) || !self.hostNetwork",
-                    "hostNetwork can't be gated: no NetworkPolicy holds for a pod in its node's network",
+                    "hostNetwork cannot be gated: NetworkPolicies do not apply to a pod in its node's network",
                     ".hostNetwork",
                 )
             ),
