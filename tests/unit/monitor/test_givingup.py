@@ -25,6 +25,7 @@ from understudy.failover.journal import Journal
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import LASTS, PodIdentity, Progress, beside, told_in
 from understudy.failover.protocol import Choice
+from understudy.failover.availability import Availability
 from understudy.failover.strategies.base import Means, Strategy
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
@@ -54,8 +55,8 @@ class Does(Strategy):
     def __init__(self, steps: Steps) -> None:
         self._steps = steps
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        return None
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        return Availability(True)
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         for step in self._steps:
