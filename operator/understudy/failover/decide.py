@@ -167,6 +167,16 @@ class LimitRow:
     """
 
 
+@dataclass(frozen=True)
+class Prevention:
+    """A limit in force that prevents the action of a trigger."""
+
+    row: LimitRow
+    limit: InForce
+    decision: Wait | Defer | Hold
+    """What this limit alone would lead to."""
+
+
 FAILURES = frozenset({Trigger.POD_LOST, Trigger.HEALTH_FAILED})
 PLANNED = frozenset({Trigger.DEPENDENCY_RECOVERED, Trigger.SWITCHOVER_REQUESTED, Trigger.DEGRADED})
 """Nothing has failed. The message of a wait has no figures, since each change of a message is a write to the API server."""
@@ -287,9 +297,9 @@ def considered(facts: Facts) -> Iterator[Decision]:
     for row in TRIGGERS:
         if (occurrence := present.get(row.trigger)) is None:
             continue
-        limit = next(iter(in_force(facts, occurrence)), None)
-        if limit is not None:
-            yield limit[1]
+        prevention = next(in_force(facts, occurrence), None)
+        if prevention is not None:
+            yield prevention.decision
             if row.yields:
                 continue
         elif row.decision is Recover:
@@ -300,12 +310,12 @@ def considered(facts: Facts) -> Iterator[Decision]:
         return
 
 
-def in_force(facts: Facts, occurrence: Occurrence) -> Iterator[tuple[LimitRow, Wait | Defer | Hold]]:
-    """Return every limit that prevents the action of a trigger now, in order, with the decision that it alone would lead to."""
+def in_force(facts: Facts, occurrence: Occurrence) -> Iterator[Prevention]:
+    """Return every limit that prevents the action of a trigger now, in order."""
     for row in LIMITS:
         if occurrence.trigger in row.triggers and (found := _CHECKS[row.limit](facts, occurrence, row)) is not None:
             message = row.message.format(words=found.words, left=left(found, facts.now))
-            yield row, row.decision(row.reason, message, found.until, occurrence.trigger)
+            yield Prevention(row, found, row.decision(row.reason, message, found.until, occurrence.trigger))
 
 
 def left(found: InForce, now: float) -> str:

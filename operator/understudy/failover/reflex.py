@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
+from understudy.failover.availability import INSTANCE_GONE, Availability
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Means, Strategy
@@ -125,15 +126,16 @@ class ReflexFallback(Strategy):
 
     name = "Fallback/Executing (reflex)"
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        """Why what the reflex did can't be built upon."""
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        """Return whether the recovery can continue with the standby that took over."""
         if progress is None or progress.taken_over is None:
-            return "no standby has taken over"
+            return Availability(False, INSTANCE_GONE, "no standby has taken over")
         if _standing(progress, means) is None:
-            return f"{progress.taken_over.name}, which took over, is gone"
+            return Availability(False, INSTANCE_GONE, f"{progress.taken_over.name}, which took over, is gone")
         if means.gate.state.active_uid != progress.taken_over.uid:
-            return f"the gate names {means.gate.state.active or 'no pod'} and not {progress.taken_over.name}"
-        return None
+            words = f"the gate names {means.gate.state.active or 'no pod'} and not {progress.taken_over.name}"
+            return Availability(False, INSTANCE_GONE, words)
+        return Availability(True)
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         """Wait until the loser is fenced. Raises NotAvailable."""

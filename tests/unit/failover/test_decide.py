@@ -146,8 +146,8 @@ def test_the_strategy_to_start_with_is_that_of_the_trigger() -> None:
 def test_all_limits_in_force_are_listed_in_order_with_the_decision_of_each() -> None:
     every = LimitsInForce(InForce("paused"), InForce(until=LATER), InForce("storm"), InForce("spent"))
     found = list(in_force(Facts(NOW, (), every), Occurrence(Trigger.HEALTH_FAILED)))
-    assert [row.limit for row, _ in found] == [Limit.PAUSE, Limit.WAIT_AFTER_RECOVERY, Limit.STORM, Limit.BUDGET]
-    assert [type(decision) for _, decision in found] == [Defer, Defer, Defer, Hold]
+    assert [one.row.limit for one in found] == [Limit.PAUSE, Limit.WAIT_AFTER_RECOVERY, Limit.STORM, Limit.BUDGET]
+    assert [type(one.decision) for one in found] == [Defer, Defer, Defer, Hold]
 
 
 def test_the_first_pod_is_activated_once_it_is_ready_and_the_workload_is_not_paused() -> None:

@@ -69,7 +69,8 @@ def test_a_healthy_workload_says_who_is_in_control_and_what_stands_by(notices: N
         ("Failed", 2, ("Recovering", "False", "Recovered", "w-1 took over"), "it has failed"),
         ("Recovering", 2, ("Recovering", "True", "FailureDetected", "pod w-1 is gone"), "pod w-1 is gone"),
         ("Recovering", 1, ("Recovering", "True", "Rescheduling", "/scan came at 7 Hz"), "/scan came at 7 Hz"),
-        ("Unknown", 3, ("Healthy", "False", "Failed", "no /scan for 1 s"), "the health is unknown: no policy is in effect, or no instance is running"),
+        ("Unknown", 3, ("Healthy", "False", "Failed", "no /scan for 1 s"),
+         "the health is unknown: no policy is in effect, or no instance is running"),
     ],
 )  # fmt: skip
 def test_the_message_is_the_reason(

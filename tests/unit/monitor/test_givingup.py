@@ -19,6 +19,7 @@ from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.failover.abandoned import GivenUp
+from understudy.failover.availability import Availability
 from understudy.failover.dependency import Seen
 from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.journal import Journal
@@ -55,8 +56,8 @@ class Does(Strategy):
     def __init__(self, steps: Steps) -> None:
         self._steps = steps
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        return None
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        return Availability(True)
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         for step in self._steps:

@@ -10,6 +10,7 @@ import pytest
 
 from tests.unit.monitor.test_limiting import World
 from understudy.api.conditions import condition
+from understudy.failover.availability import STANDBY_NOT_READY, Availability
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.strategies.uninitialized import UninitializedFallback
@@ -39,13 +40,13 @@ class Storm(World):
 
 
 class Ready(ExecutingFallback):
-    def available(self, *_: Any) -> str | None:
-        return None
+    def availability(self, *_: Any) -> Availability:
+        return Availability(True)
 
 
 class Absent(ExecutingFallback):
-    def available(self, *_: Any) -> str | None:
-        return "pool hot has no standby for this workload"
+    def availability(self, *_: Any) -> Availability:
+        return Availability(False, STANDBY_NOT_READY, "pool hot has no standby for this workload")
 
 
 def failure(now: float) -> Failure:

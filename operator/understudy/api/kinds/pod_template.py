@@ -28,7 +28,8 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                     | rules(
                         (
                             f"self.all(key, !key.startsWith('{GROUP}/'))",
-                            f"labels that begin with {GROUP}/ decide which pod controls the robot, so only Understudy sets them: use another",
+                            f"labels that begin with {GROUP}/ decide which pod controls the robot, "
+                            "so only Understudy sets them: use another",
                         )
                     ),
                     "annotations": _texts("Annotations of the pods."),

@@ -19,7 +19,7 @@ from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.recovery_under_way import UnderWay, under_way
 from understudy.cli.common.wording import counted, listed
-from understudy.controller.status.protection import LIMITED
+from understudy.controller.status.protection import LIMIT_CONDITIONS
 from understudy.kube.gates.base import GateRecord
 
 Object = Mapping[str, Any]
@@ -62,9 +62,6 @@ _ABOUT = {
     "Ready": "not ready",
 }
 """What a condition reports if it is not in its good state."""
-
-_LIMITED = {type_: reason for type_, _, reason, _ in LIMITED}
-"""Conditions that Protected repeats, with the reason that it then has."""
 
 
 class Problem(Model):
@@ -242,7 +239,7 @@ def problems(
             continue  # reported already
         if condition.type == "OutputsRead" and condition.reason == gate:
             continue
-        if protected is not None and protected.reason == _LIMITED.get(condition.type):
+        if protected is not None and protected.reason == LIMIT_CONDITIONS.get(condition.type):
             continue
         found.append(
             Problem(

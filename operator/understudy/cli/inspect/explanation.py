@@ -31,13 +31,13 @@ from understudy.controller.observed import (
     pool_reader,
     situation_strategies,
 )
-from understudy.controller.observed.observation import Observed
+from understudy.controller.observed.observation import WAITING, Observed
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.plan import Images
 from understudy.controller.pods import pool_pods as pools
 from understudy.controller.pods import pool_size
 from understudy.controller.status import protection
-from understudy.controller.status.protection import Means
+from understudy.controller.status.protection import Considered
 from understudy.kube.client import Object
 from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
@@ -78,14 +78,24 @@ class Known:
         return cls(observed, understanding, status_of(item), said, protected, around.events, others, around.gates)
 
     @property
-    def considered(self) -> Sequence[tuple[Strategy, Means]]:
-        """The strategies that count now, in order, each with whether it could be carried out."""
+    def considered(self) -> Sequence[Considered]:
+        """The strategies that count now, in order, each with whether it could run."""
         return protection.considered(self.observed, self.understanding)
+
+    @property
+    def standby_ready(self) -> bool:
+        """Whether a standby of this robot could take over, which takes no pod from other robots."""
+        return any(
+            one.availability.available
+            and one.strategy.pool_ref is not None
+            and pool_reader.readiness(self.observed.pools[one.strategy.pool_ref.name]) in WAITING
+            for one in self.considered
+        )
 
     @property
     def left_out(self) -> list[str]:
         """The pools of the policy that nobody counts on while it is well."""
-        counted = {s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None}
+        counted = {c.strategy.pool_ref.name for c in self.considered if c.strategy.pool_ref is not None}
         strategies = effective_policy.strategies(self.observed) if self.policy else []
         named = [s.pool_ref.name for s in strategies if s.pool_ref is not None]
         return [name for name in named if name not in counted]
@@ -93,7 +103,7 @@ class Known:
     @property
     def pools(self) -> list[str]:
         """The pools that its strategies take an instance from, in order."""
-        counted = [s.pool_ref.name for s, _ in self.considered if s.pool_ref is not None]
+        counted = [c.strategy.pool_ref.name for c in self.considered if c.strategy.pool_ref is not None]
         return list(dict.fromkeys([*counted, *self.left_out]))
 
     @property
@@ -164,13 +174,13 @@ def for_scripts(known: Known) -> dict[str, Any]:
     name, _ = kube_objects.active(known.observed.gate)
     strategies = [
         {
-            "name": means.name,
-            "available": means.available,
-            "reason": means.reason,
-            "message": means.message,
-            "verifyWithin": strategy.verify_within,
+            "name": one.name,
+            "available": one.availability.available,
+            "reason": one.availability.reason,
+            "message": one.availability.message,
+            "verifyWithin": one.strategy.verify_within,
         }
-        for strategy, means in known.considered
+        for one in known.considered
     ]
     sections = {"State": list(_state(known)), **_sections(known)}
     return {
@@ -283,25 +293,24 @@ def _failing(known: Known) -> Iterator[_Entry]:
         yield _Entry(known.protected.message, "Failed")
         if known.status.strategy:
             yield _Entry(f"Its monitor goes by what was accepted last, and would use {known.status.strategy}.")
-    yield from _pause(known)
+    yield from _limits(known)
     before: Strategy | None = None
-    for number, (strategy, means) in enumerate(considered, 1):
-        head = f"{number}. {means.name}"
-        if not means.available:
+    for number, one in enumerate(considered, 1):
+        strategy, found = one.strategy, one.availability
+        head = f"{number}. {one.name}"
+        if not found.available:
             waits = f" It would wait for a pod for up to {strategy.wait_for}." if strategy.wait_for else ""
-            yield _Entry(f"{head} can't be carried out ({means.reason}): {means.message.rstrip('.')}.{waits}", "Failed")
+            yield _Entry(f"{head} cannot run ({found.reason}): {found.message.rstrip('.')}.{waits}", "Failed")
             continue
-        ready = f": {means.message}" if means.message else ""
+        ready = f": {found.message}" if found.message else ""
         if before is None:
-            told = f"{head} would be carried out{ready}"
+            told = f"{head} would run{ready}"
         else:
             told = f"{head} is next, if that is not verified within {before.verify_within}{ready}"
         yield _Entry(f"{told}. {_experience(strategy, known)}", "Healthy")
         before = strategy
     if considered and before is None:
-        yield _Entry(
-            "No strategy of its policy could be carried out: the robot would be left without commands.", "Failed"
-        )
+        yield _Entry("No strategy of its policy could run: the robot would be left without commands.", "Failed")
     elif before is not None:
         yield _Entry(
             f"If the last isn't verified within {before.verify_within} either, all are tried again after a pause. What isn't "
@@ -312,17 +321,14 @@ def _failing(known: Known) -> Iterator[_Entry]:
     yield from _otherwise(known, considered)
 
 
-def _pause(known: Known) -> Iterator[_Entry]:
-    """What would put it off."""
-    item, now = known.observed.workload, known.observed.now
-    policy = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
-    for text, off in (
-        *limit_text.paused(known.spec, now),
-        *limit_text.spent(known.policy, known.status, item, now),
-        *limit_text.storm(policy),
-        *limit_text.cooling_down(known.policy, known.said, now),
-    ):
-        yield _Entry(text, "Degraded" if off else "")
+def _limits(known: Known) -> Iterator[_Entry]:
+    """The limits that would prevent or delay it."""
+    item, now, policy = known.observed.workload, known.observed.now, known.policy
+    policy_item = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
+    limits = limit_text.limits_in_force(known.spec, policy, policy_item, known.status, item, known.said, now)
+    for text, prevents in limit_text.sentences(limits, known.said.name, now, standby_ready=known.standby_ready):
+        yield _Entry(text, "Degraded" if prevents else "")
+    yield from map(_Entry, limit_text.budget_left(policy, known.status, item, now))
 
 
 def _experience(strategy: Strategy, known: Known) -> str:
@@ -352,12 +358,12 @@ def _recorded(strategy: Strategy, observed: Observed) -> str:
     return f"{strategy.type}/{pool_reader.readiness(item) if item is not None else ''}"
 
 
-def _otherwise(known: Known, considered: Sequence[tuple[Strategy, Means]]) -> Iterator[_Entry]:
+def _otherwise(known: Known, considered: Sequence[Considered]) -> Iterator[_Entry]:
     """What the monitor says, where that is something else: it hears the standbys' agents, this command doesn't."""
     said = known.status.strategy
     if not said or not considered or known.health in (UNWATCHED, "Recovering"):
         return
-    first = next((strategy for strategy, means in considered if means.available), None)
+    first = next((one.strategy for one in considered if one.availability.available), None)
     found = _recorded(first, known.observed).rpartition("/")[2] if first is not None else "None"
     if said != found:
         yield _Entry(
@@ -458,7 +464,7 @@ def _missing(known: Known) -> Iterator[_Entry]:
         since = f", {age(problem.since, observed.now)}" if problem.since else ""
         yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
     told = [problem.message for problem in found]
-    told += [means.message for _, means in known.considered]
+    told += [one.availability.message for one in known.considered]
     for name in known.pools:
         if name not in observed.pools:
             continue
@@ -475,9 +481,9 @@ def _unprotected(known: Known) -> str:
     found = known.protected
     said = next((problem for problem in known.said.problems if problem.type == "Protected"), None)
     since = f", {age(said.since, known.observed.now)}" if said is not None and said.since else ""
-    first = next((means for _, means in known.considered), None)
+    first = next((one.availability for one in known.considered), None)
     seen = first is not None and not first.available and found.reason == first.reason
-    words = "the first strategy of its policy can't be carried out, see above." if seen else found.message
+    words = "the first strategy of its policy cannot run, see above." if seen else found.message
     stale = " Its status says that it is: that is a moment old, or the operator isn't running." if said is None else ""
     return f"not protected ({found.reason}{since}): {words}{stale}"
 

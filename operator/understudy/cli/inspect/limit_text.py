@@ -1,70 +1,72 @@
-"""What would keep a failure from being recovered at once: a pause, a budget that is spent, a cooldown; pure."""
+"""The limits that would prevent or delay the recovery of a failure now, as ``understudy explain`` shows them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from understudy.api import names
-from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.kinds.pause_spec import in_words, unix
+from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.cli.common.robots import Robot
-from understudy.failover.limits import budget as budgets
+from understudy.failover.decide import Facts, Limit, Occurrence, Trigger, in_force, left
+from understudy.failover.limits import budget, cooldown, pause, storm
+from understudy.failover.limits.state import LimitsInForce
 from understudy.kube.client import Object
 
-Told = tuple[str, bool]
-"""A sentence, and whether it puts a recovery off."""
+
+def limits_in_force(
+    spec: RobotWorkloadSpec | None,
+    policy: FailurePolicySpec | None,
+    policy_item: Object | None,
+    status: RobotWorkloadStatus,
+    item: Object,
+    robot: Robot,
+    now: float,
+) -> LimitsInForce:
+    """Return the limits of a workload that are in force, by its objects. Only the monitor knows its backoff."""
+    paused = pause.in_force(spec.pause if spec is not None else None, now)
+    if policy is None:
+        return LimitsInForce(pause=paused)
+    limit, guard, last = policy.limits.budget, policy.limits.storm_guard, robot.last_recovery
+    recovered = unix(last.ended) if last is not None and last.result == "Recovered" and last.ended is not None else None
+    return LimitsInForce(
+        pause=paused,
+        waiting=cooldown.in_force(policy, recovered, now),
+        storm=storm.in_force(guard, policy_item, now) if guard is not None else None,
+        budget=budget.in_force(limit, _spent(status), _resumed(item), now) if limit is not None else None,
+    )
 
 
-def paused(spec: RobotWorkloadSpec | None, now: float) -> Iterator[Told]:
-    """By whom and why the workload is to be left alone."""
-    if spec is not None and spec.pause is not None and spec.pause.in_force(now):
-        yield f"Nothing would be done, it is {spec.pause.words} (spec.pause).", True
+def sentences(limits: LimitsInForce, name: str, now: float, *, standby_ready: bool) -> Iterator[tuple[str, bool]]:
+    """Return a sentence for each limit in force, and whether it prevents or delays the recovery of a failure now."""
+    failure, facts = Occurrence(Trigger.HEALTH_FAILED), Facts(now, limits=limits, standby_ready=standby_ready)
+    preventing = {one.row.limit for one in in_force(facts, failure)}
+    for one in in_force(replace(facts, standby_ready=False), failure):
+        outlook = one.row.outlook.format(left=left(one.limit, now))
+        text = f"{outlook[0].upper()}{outlook[1:]}: {one.limit.words.rstrip('.')}."
+        if one.row.limit in (Limit.PAUSE, Limit.BUDGET):
+            text = f"{text} understudy resume {name} ends this."
+        yield text, one.row.limit in preventing
 
 
-def spent(policy: FailurePolicySpec | None, status: RobotWorkloadStatus, item: Object, now: float) -> Iterator[Told]:
-    """What limits.budget has left."""
-    budget = policy.limits.budget if policy is not None else None
-    if budget is None:
+def budget_left(
+    policy: FailurePolicySpec | None, status: RobotWorkloadStatus, item: Object, now: float
+) -> Iterator[str]:
+    """Return a sentence with what a budget has left, if some but not all of it is spent."""
+    limit = policy.limits.budget if policy is not None else None
+    if limit is None:
         return
-    resumed = unix((item["metadata"].get("annotations") or {}).get(names.RESUMED, ""))
-    moments = [moment for moment in map(unix, status.spent or []) if moment is not None]
-    counted = budgets.counted(moments, resumed, now)
-    free = budgets.free_from(counted, recoveries=budget.recoveries, within=budget.length)
-    if now < free:
-        yield (
-            f"It would be fenced, and nothing else would be done before {in_words(free)}: the {budget.words} of limits.budget were made. "
-            f"understudy resume {item['metadata']['name']} begins anew.",
-            True,
-        )
-        return
-    left = budgets.left(counted, now, recoveries=budget.recoveries, within=budget.length)
-    if left < budget.recoveries:
-        yield f"limits.budget of its policy ({budget.words}) has {left} left.", False
+    counted = budget.counted(_spent(status), _resumed(item), now)
+    found = budget.left(counted, now, recoveries=limit.recoveries, within=limit.length)
+    if 0 < found < limit.recoveries:
+        yield f"limits.budget of its policy ({limit.words}) has {found} left."
 
 
-def storm(policy: Object | None) -> Iterator[Told]:
-    """Whether so many others fail that it would be held."""
-    for said in ((policy or {}).get("status") or {}).get("conditions") or []:
-        if (said["type"], said["status"]) == ("Storm", "True"):
-            yield f"Unless a standby took over, it would be held by limits.stormGuard: {said['message']}", True
+def _spent(status: RobotWorkloadStatus) -> list[float]:
+    return [moment for moment in map(unix, status.spent or []) if moment is not None]
 
 
-def cooling_down(policy: FailurePolicySpec | None, said: Robot, now: float) -> Iterator[Told]:
-    """How long limits.cooldown puts the next recovery off."""
-    last = said.last_recovery
-    if policy is None or policy.priority == "Safety" or last is None or last.ended is None:
-        return
-    ended = unix(last.ended)
-    if last.result != "Recovered" or ended is None:
-        return
-    pause = seconds(policy.limits.cooldown)
-    # By another machine's clock a recovery may seem to be of the future: no wait is longer than it can be.
-    left = min(pause, ended + pause - now)
-    if left > 0:
-        yield (
-            f"Nothing would be done for another {left:.0f} s: limits.cooldown of its policy asks for {policy.limits.cooldown} after a "
-            "recovery.",
-            True,
-        )
+def _resumed(item: Object) -> float | None:
+    return unix((item["metadata"].get("annotations") or {}).get(names.RESUMED, ""))

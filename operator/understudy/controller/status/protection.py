@@ -1,8 +1,12 @@
-"""What a failure now would lead to: which strategies could be carried out, with what, and else what is missing."""
+"""What a failure now would lead to: which strategies could run, with what, and what is missing for the others.
+
+This module describes the objects around a workload as ``failover.availability.Resources`` and the limits that its monitor reports as
+``failover.decide.Facts``; the answers come from there.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
@@ -14,31 +18,31 @@ from understudy.controller.desired.workload_plan import Understanding
 from understudy.controller.observed import degraded_measures, kube_objects, leaving_nodes, pod_diagnosis, pool_reader
 from understudy.controller.observed.observation import WAITING, Observed
 from understudy.controller.pods import pool_pods, pool_size
+from understudy.failover import availability
+from understudy.failover.availability import Availability, Pool, Problem, Resources
+from understudy.failover.decide import Facts, Occurrence, Trigger, in_force
+from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.kube.client import Object
 
-LIMITED = (
-    ("Paused", "True", "Paused", "If it failed now, nothing would be done."),
-    ("WithinBudget", "False", "BudgetSpent", "If it failed now, it would only be fenced."),
-)
-"""Conditions of the monitor by which nothing would be recovered, whatever there is to do it with: type, status, the reason that
-Protected has then, and what a failure would come to. The monitor tells of them by Events of its own.
-"""
+LIMIT_CONDITIONS = {"Paused": "Paused", "WithinBudget": "BudgetSpent"}
+"""Conditions in which the monitor reports a limit, with Events of its own, and the reason of Protected while it is in force."""
+
+_FAILURE = Occurrence(Trigger.HEALTH_FAILED)
 
 
 @dataclass(frozen=True)
-class Means:
-    """Whether a strategy could be carried out now."""
+class Considered:
+    """A strategy of the policy, and whether it could run now."""
 
+    strategy: Strategy
     name: str
-    available: bool
-    reason: str = ""
-    message: str = ""
+    """How it is called in messages."""
+    availability: Availability
 
 
 def protected(observed: Observed, understanding: Understanding) -> Condition:
-    """Whether a failure now would be met by the policy's first strategy, and else what is missing."""
+    """Return the condition Protected: whether the policy's first strategy could meet a failure now, and what is missing if not."""
     generation = kube_objects.generation(observed.workload)
-    means = [found for _, found in considered(observed, understanding)]
 
     def no(reason: str, message: str, outlook: str) -> Condition:
         return condition("Protected", False, reason, f"{message.rstrip('.')}. {outlook}", generation=generation)
@@ -46,53 +50,83 @@ def protected(observed: Observed, understanding: Understanding) -> Condition:
     unwatched = "If it failed now, nobody would notice"
     name = kube_objects.name(observed.workload)
     if observed.gate is None:
-        lacking = understanding.problem or understanding.policy_problem
-        if lacking is not None:
-            return no(lacking.reason, lacking.message, f"{unwatched}: nothing was built yet.")
-        return no("GateMissing", f"NetworkPolicy {names.gate(name)} is not there", f"{unwatched}: it is being built.")
-    if (refused := understanding.policy_problem) is not None:
-        return no(refused.reason, refused.message, "What was built before stays as it is.")
-    if not any(kube_objects.ready(pod) for pod in observed.monitors):
-        found_trouble = pod_diagnosis.first(observed.monitors)
-        words = (
-            found_trouble.message if found_trouble else f"the monitor (Deployment {names.monitor(name)}) is not ready"
+        problem = understanding.problem or understanding.policy_problem
+        if problem is not None:
+            return no(problem.reason, problem.message, f"{unwatched}: nothing was created yet.")
+        return no(
+            "GateMissing", f"NetworkPolicy {names.gate(name)} does not exist", f"{unwatched}: it is being created."
         )
+    if (refused := understanding.policy_problem) is not None:
+        return no(refused.reason, refused.message, "What was created before stays as it is.")
+    if not any(kube_objects.ready(pod) for pod in observed.monitors):
+        trouble = pod_diagnosis.first(observed.monitors)
+        words = trouble.message if trouble else f"the monitor (Deployment {names.monitor(name)}) is not ready"
         return no("MonitorNotReady", words, f"{unwatched} until it is.")
-    if (limited := _limited(observed)) is not None:
-        return no(*limited)
-    outlook = _outlook(means)
+    for prevention in in_force(Facts(observed.now, limits=reported_limits(observed)), _FAILURE):
+        if not prevention.row.protected:
+            return no(
+                prevention.decision.reason, prevention.limit.words, f"If it failed now, {prevention.row.outlook}."
+            )
+    found = considered(observed, understanding)
+    outlook = _outlook(found)
     if not any(kube_objects.ready(pod) for pod in observed.instances) and (
-        found := pod_diagnosis.first(observed.instances)
+        trouble := pod_diagnosis.first(observed.instances)
     ):
-        return no(found.reason, found.message, outlook)
-    if means and not means[0].available:
-        return no(means[0].reason, means[0].message, outlook)
+        return no(trouble.reason, trouble.message, outlook)
+    if found and not found[0].availability.available:
+        return no(found[0].availability.reason, found[0].availability.message, outlook)
     return condition("Protected", True, "FirstStrategyReady", outlook, generation=generation)
 
 
-def considered(observed: Observed, understanding: Understanding) -> list[tuple[Strategy, Means]]:
-    """The strategies that count now, in the policy's order, each with whether it could be carried out; none while the policy
-    can't be followed.
-    """
-    return [(strategy, _means(observed, understanding, strategy)) for strategy in _strategies(observed, understanding)]
+def reported_limits(observed: Observed) -> LimitsInForce:
+    """Return the limits that clear Protected, as the monitor reports them in its conditions."""
+    reported = {
+        (one["type"], one["status"]): InForce(one.get("message", ""))
+        for one in (observed.workload.get("status") or {}).get("conditions") or []
+    }
+    return LimitsInForce(pause=reported.get(("Paused", "True")), budget=reported.get(("WithinBudget", "False")))
+
+
+def considered(observed: Observed, understanding: Understanding) -> list[Considered]:
+    """Return the strategies that count now, in the policy's order; none while the policy cannot be followed."""
+    there, found = resources(observed, understanding), []
+    for strategy in _strategies(observed, understanding):
+        if strategy.type == "Restart" or strategy.pool_ref is None:
+            found.append(Considered(strategy, "Restart", availability.restart(there)))
+        else:
+            name = strategy.pool_ref.name
+            found.append(Considered(strategy, f"Fallback from pool {name}", availability.fallback(name, there)))
+    return found
+
+
+def resources(observed: Observed, understanding: Understanding) -> Resources:
+    """Return what the strategies of a workload need, by the objects around it."""
+    named = {s.pool_ref.name for s in _strategies(observed, understanding) if s.pool_ref is not None}
+    pools = {name: item for name, item in observed.pools.items() if name in named and not kube_objects.deleted(item)}
+    return Resources(
+        pools={name: _pool(observed, understanding, item) for name, item in pools.items()},
+        discovery=_discovery(observed, understanding),
+        restart=_restart(observed),
+        hints={name: kube_objects.hint(name, observed.pools) for name in named - set(pools)},
+    )
 
 
 def stocked(observed: Observed, understanding: Understanding) -> Object:
-    """The shared pools that it could claim from, the first ones of an order that was chosen among many. Its monitor goes by this until it
-    needs a pod, and asks only then.
+    """Return the status field with the shared pools from which a pod could be claimed, in order, at most ``STOCKED_MOST``.
+
+    The monitor relies on it until it needs a pod, and reads the pool only then.
     """
     shared = [p for p in observed.pools if pool_reader.readiness(observed.pools[p]) == "Uninitialized"]
     found = [
-        strategy.pool_ref.name
-        for strategy in _strategies(observed, understanding)
-        if strategy.pool_ref is not None and strategy.pool_ref.name in shared
-        if _means(observed, understanding, strategy).available
+        one.strategy.pool_ref.name
+        for one in considered(observed, understanding)
+        if one.strategy.pool_ref is not None and one.strategy.pool_ref.name in shared and one.availability.available
     ]
     return {"stocked": found[:STOCKED_MOST]} if found else {}
 
 
 def standby(observed: Observed, understanding: Understanding) -> str:
-    """The printed column: readiness of its policy's first pool that serves it, and how many of how many are ready."""
+    """Return the printed column: readiness of the first pool that serves the workload, and how many of how many are ready."""
     served = observed.serving
     for strategy in _strategies(observed, understanding):
         name = strategy.pool_ref.name if strategy.pool_ref else ""
@@ -104,8 +138,8 @@ def standby(observed: Observed, understanding: Understanding) -> str:
             have = sum(kube_objects.ready(pod) for pod in waiting(observed, pool))
             return f"{pool_reader.readiness(pool)} ({min(have, want)}/{want})"
         if pool_reader.readiness(pool) == "Uninitialized":
-            # Of a shared pool one counts, which is all that it could claim: a number that changes with each claim of any
-            # other workload would be written as often to all of them.
+            # Only one pod of a shared pool counts, which is all that it could claim: the number of pods changes with each claim of
+            # any other workload, and would be written to all of them each time.
             want = min(1, pool_size.size(pool))
             held = observed.unclaimed.get(name, ())
             have = len(pool_pods.claimable_now(held, observed.held_policies.get(name)))
@@ -117,13 +151,13 @@ def standby(observed: Observed, understanding: Understanding) -> str:
 
 
 def waiting(observed: Observed, pool: Object) -> list[Object]:
-    """The instances that could take over from the active one: all but it that have an agent, whoever made them.
+    """Return the instances with an agent that could take over from the active one.
 
-    What a referred controller makes has none.
+    Pods of a controller that the workload only refers to have no agent.
     """
     active = kube_objects.active(observed.gate)[1]
     if active and standby_pods.own_stands_by(observed):
-        # Where there are standbys of several readinesses, each counts for its own pool.
+        # With standbys of several readiness levels, each counts for its own pool.
         others = {name for name in observed.standby_pools if name != kube_objects.name(pool)}
         found = [pod for pod in observed.instances if kube_objects.uid(pod) != active]
         return [pod for pod in found if kube_objects.labels(pod).get(names.POOL) not in others]
@@ -131,22 +165,12 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     return [pod for pod in made if kube_objects.uid(pod) != active]
 
 
-def _limited(observed: Observed) -> tuple[str, str, str] | None:
-    """Why nothing would be recovered now although it could be, by what the monitor says: reason, message and outlook."""
-    said = (observed.workload.get("status") or {}).get("conditions") or []
-    for type_, status_, reason, outlook in LIMITED:
-        found = next((c for c in said if (c["type"], c["status"]) == (type_, status_)), None)
-        if found is not None:
-            return reason, found.get("message", ""), outlook
-    return None
-
-
-def _outlook(means: Sequence[Means]) -> str:
-    available = next((m for m in means if m.available), None)
-    if available is None:
-        return "If it failed now, no strategy of its policy could be carried out."
-    told = f": {available.message}" if available.message else ""
-    return f"If it failed now, {available.name} would be used{told}."
+def _outlook(found: Sequence[Considered]) -> str:
+    first = next((one for one in found if one.availability.available), None)
+    if first is None:
+        return "If it failed now, no strategy of its policy could run."
+    details = f": {first.availability.message}" if first.availability.message else ""
+    return f"If it failed now, {first.name} would be used{details}."
 
 
 def _strategies(observed: Observed, understanding: Understanding) -> list[Strategy]:
@@ -160,122 +184,85 @@ def _strategies(observed: Observed, understanding: Understanding) -> list[Strate
 
 
 def _asleep(observed: Observed, name: str, on_demand: Sequence[str]) -> bool:
-    """Whether a pool is one that has standbys only while a workload is degraded, and has none now: nobody counts on it."""
+    """Return whether a pool has standbys only while the workload is degraded, and has none now."""
     pool = observed.pools.get(name)
     if name not in on_demand or pool is None or pool_reader.readiness(pool) not in WAITING:
         return False
     if not pool_reader.serves(pool, observed.workload):
-        return False  # which is told
+        return False  # reported as PoolDoesNotServe
     if pool["spec"].get("perWorkload"):
         return False
     return not standby_pods.wanted(observed, name) or not any(kube_objects.ready(pod) for pod in _made(observed, name))
 
 
 def _made(observed: Observed, pool: str) -> list[Object]:
-    """The standbys that a pool has made for the workload."""
+    """Return the standbys that a pool created for the workload."""
     found = [pod for pod in observed.instances if kube_objects.labels(pod).get(names.POOL) == pool]
     return [pod for pod in found if not kube_objects.is_active(pod, observed.gate)]
 
 
-def _means(observed: Observed, understanding: Understanding, strategy: Strategy) -> Means:
-    unfound = _discovery_missing(observed, understanding)
-    if strategy.type == "Restart" or strategy.pool_ref is None:
-        return unfound("Restart") or _restart(observed)
-    name = strategy.pool_ref.name
-    pool = observed.pools.get(name)
-    label = f"Fallback from pool {name}"
-    if pool is None or kube_objects.deleted(pool):
-        words = (
-            f'FallbackPool "{name}", which its policy names, is not there ({kube_objects.hint(name, observed.pools)})'
+def _pool(observed: Observed, understanding: Understanding, item: Object) -> Pool:
+    """Return what a workload could use of a pool."""
+    readiness, serves = pool_reader.readiness(item), pool_reader.serves(item, observed.workload)
+    name = kube_objects.name(item)
+    if readiness in WAITING:
+        found = waiting(observed, item)
+        ready = [pod for pod in found if kube_objects.ready(pod)]
+        near = ", on the same node as the pod in control" if ready and _beside_active(observed, ready) else ""
+        refused = observed.refused(name)
+        return Pool(
+            readiness=readiness,
+            serves=serves,
+            wanted=standby_pods.wanted(observed, name),
+            ready=len(ready),
+            uses=f"pod {kube_objects.name(ready[0])} ({readiness}){near}" if ready else "",
+            refused=Problem(refused.reason, refused.message) if refused is not None else None,
+            pod_problem=_problem(found),
         )
-        return Means(label, False, "NoPool", f"{words}. Create it, or correct the policy")
-    if not pool_reader.serves(pool, observed.workload):
-        return Means(
-            label,
-            False,
-            "PoolDoesNotServe",
-            f"FallbackPool {name} doesn't serve it: its workloadSelector doesn't match the labels of this "
-            f"RobotWorkload. Put them on its metadata, or correct the selector",
+    if readiness == "Uninitialized":
+        unclaimed = observed.unclaimed.get(name, ())
+        priority = understanding.spec.pool_priority if understanding.spec is not None else 0
+        return Pool(
+            readiness=readiness,
+            serves=serves,
+            wanted=pool_size.size(item),
+            size_field="spec.sizing.min" if item["spec"].get("sizing") else "spec.replicas",
+            ready=len(pool_pods.claimable_now(unclaimed, observed.held_policies.get(name))),
+            reserved=pool_reader.spec(item).kept_from(priority) if observed.refused(name) is None else 0,
+            # How many pods it has is in its own status: here each claim would be a write for every workload that it serves.
+            uses="it has pods ready (Uninitialized)",
+            pod_problem=_problem(unclaimed),
         )
-    match pool_reader.readiness(pool):
-        case "Executing" | "Initialized":
-            found = _standing(observed, label, pool)
-            return found if found.available else unfound(label) or found
-        case "Uninitialized":
-            priority = understanding.spec.pool_priority if understanding.spec is not None else 0
-            return unfound(label) or _uninitialized(observed, label, pool, priority)
-    return Means(label, False, "PoolNotAccepted", f"FallbackPool {name} was not accepted: kubectl describe fbp {name}")
+    return Pool(serves=serves)
 
 
-def _discovery_missing(observed: Observed, understanding: Understanding) -> Callable[[str], Means | None]:
-    """Whether what would have to start now couldn't find its robot; what runs already has found it."""
+def _problem(pods: Sequence[Object]) -> Problem | None:
+    found = pod_diagnosis.first(pods)
+    return Problem(found.reason, found.message) if found is not None else None
+
+
+def _discovery(observed: Observed, understanding: Understanding) -> Problem | None:
+    """Return why an instance that starts now could not find its robot. An instance that runs has found it already."""
     spec = understanding.spec
-    lacking = (
-        spec is not None
-        and spec.ros.discovery.mode == "Managed"
-        and not any(kube_objects.ready(pod) for pod in observed.discovery)
+    if spec is None or spec.ros.discovery.mode != "Managed" or any(map(kube_objects.ready, observed.discovery)):
+        return None
+    server = names.discovery(kube_objects.name(observed.workload))
+    found = pod_diagnosis.first(observed.discovery)
+    details = f": {found.message}" if found else ""
+    text = (
+        f"the ROS discovery server (Deployment {server}) is not ready, so nothing that starts finds the robot{details}"
     )
-
-    def means(strategy: str) -> Means | None:
-        if not lacking:
-            return None
-        server = names.discovery(kube_objects.name(observed.workload))
-        found = pod_diagnosis.first(observed.discovery)
-        words = f": {found.message}" if found else ""
-        told = f"the ROS discovery server (Deployment {server}) is not ready, so nothing that starts finds the robot"
-        return Means(strategy, False, "DiscoveryNotReady", f"{told}{words}")
-
-    return means
+    return Problem(availability.DISCOVERY_NOT_READY, text)
 
 
-def _restart(observed: Observed) -> Means:
+def _restart(observed: Observed) -> Problem | None:
+    """Return why the workload's own controller cannot run a pod."""
     own = [p for p in observed.instances if names.POOL not in kube_objects.labels(p) and kube_objects.alive(p)]
-    found = pod_diagnosis.first(own)
-    if found is not None and not any(kube_objects.ready(pod) for pod in own):
-        return Means("Restart", False, found.reason, found.message)
-    return Means("Restart", True)
-
-
-def _standing(observed: Observed, label: str, pool: Object) -> Means:
-    name = kube_objects.name(pool)
-    if not standby_pods.wanted(observed, name):
-        return Means(label, False, "PoolEmpty", f"FallbackPool {name} has spec.perWorkload 0")
-    found = waiting(observed, pool)
-    ready = [pod for pod in found if kube_objects.ready(pod)]
-    if ready:
-        near = ", on the same node as the pod in control" if _beside_active(observed, ready) else ""
-        return Means(label, True, message=f"pod {kube_objects.name(ready[0])} ({pool_reader.readiness(pool)}){near}")
-    if (refused := observed.refused(name)) is not None:
-        words = f"FallbackPool {name} is not accepted, so no standby is made: {refused.message}"
-        return Means(label, False, "PoolNotAccepted", words)
-    if bad := pod_diagnosis.first(found):
-        return Means(label, False, bad.reason, bad.message)
-    return Means(label, False, "StandbyNotReady", f"no standby of FallbackPool {name} is ready (see BroughtUp)")
+    return None if any(kube_objects.ready(pod) for pod in own) else _problem(own)
 
 
 def _beside_active(observed: Observed, found: Sequence[Object]) -> bool:
-    """Whether all of these would be lost with the node of the pod in control."""
+    """Return whether all of these would be lost with the node of the active pod."""
     active = kube_objects.active(observed.gate)[1]
     its = next((leaving_nodes.of(pod) for pod in observed.instances if kube_objects.uid(pod) == active), "")
     return its != "" and all(leaving_nodes.of(pod) == its for pod in found)
-
-
-def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) -> Means:
-    name = kube_objects.name(pool)
-    held = observed.unclaimed.get(name, ())
-    ready = pool_pods.claimable_now(held, observed.held_policies.get(name))
-    kept = pool_reader.spec(pool).kept_from(priority) if observed.refused(name) is None else 0
-    if len(ready) > kept:
-        # How many it has is in its own status: here each claim would be a write for every workload that it serves.
-        return Means(label, True, message="it has pods ready (Uninitialized)")
-    if ready:
-        words = (
-            f"FallbackPool {name} keeps its last {kept} for workloads with a higher spec.poolPriority (spec.reserve)"
-        )
-        return Means(label, False, "PodsReserved", f"{words}, and has no more ready")
-    if not pool_size.size(pool):
-        field = "spec.sizing.min" if pool["spec"].get("sizing") else "spec.replicas"
-        return Means(label, False, "PoolEmpty", f"FallbackPool {name} has {field} 0")
-    if bad := pod_diagnosis.first(held):
-        return Means(label, False, bad.reason, bad.message)
-    return Means(label, False, "StandbyNotReady", f"no pod of FallbackPool {name} is ready")

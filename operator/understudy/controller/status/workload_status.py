@@ -84,7 +84,7 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     found = []
     for new in desired["conditions"]:
         before = old.get(new["type"])
-        if new["type"] in UNTOLD or new["reason"] in [reason for _, _, reason, _ in protection.LIMITED]:
+        if new["type"] in UNTOLD or new["reason"] in protection.LIMIT_CONDITIONS.values():
             continue
         if before is not None and (before["status"], before["reason"]) == (new["status"], new["reason"]):
             continue

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from understudy.api.protocol.kept_state import KeptState
+from understudy.failover.availability import Availability
 from understudy.failover.interfaces import Agents, Gate, Instance, Instances, NotAvailable, Outputs
 from understudy.failover.pool_queue import Queue
 from understudy.failover.progress import Progress
@@ -62,9 +63,14 @@ class Strategy(ABC):
         """Wait for the resources that it needs, for as long as the policy allows. Raises NotAvailable."""
         return
 
-    @abstractmethod
     def available(self, means: Means, progress: Progress | None = None) -> str | None:
         """Return why it cannot run now; None if it can."""
+        found = self.availability(means, progress)
+        return None if found.available else found.message
+
+    @abstractmethod
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        """Return whether it could run now, by the rules that the operator uses too."""
 
     def outlook(self, means: Means) -> str | None:
         """Return the same by what is known without a request to the API server, while nothing has failed."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from understudy.failover.availability import STANDBY_NOT_READY, Availability, Pool, Problem, Resources, fallback
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import PodIdentity, Progress
@@ -23,6 +24,7 @@ class ExecutingFallback(Strategy):
     """A standby that runs in full and receives everything; the gate drops its outputs. One patch makes it active."""
 
     name = "Fallback/Executing"
+    readiness = "Executing"
     standing = True
 
     def __init__(
@@ -51,16 +53,19 @@ class ExecutingFallback(Strategy):
             and means.agents.is_ready(i)[0]
         ]
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        if self._candidates(means, progress):
-            return None
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        ready = len(self._candidates(means, progress))
+        pool = Pool(self.readiness, ready=ready, pod_problem=None if ready else self._not_ready(means))
+        return fallback(self.pool, Resources({self.pool: pool}))
+
+    def _not_ready(self, means: Means) -> Problem:
+        """Return why the standbys are not ready, by their agents."""
         active = means.gate.state.active_uid
         others = [
             i for i in means.instances.of_workload() if i.uid != active and not i.terminating and self._is_standby(i)
         ]
-        if not others:
-            return f"pool {self.pool} has no standby for this workload"
-        return "; ".join(f"{i.name}: {means.agents.is_ready(i)[1] or 'not running'}" for i in others)
+        text = "; ".join(f"{i.name}: {means.agents.is_ready(i)[1] or 'not running'}" for i in others)
+        return Problem(STANDBY_NOT_READY, text or f"pool {self.pool} has no standby for this workload")
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = committed_target(progress, means)

@@ -13,6 +13,7 @@ class InitializedFallback(ExecutingFallback):
     """A standby that is up and configured: it gets the last state, is brought up behind a closed gate, and is then routed."""
 
     name = "Fallback/Initialized"
+    readiness = "Initialized"
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = committed_target(progress, means)

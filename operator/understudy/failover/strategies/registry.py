@@ -13,6 +13,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.failure_policy import Strategy as StrategySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.availability import NO_POOL, Availability
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
@@ -32,12 +33,11 @@ class UnknownPool(Strategy):
     def __init__(self, pool: str) -> None:
         self.pool = pool
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        """Return why it cannot be used."""
-        return f"FallbackPool {self.pool} does not exist, is not accepted, or its workloadSelector does not select this workload"
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        text = f"FallbackPool {self.pool} does not exist, is not accepted, or its workloadSelector does not select this workload"
+        return Availability(False, NO_POOL, text)
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
-        """Raise NotAvailable."""
         raise NotAvailable(self.available(means) or "")
 
 

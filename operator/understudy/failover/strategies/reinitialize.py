@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from understudy.api.protocol.kept_state import KeptState
+from understudy.failover.availability import INSTANCE_GONE, Availability
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
@@ -26,10 +27,10 @@ class Reinitialize(Strategy):
         """``procedures`` run one after the other; there is at least one."""
         self.name, self._procedures = name, procedures
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
         if progress is None or self._standing(progress, means) is None:
-            return "the instance that was active is gone"
-        return None
+            return Availability(False, INSTANCE_GONE, "the instance that was active is gone")
+        return Availability(True)
 
     def _standing(self, progress: Progress, means: Means) -> Instance | None:
         uid = progress.target.uid if progress.target is not None else ""

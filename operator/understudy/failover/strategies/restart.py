@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from understudy.failover.availability import Availability, Resources, restart
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified
 from understudy.failover.progress import PodIdentity, Progress
@@ -25,8 +26,9 @@ class Restart(Strategy):
     def __init__(self, *, recovery: BringUp | None = None) -> None:
         self._recovery = recovery
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        return None
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        # A pod that does not start may start the next time: during a recovery the last resort is tried in any case.
+        return restart(Resources())
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
         target = committed_target(progress, means)

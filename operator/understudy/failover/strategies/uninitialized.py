@@ -6,6 +6,7 @@ import asyncio
 import hashlib
 from collections.abc import Sequence
 
+from understudy.failover.availability import PODS_CLAIMED, Availability, Pool, Problem, Resources, fallback
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable, Overtaken
 from understudy.failover.pool_queue import YIELD_MOST, Waiter, at_once, before, in_order, left_by, turn
@@ -36,18 +37,20 @@ class UninitializedFallback(Strategy):
         self._lost: set[str] = set()
         """UIDs of pods that other workloads claimed. The watch may not show this yet."""
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
-        free = self._free(progress, means)
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
         waiting = in_order(means.queue.others(self.pool), self.pool, means.clock())
-        if len(free) > len(waiting):
-            return None
-        if free:
-            return f"pool {self.pool} has {len(free)} ready, for which others wait: {', '.join(w.workload for w in waiting[:3])}"
-        if unclaimed := len(self._unclaimed(progress, means)):
-            return f"pool {self.pool} keeps its last {unclaimed} ready for workloads with a higher poolPriority"
-        if self._lost:
-            return f"every ready pod of pool {self.pool} was claimed by another workload first"
-        return f"pool {self.pool} has no unclaimed pod that is ready"
+        pool = Pool(
+            readiness="Uninitialized",
+            ready=len(self._unclaimed(progress, means)),
+            reserved=self._reserved,
+            ahead=tuple(waiter.workload for waiter in waiting),
+            pod_problem=Problem(PODS_CLAIMED, self._overtaken) if self._lost else None,
+        )
+        return fallback(self.pool, Resources({self.pool: pool}))
+
+    @property
+    def _overtaken(self) -> str:
+        return f"every ready pod of FallbackPool {self.pool} was claimed by another workload first"
 
     def outlook(self, means: Means) -> str | None:
         return None if means.instances.stocked(self.pool) else f"pool {self.pool} has no pod that it could claim"
@@ -161,7 +164,7 @@ class UninitializedFallback(Strategy):
             raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
         target = await self._claim(progress, means, unfit)
         if target is None:
-            raise NotAvailable(f"every ready pod of pool {self.pool} was claimed by another workload first")
+            raise NotAvailable(self._overtaken)
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.moments["claimed"] = means.clock()
         await means.agents.start(target)
@@ -189,7 +192,7 @@ class UninitializedFallback(Strategy):
         if isinstance(target, BaseException):
             raise target
         if target is None:
-            raise Overtaken(f"every ready pod of pool {self.pool} was claimed by another workload first")
+            raise Overtaken(self._overtaken)
         return target
 
     async def _claim(self, progress: Progress, means: Means, unfit: Unfit = lambda instance: None) -> Instance | None:
