@@ -63,6 +63,7 @@ class _Judge:
         from understudy.api.kinds.robot_workload import RobotWorkloadSpec
         from understudy.failover.interfaces import Instance
         from understudy.monitor.act.state_keeping import StateKeeping
+        from understudy.monitor.notices import Notices
         from understudy.monitor.observe.health_observer import Sight
         from understudy.monitor.report.black_box import BlackBox
         from understudy.monitor.report.recording_archive import Archive
@@ -86,9 +87,9 @@ class _Judge:
         self.instances = [Instance("active", "1", ip=ip), Instance("standby", "2", ip="192.0.2.11")]
         self.sight = Sight()
         self._folder = tempfile.TemporaryDirectory()
-        self.keeping = StateKeeping(self.sight.graph, Shelf(Path(self._folder.name)), _Nobody(), _Nobody())
+        self.keeping = StateKeeping(self.sight.graph, Shelf(Path(self._folder.name)), _Nobody(), Notices())
         self._view: Any = SimpleNamespace(policy=self.policy, workload="bench", namespace="bench")
-        self.box = BlackBox(self._view, self.sight, _Nobody(), Archive(Path(self._folder.name) / "recordings"))
+        self.box = BlackBox(self._view, self.sight, Notices(), Archive(Path(self._folder.name) / "recordings"))
         self.topics, self.leaves = topics, leaves
         self.verdicts = self.failed = self.doubted = 0
         self.late = self.waited = 0.0
@@ -201,11 +202,3 @@ class _Judge:
 
 class _Nobody:
     """Whom there is nothing to tell or to ask."""
-
-    health, active, gate = "Healthy", "active", SimpleNamespace(epoch=1)
-
-    def condition(self, *said: str) -> bool:
-        return False
-
-    def keep(self, kept: object) -> None:
-        pass

@@ -19,12 +19,14 @@ from geometry_msgs.msg import Twist
 from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 
+from tests.support.notices import RecordedNotices
 from tests.unit.dds import keep_to_itself
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.recording_spec import Recordings
-from understudy.api.kinds.robot_workload import GateStatus, Recovery, RobotWorkloadSpec
+from understudy.api.kinds.robot_workload import GateStatus, RobotWorkloadSpec
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
+from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.health_observer import Sight
 from understudy.monitor.report import black_box as module
 from understudy.monitor.report.black_box import BlackBox
@@ -70,30 +72,18 @@ class Cluster:
         return {"items": [{**EVENT, "lastTimestamp": now}] if "RobotWorkload" in fields else []}
 
 
-class Said:
-    """What the monitor's reporter says, and the Events that it was given."""
-
-    def __init__(self) -> None:
-        self.health, self.active, self.gate, self.count = "Healthy", "a", GateStatus(epoch=3), 0
-        self.events: list[tuple[str, str, str]] = []
-        self.recoveries: dict[str, Recovery] = {}
-        self.recovery = self.recoveries.get
-
-    def event(self, *said: str) -> None:
-        self.events.append(said)  # type: ignore[arg-type]
-
-
 class Monitored:
     """A monitor's black box, a real node that commands beside it, and what the monitor's loop does with both."""
 
     def __init__(self, folder: Path) -> None:
-        self.sight, self.cluster, self.said = Sight(), Cluster(), Said()
+        self.sight, self.cluster = Sight(), Cluster()
+        self.said = RecordedNotices(PublishedStatus(health="Healthy", active="a", gate=GateStatus(epoch=3)))
         pods = SimpleNamespace(items={"a": {"metadata": {"name": "a"}}})
         self.view: Any = SimpleNamespace(
             namespace="fleet", workload="robot-1", policy=policy(BOX), pods=pods, client=self.cluster
         )
         self.archive = Archive(folder)
-        self.box = BlackBox(self.view, self.sight, self.said, self.archive)  # type: ignore[arg-type]
+        self.box = BlackBox(self.view, self.sight, self.said, self.archive)
         self.publisher = self.sight.graph.node.create_publisher(Twist, "/cmd_vel", 10)
         self.sent: list[bytes] = []
         self.sight.follow(self.view.policy, SPEC)
@@ -126,21 +116,21 @@ class Monitored:
         record = self.sight.observations.topic("/cmd_vel")
         return record.count if record is not None else 0
 
-    def fail(self, number: int = 1, **more: Any) -> Progress:
+    def fail(self, **more: Any) -> Progress:
         now = time.time()
         progress = Progress.begin(
             "no /cmd_vel", last_healthy=now - 0.5, detected=now, failed=[PodIdentity(name="a", uid="1")], **more
         )
-        self.said.health, self.said.count = "Failed", number
+        self.said.set(health="Failed")
         self.box.begin(progress)
         return progress
 
     def recovered(self, progress: Progress) -> None:
         progress.result, progress.strategy = "Recovered", "Restart"
         progress.moments["routed"] = time.time()
-        self.said.health = "Healthy"
+        self.said.set(health="Healthy")
         self.box.end(progress)
-        self.said.recoveries[progress.id] = progress.to_recovery(self.said.count)
+        self.said.record(progress)
 
     async def recorded(self, count: int = 1) -> None:
         end = time.monotonic() + 20
@@ -215,19 +205,21 @@ async def test_a_failure_that_comes_again_and_again_is_kept_as_it_began(monitore
     first = monitored.fail()
     first.result = "Failed"
     monitored.box.end(first)
+    monitored.said.record(first)
     await monitored.recorded()
-    again = monitored.fail(number=1)
+    again = monitored.fail()
     again.result = "Failed"
     monitored.box.end(again)
+    monitored.said.record(again)
     await monitored.look(0.8)
     assert [one.id for one in monitored.archive.recordings] == [first.id]
 
 
 async def test_two_failures_one_after_the_other_are_two_recordings(monitored: Monitored) -> None:
     await monitored.driven()
-    first = monitored.fail(1)
+    first = monitored.fail()
     monitored.recovered(first)
-    second = monitored.fail(2)
+    second = monitored.fail()
     await monitored.look(0.6)  # the first is written meanwhile
     monitored.recovered(second)
     await monitored.recorded(2)
@@ -247,13 +239,13 @@ async def test_what_was_given_up_is_not_held_for_ever(monitored: Monitored) -> N
 
 async def test_a_disk_that_refuses_is_told_once_and_harms_nothing(monitored: Monitored, tmp_path: Path) -> None:
     (tmp_path / "recordings").write_text("a file where the folder should be")
-    for number in (1, 2):
-        monitored.recovered(monitored.fail(number))
+    for _ in range(2):
+        monitored.recovered(monitored.fail())
         await monitored.look(0.8)
     assert [event[:2] for event in monitored.said.events] == [("Warning", "NotRecorded")]
     assert "recovery 1 is not recorded: " in monitored.said.events[0][2]
     (tmp_path / "recordings").unlink()
-    monitored.recovered(monitored.fail(3))
+    monitored.recovered(monitored.fail())
     await monitored.recorded()
     assert [one.number for one in monitored.archive.recordings] == [3]
 
@@ -281,9 +273,9 @@ async def test_a_topic_that_is_too_much_is_named(monitored: Monitored) -> None:
 async def test_a_failover_waits_for_none_of_it(monitored: Monitored) -> None:
     await monitored.driven()
     times = []
-    for number in range(20):
+    for _ in range(20):
         began = time.perf_counter()
-        progress = monitored.fail(number + 1)
+        progress = monitored.fail()
         monitored.box.end(progress)
         times.append(time.perf_counter() - began)
         await asyncio.sleep(0)
