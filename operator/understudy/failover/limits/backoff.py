@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.limits.state import InForce
 
 FIRST, MOST = 2.0, 60.0
@@ -32,12 +31,9 @@ class Backoff:
         """Return it with a wait of so many seconds from now on."""
         return replace(self, not_before=now + wait, wait=wait)
 
-    def failed(self, policy: FailurePolicySpec, now: float) -> Backoff:
-        """Return it after an attempt in which no strategy verified.
-
-        Each wait is twice the last one. With priority Safety it stays the same.
-        """
-        step = FIRST if policy.priority == "Safety" else min(2 * self.step, MOST)
+    def failed(self, now: float, *, constant: bool) -> Backoff:
+        """Return it after an attempt in which no strategy verified: each wait is twice the last one, unless it is ``constant``."""
+        step = FIRST if constant else min(2 * self.step, MOST)
         return replace(self.after(self.step, now), step=step)
 
     def cleared(self, now: float) -> Backoff:
