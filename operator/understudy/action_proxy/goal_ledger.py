@@ -390,7 +390,7 @@ class GoalLedger:
                 self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
 
     def _rejected(self, goal: Goal, now: float) -> None:
-        """The instance in control rejects a goal: that is its answer, but not to one that another had accepted."""
+        """The active instance rejects a goal: that is its answer, but not to one that another had accepted."""
         if goal.phase is Phase.PENDING:
             if self._settled:
                 self._drop(goal)

@@ -31,7 +31,7 @@ _STATES = {
 
 
 class Listener(Protocol):
-    """Who is told what an instance says."""
+    """Receives what an instance reports."""
 
     def orders(self, uid: str) -> Sequence[Order]:
         """What the instance is to have."""

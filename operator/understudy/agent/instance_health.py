@@ -1,7 +1,7 @@
 """Evaluates the policy's health tree on the instance from inside its pod.
 
 An executing standby's outputs do not reach the monitor, and the active pod's are matched by every reader of the same
-name, so only here can a standby be told healthy. What counts for an output are samples of writers on this host alone
+name, so only here can the health of a standby be determined. What counts for an output are samples of writers on this host alone
 (the pod's network namespace, see ros/dds/sample_sources.py); for all else anyone's, since instances of one workload are isolated
 from each other.
 

@@ -25,7 +25,7 @@ ODOMETRY_WITHIN = 5.0
 """Seconds that odometry is waited for at most; half of the time that there is for giving the pose, if that is less."""
 
 TOLD_FROM = 1.0
-"""Seconds that nobody watched odometry for which it is told; less is a process that was stalled."""
+"""Minimum gap in odometry, in seconds, that is reported. A shorter gap means that the process was stalled."""
 
 _SECOND = 1e-9
 

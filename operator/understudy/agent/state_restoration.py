@@ -36,7 +36,7 @@ SAY_AGAIN = 1.5
 """Seconds without a confirmation after which a message is said again: a node may not have been ready for the first."""
 
 LAST_MOMENT = 0.05
-"""Seconds before the end at which single steps give up, so that all that is to be told about them is told in time."""
+"""Seconds before the end at which single steps give up, so that their results are reported in time."""
 
 INSPECT_WITHIN = 3.0
 """Seconds that an inspection takes at most, if the request does not say."""
@@ -163,7 +163,7 @@ class StateRestorer:
     async def inspect(
         self, parameters: Mapping[str, Sequence[str]], lifecycle: Sequence[str], *, within: float
     ) -> dict[str, Any]:
-        """Values of parameters by node, states of managed nodes, and why some could not be told, by node."""
+        """Values of parameters by node, states of managed nodes, and why some could not be determined, by node."""
         from understudy.ros.actions.instance_calls import CallFailed
 
         found: dict[str, Any] = {"parameters": {}, "lifecycle": {}, "problems": []}

@@ -1,7 +1,7 @@
 """Goals of the workload's tasks at this pod's instance: the agent is the only client that its action servers have.
 
 The instance's servers are in a DDS partition of this pod's own (ros/dds/profiles.py), so what is sent here reaches this
-instance alone. What happens is told as events; whoever missed some asks for all goals. A goal is sent once under its
+instance alone. Changes are sent as events; a proxy that missed some asks for all goals. A goal is sent once under its
 id: asked for again, also of an agent that was restarted meanwhile, it is found at the server and followed.
 """
 

@@ -24,7 +24,7 @@ SILENT = 0.5
 """Seconds after a command from which on a robot may stop, since it is not commanded any more, or may go on."""
 
 LOST = 1.0
-"""Seconds without an observation after which nothing can be told any more."""
+"""Seconds without an observation after which nothing can be determined."""
 
 BETWEEN_FALSE_ALARMS = 10 * 365 * 86400.0
 """Seconds of driving in which one false alarm is expected at most."""
@@ -255,7 +255,7 @@ class CommandFollowing:
         self._found = None
 
     def discrepancy(self, time: float) -> Discrepancy | None:
-        """What is wrong at a time, as it was when it was found; None if nothing is, or it cannot be told."""
+        """What is wrong at a time, as it was when it was found; None if nothing is, or it cannot be determined."""
         until = self.until
         return self._found if until is not None and time < until else None
 

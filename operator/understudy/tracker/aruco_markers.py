@@ -27,7 +27,7 @@ class Detector:
         self._detector = cv2.aruco.ArucoDetector(known, parameters)
 
     def find(self, image: Gray) -> dict[int, Corners]:
-        """The markers in an image by their numbers. One that is there twice cannot be told apart, and is not found."""
+        """The markers in an image by their numbers. One that is there twice cannot be distinguished, and is not found."""
         corners, numbers, _ = self._detector.detectMarkers(image)
         if numbers is None:
             return {}

@@ -1,4 +1,4 @@
-"""What the tracker is told by its YAML file. Errors name the field, what was found and what would be right."""
+"""The configuration of the tracker, from its YAML file. Errors name the field, what was found and what would be right."""
 
 from __future__ import annotations
 

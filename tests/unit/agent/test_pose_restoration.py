@@ -164,7 +164,7 @@ async def test_it_is_given_as_it_was_kept_where_odometry_is_silent(
 ) -> None:
     report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
     (entry,) = report.restored
-    assert entry.note.startswith("it cannot be propagated by /odom: nothing came on it within 5 s; it was given")
+    assert entry.note.startswith("it cannot be propagated by /odom: nothing came on it within 5 s; it was restored")
     assert got.pose.pose.position.y == 5.0
 
 

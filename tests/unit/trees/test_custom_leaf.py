@@ -243,7 +243,7 @@ def odd(self: object, field: [str]) -> None: ...  # type: ignore[valid-type]
         (judging(listed), "its parameter fields must have one of these"),
         (judging(unnamed), "cannot be given by name"),
         (judging(topical), "its parameter topic has the name of a key that every leaf has"),
-        (judging(unknown), "the parameters of Made.. cannot be told, NameError: name 'Feild' is not defined"),
+        (judging(unknown), "the parameters of Made.. cannot be determined, NameError: name 'Feild' is not defined"),
         (judging(odd), "its parameter field must have one of these as its type"),
     ],
     ids=["object", "no-judge", "number", "untyped", "list", "args", "topic", "undefined", "odd"],

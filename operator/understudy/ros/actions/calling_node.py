@@ -66,7 +66,7 @@ class CallingNode:
         return any(map(self._here, self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)))
 
     def has_node(self, name: str) -> bool:
-        """Whether a node is here; on one known host it is told by its parameter events, which nearly every node has."""
+        """Whether a node is here; on one known host its parameter events identify it, which nearly every node has."""
         if self.host is None:
             known = self.node.get_node_names_and_namespaces()
             return any(f"{namespace.rstrip('/')}/{node}" == name for node, namespace in known)

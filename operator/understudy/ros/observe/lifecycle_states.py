@@ -42,7 +42,7 @@ class LifecycleStates(Inquiries[str, str, NodeState]):
         return fact
 
     def blind(self, subject: str, nodes: int, found: str) -> str:
-        """Why its state cannot be told."""
+        """Why its state cannot be determined."""
         return (
             f"the state of {subject} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "
             "and the one of the active instance has reported no transition since it has been watched"

@@ -16,7 +16,7 @@ _NAME = slice(32, 32 + len(OWN))
 number of statuses, the level and the length of the name, each at a multiple of 4 bytes behind that header."""
 
 OURS = _NAME.stop
-"""Bytes by which it is told whether Understudy said it."""
+"""Bytes that show whether Understudy published the message."""
 
 _OWN = OWN.encode()
 

@@ -58,7 +58,7 @@ class _Inquiry(Generic[Fact, Said]):
     fact: Fact | None = None
     """What is so; None if that is not known."""
     blind: str = ""
-    """Why it cannot be told."""
+    """Why it cannot be determined."""
     said: Said | None = None
     of: Fact | None = None
     """The fact that was said."""
@@ -119,13 +119,13 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
 
     @abstractmethod
     def evidence(self, received: float, fact: Fact | None) -> Said:
-        """What was so at a time, for a health tree; None if it cannot be told."""
+        """What was so at a time, for a health tree; None if it cannot be determined."""
 
     # -- what is known ----------------------------------------------------------------------------------------------
 
     @property
     def problems(self) -> list[str]:
-        """What cannot be told, in plain words."""
+        """What cannot be determined, in plain words."""
         return [inquiry.blind for inquiry in self._inquiries.values() if inquiry.blind]
 
     def follow(self, subjects: Iterable[Subject]) -> None:

@@ -59,7 +59,7 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         return repr(fact.value) if fact.value is not None else fact.lacks.removeprefix("it is ")
 
     def blind(self, subject: tuple[str, str], nodes: int, found: str) -> str:
-        """Why it cannot be told."""
+        """Why it cannot be determined."""
         node, name = subject
         return (
             f"parameter {name} of {node} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "

@@ -60,7 +60,7 @@ LOOK_UP = 1.0
 """Seconds between attempts to learn the type of a topic from the graph."""
 
 MOST_WRITERS = 64
-"""Writers of one host that are told apart; a host that restarts its nodes for months has had many."""
+"""Writers of one host that are distinguished; a host that restarts its nodes for months has had many."""
 
 CLOCK_STEP = 0.005
 """Seconds by which the clock must have moved against the monotonic one to count as having been set."""
@@ -305,13 +305,13 @@ class TopicWatch:
 
     @property
     def sources(self) -> Sources:
-        """The instances that samples are attributed to, and which of them cannot be told apart."""
+        """The instances that samples are attributed to, and which of them cannot be distinguished."""
         return self._sources
 
     def _accepted(self, host: bytes) -> bool:
         """Whether a host's samples count: it is no instance at all, or it is (or may be) the one in control.
 
-        Where two instances cannot be told apart, what comes through the gate is taken to be from the one that may.
+        Where two instances cannot be distinguished, what comes through the gate is taken to be from the one that may.
         """
         candidates = self._sources.candidates(host)
         return not candidates or self._active in candidates
@@ -483,12 +483,12 @@ class TopicWatch:
         return topic.sources if topic is not None else {}
 
     def last_from(self, name: str, pod: str) -> float | None:
-        """When a topic was last received from a pod; None for never, or where the pod cannot be told from another."""
+        """When a topic was last received from a pod; None for never, or where the pod cannot be distinguished from another."""
         record = self._record_of(name, pod)
         return record.last if record is not None else None
 
     def arrivals(self, name: str, pod: str) -> Sequence[float]:
-        """When a topic was received from a pod, of late (HISTORY); empty if the pod cannot be told from another."""
+        """When a topic was received from a pod, of late (HISTORY); empty if the pod cannot be distinguished from another."""
         record = self._record_of(name, pod)
         return record.arrivals if record is not None else ()
 

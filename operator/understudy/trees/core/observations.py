@@ -86,7 +86,7 @@ class NodeState:
     received: float
     """When it was so, in Unix seconds; moved where the clock was set."""
     state: str | None
-    """Its state; empty if it is not there, None if it cannot be told."""
+    """Its state; empty if it is not there, None if it cannot be determined."""
 
 
 class PodCondition(NamedTuple):
@@ -118,7 +118,7 @@ class PodState:
     restarts: int = 0
     """How often its containers were started again, all together."""
     usage: PodUsage | None = None
-    """What it takes; None if that cannot be told, or nobody asked for it."""
+    """What it takes; None if that cannot be determined, or nobody asked for it."""
 
 
 ParameterValue = bool | int | float | str
@@ -132,11 +132,11 @@ class ParameterState:
     received: float
     """When it was so, in Unix seconds; moved where the clock was set."""
     value: ParameterValue | None
-    """Its value; None if it has none, or if that cannot be told."""
+    """Its value; None if it has none, or if that cannot be determined."""
     lacks: str = ""
     """Why it has no value, in words."""
     told: bool = True
-    """Whether it can be told what it is."""
+    """Whether its value can be determined."""
 
 
 GAPS = 60.0

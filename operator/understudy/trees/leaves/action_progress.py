@@ -20,7 +20,7 @@ from understudy.trees.source.expressions import ExpressionError, Fields, Quantit
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 MOST_GOALS = 16
-"""Goals of one action that are told apart; most servers have one at a time."""
+"""Goals of one action that are distinguished; most servers have one at a time."""
 
 
 @dataclass(frozen=True)

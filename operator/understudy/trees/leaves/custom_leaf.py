@@ -137,7 +137,7 @@ def _settings(judge: type) -> dict[str, Setting]:
     try:
         parameters = inspect.signature(judge, eval_str=True).parameters.values()
     except Exception as error:  # annotations are evaluated, which may raise anything
-        raise ValueError(f"the parameters of {judge.__name__}() cannot be told, {_told(error)}") from error
+        raise ValueError(f"the parameters of {judge.__name__}() cannot be determined, {_told(error)}") from error
     found = {}
     for one in parameters:
         if one.kind not in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY):

@@ -32,7 +32,7 @@ FASTEST = 100.0
 class MotionLeaf(Leaf):
     """Holds unless the observed velocity differs from the commanded one by more than the tolerance and the noise explain.
 
-    If nothing is seen, or nothing commanded, it cannot be told and holds; so it does for an instance that is not in
+    If nothing is seen, or nothing commanded, it cannot be determined and holds; so it does for an instance that is not in
     control: what the robot does is not its doing.
     """
 

@@ -33,7 +33,7 @@ class PluginLeaves:
 def load_plugins(taken: Collection[str]) -> PluginLeaves:
     """The leaves of all installed packages; none can have a name that is ``taken``.
 
-    What cannot be used is logged, and told where a tree names it: it is no reason not to protect the robots that do not.
+    What cannot be used is logged, and reported where a tree names it. Robots whose trees do not name it stay protected.
     """
     leaves: dict[str, LeafKind] = {}
     refused: dict[str, str] = {}

@@ -4,7 +4,7 @@ Python's grammar is used to read them, and nothing of Python to evaluate them: e
 into a closure of its own, and all else is refused when the expression is read. A name is a field of the message, so
 nothing but the message's own data can be reached. The work that an expression can cause is bounded.
 
-The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison cannot be told
+The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison cannot be determined
 (:class:`Undefined`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: what one side decides alone is decided.
 """
 
@@ -57,7 +57,7 @@ LARGEST = 2.0**64
 """Largest number that may be written, the end of the largest integer field."""
 
 SHOWN = 3
-"""Values that are told with a condition that does not hold."""
+"""Values that are shown with a condition that does not hold."""
 
 Fields = Callable[[str], Mapping[str, str] | None]
 """The fields of a message type with their types, as rosidl names them (``double``, ``sequence<geometry_msgs/Point>``);
@@ -318,7 +318,7 @@ class _Compiler:
         return kind.item or _ANY, evaluate
 
     def _show(self, node: ast.expr, found: tuple[_Kind, Evaluate]) -> None:
-        """Have a value told, unless it is of an element."""
+        """Show a value, unless it is one of an element."""
         kind, evaluate = found
         text = self._source(node)
         if self._element is None and kind in (_ANY, _NUMBER, _TRUTH, _STRING) and (text not in dict(self.shown)):

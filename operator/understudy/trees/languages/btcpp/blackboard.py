@@ -60,7 +60,7 @@ def autoremap(element: Element) -> bool:
 
 
 def used(tree: Element) -> set[str] | None:
-    """The entries that a <BehaviorTree> reads; None if it cannot be told, since a tree in it sees all of them."""
+    """The entries that a <BehaviorTree> reads; None if it cannot be determined, since a tree in it sees all of them."""
     found = set()
     for element in _descendants(tree):
         try:

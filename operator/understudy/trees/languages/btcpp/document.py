@@ -25,7 +25,7 @@ class Document:
         self.models: dict[str, SubTreeModel] = {}
         """Of trees, by ID."""
         self.main: str | None = None
-        """The tree that is to be executed; None if that cannot be told. Others than those in it do not matter."""
+        """The tree that is to be executed; None if that cannot be determined. Others than those in it do not matter."""
         self.library = library
         self._path = path
         if root.tag != "root":

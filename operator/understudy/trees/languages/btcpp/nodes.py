@@ -105,7 +105,7 @@ class Nodes:
         return None
 
     def _values(self, element: Element, tag: str, board: Board) -> dict[str, str] | None:
-        """What its ports were given; None if one of them cannot be told."""
+        """What its ports were given; None if one of them cannot be determined."""
         ports, whole = self._library.nodes[tag].ports, True
         values: dict[str, str] = {}
         for attribute, value in element.attributes.items():
@@ -199,7 +199,7 @@ class Nodes:
         return board
 
     def _known(self, name: str) -> set[str] | None:
-        """The entries that a tree can be given; None if that cannot be told."""
+        """The entries that a tree can be given; None if that cannot be determined."""
         if name not in self._read:
             read = blackboard.used(self._document.trees[name])
             if read is not None:

@@ -129,7 +129,7 @@ class Nodes:
     # -- arguments --------------------------------------------------------------------------------------------------
 
     def _arguments(self, part: Part, label: str, behavior: Behavior) -> _Given | None:
-        """What the arguments were given, by name; None if one of them cannot be told."""
+        """What the arguments were given, by name; None if one of them cannot be determined."""
         known = list(behavior.arguments.values())
         listed = part.first("argumentList")
         given: dict[str, tuple[str, Part]] = {}

@@ -172,7 +172,7 @@ def _depths(tokens: Sequence[Token]) -> None:
 
 
 def _blocks(tokens: Sequence[Token]) -> None:
-    """Refuse a line that is indented less than its block and more than the one around it: in which it is cannot be told."""
+    """Refuse a line that is indented less than its block and more than the one around it: in which it is cannot be determined."""
     columns, first = [1], True
     for token, after in pairwise(tokens):
         if token.kind == INDENT:

@@ -14,7 +14,7 @@ from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.value_reader import found_text
 
 Read = Callable[[str, str, TextOffset], tuple[ParsedNode | None, list[LocatedProblem]]]
-"""What was written in a text (None if that cannot be told) and what is wrong with it; given its path and where it begins.
+"""What was written in a text (None if that cannot be determined) and what is wrong with it; given its path and where it begins.
 Raises Malformed."""
 
 Loaded = TypeVar("Loaded")
