@@ -31,7 +31,8 @@ from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Plan
 from understudy.controller.pods import instance_pod, pool_pods
 from understudy.controller.reconcile import change_index
-from understudy.controller.reconcile.expectations import LASTS, Expectations
+from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
+from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.status import pool_status
@@ -107,7 +108,7 @@ def test_it_is_looked_again_once_a_pod_that_was_perhaps_never_made_is_not_expect
     # Of a request that got no answer nothing may ever tell: no watch does where nothing was made.
     made = plan(observe(spare(replicas=1), expected=1))
     assert not created(made, "pods")
-    assert made.again_after == LASTS
+    assert made.again_after == EXPECTED_SECONDS
 
 
 @pytest.mark.parametrize("extra", [0, 1, 5])
