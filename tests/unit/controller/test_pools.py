@@ -30,8 +30,8 @@ from understudy.api import names
 from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Plan
 from understudy.controller.pods import instance_pod, pool_pods
-from understudy.controller.reconcile import change_index
 from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
+from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
