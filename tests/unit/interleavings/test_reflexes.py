@@ -162,7 +162,7 @@ def test_a_replaced_instance_that_is_told_to_go_on_is_found() -> None:
 
 
 def test_an_instance_that_is_cut_off_and_not_held_is_found() -> None:
-    with mock.patch.object(Permit, "look"):
+    with mock.patch.object(Permit, "evaluate"):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
