@@ -81,17 +81,17 @@ class Images:
     monitor: str
     pull_policy: str = "IfNotPresent"
     pull_secrets: tuple[str, ...] = ()
-    """Names of Secrets, in the workload's namespace, by which the image is pulled."""
+    """Names of the pull Secrets in the namespace of the workload."""
     priority_class: str = ""
     """PriorityClass of monitors and discovery servers; an agent is in a pod of the user's."""
 
 
 def priority(images: Images) -> Object:
-    """The field of the spec of a pod of our own with its PriorityClass; empty where there is none."""
+    """The priorityClassName field of a pod spec, or an empty mapping."""
     return {"priorityClassName": images.priority_class} if images.priority_class else {}
 
 
 def pull_secrets(names: Sequence[str], given: Sequence[Object] = ()) -> Object:
-    """The field of a pod's spec with these Secrets, and those that are given there; empty where there are none."""
+    """The imagePullSecrets field of a pod spec with these Secrets and the given ones, or an empty mapping."""
     added = [{"name": name} for name in names if {"name": name} not in given]
     return {"imagePullSecrets": [*given, *added]} if given or added else {}
