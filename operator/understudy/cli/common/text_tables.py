@@ -16,10 +16,13 @@ class Cell(NamedTuple):
     text: str
     state: str = ""
     """The state whose colour it has; empty for none."""
+    right: bool = False
+    """Whether the text is aligned to the right, as figures are."""
 
     def format(self, width: int, *, colours: bool) -> str:
         """Return the text padded to a width and coloured."""
-        padded = plain(self.text).ljust(width)
+        text = plain(self.text)
+        padded = text.rjust(width) if self.right else text.ljust(width)
         return coloured(padded, self.state, colours=colours and bool(self.state))
 
 
@@ -32,7 +35,7 @@ def width(rows: Rows) -> int:
     return sum(_widths(rows)) + _GAP * (len(rows[0]) - 1)
 
 
-def format_table(rows: Rows, *, colours: bool) -> list[str]:
+def format_table(rows: Rows, *, colours: bool = False) -> list[str]:
     """Return the lines of a table with aligned columns."""
     widths = _widths(rows)
     return [

@@ -6,6 +6,8 @@ import math
 
 from understudy.advice.monte_carlo import Estimate
 from understudy.advice.paper_model import INTERVAL
+from understudy.cli.common.text_tables import Cell, format_table
+from understudy.cli.common.wording import counted
 from understudy.cli.plan.pool_sizes import Size
 from understudy.trees.core.leaf import duration
 
@@ -24,7 +26,7 @@ def size_text(size: Size) -> str:
     demand, count = question.demand, outcome.fallbacks
     between = duration(float(f"{1 / demand.rate:.3g}"))
     lines = [
-        f"failures   {_count(question.robots, 'robot')}, {question.failures_per_robot_hour:g} per robot and hour: "
+        f"failures   {counted(question.robots, 'robot')}, {question.failures_per_robot_hour:g} per robot and hour: "
         f"one every {between}",
         f"fallbacks  {_needed(size)}; {demand.offered:.3g} of them in use on average, each for {question.refill:g} s",
         "",
@@ -46,7 +48,7 @@ def size_text(size: Size) -> str:
             ]
         ),
         "",
-        f"cost       {outcome.cpu:+.2%} CPU ({count} x {question.cpu:g} of an instance, for {_count(question.robots, 'robot')})",
+        f"cost       {outcome.cpu:+.2%} CPU ({count} x {question.cpu:g} of an instance, for {counted(question.robots, 'robot')})",
         f"downtime   {outcome.down:.3g} s per failure, {question.restart:g} s with restarts only: "
         f"{size.gained:.3g} s less per robot and hour",
         *_papers(size),
@@ -96,7 +98,7 @@ def _papers(size: Size) -> list[str]:
         why = f"{paper.expected:.2g} failures in {INTERVAL} s are covered by {count}"
         return [f"paper      the estimate does not apply here: {why}"]
     return [
-        f"paper      {paper.expected:.2g} failures in {INTERVAL} s, {_count(paper.remaining, 'of them', 'of them')} not covered, all in "
+        f"paper      {paper.expected:.2g} failures in {INTERVAL} s, {counted(paper.remaining, 'of them', 'of them')} not covered, all in "
         f"one window in {paper.together} of {paper.ways} ways: {percent(paper.chance)}",
         f"           simulated: an interval of {INTERVAL} s has a window with more than {count} in {_estimated(size.trial.interval)} of "
         "all cases (why: docs/sizing.md)",
@@ -115,10 +117,5 @@ def _waited(value: Estimate) -> str:
     return f"{value.mean:.3g} ± {value.within:.2g} s"
 
 
-def _count(number: int, one: str, more: str | None = None) -> str:
-    return f"{number} {one if number == 1 else more or f'{one}s'}"
-
-
 def _table(rows: list[tuple[str, str, str]]) -> list[str]:
-    widths = [max(len(row[column]) for row in rows) for column in range(3)]
-    return [f"{row[0]:<{widths[0]}}  {row[1]:>{widths[1]}}  {row[2]:>{widths[2]}}".rstrip() for row in rows]
+    return format_table([[Cell(name), *(Cell(figure, right=True) for figure in figures)] for name, *figures in rows])

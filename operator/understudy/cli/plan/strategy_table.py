@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_order import Order, RatedStrategy
+from understudy.cli.common.text_tables import Cell, format_table
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 
@@ -43,14 +44,7 @@ def _table(order: Order) -> list[str]:
     rows = [_HEAD]
     rows += [_row(f"{place}.", order, one) for place, one in enumerate(order.chosen, 1)]
     rows += [_row("-", order, one) for one in order.left_out]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEAD))]
-    return [
-        "  ".join(
-            cell.rjust(width) if column in _RIGHT else cell.ljust(width)
-            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    return format_table([[Cell(text, right=column in _RIGHT) for column, text in enumerate(row)] for row in rows])
 
 
 def _row(place: str, order: Order, one: RatedStrategy) -> tuple[str, str, str, str, str, str, str]:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
+from understudy.cli.common.text_tables import Cell, format_table
 from understudy.cli.common.tree_text import plain
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.clock_text import wall
@@ -74,7 +75,7 @@ class Report:
             for one in evaluation.detections
         ]
         if evaluation.detections:
-            yield from _table(rows)
+            yield from format_table([[Cell(text) for text in row] for row in rows])
         else:
             yield "Nothing was detected."
         for one in evaluation.failures:
@@ -109,7 +110,7 @@ class Report:
                     spans[-1].state,
                 )
             )
-        yield from _table(rows)
+        yield from format_table([[Cell(text) for text in row] for row in rows])
 
     def _at(self, moment: float | None, never: str = "-") -> str:
         return f"{moment - self._bag.start:.3f} s" if moment is not None else never
@@ -196,10 +197,3 @@ def _gap(times: array[float]) -> str:
 
 def _length(seconds: float) -> str:
     return duration(round(seconds, 3)) if seconds >= 0.0005 or not seconds else f"{seconds * 1000:.1g} ms"
-
-
-def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Align rows in columns."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    for row in rows:
-        yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True))
