@@ -13,7 +13,7 @@ from understudy.failover.progress import Committed, Progress, rfc3339
 from understudy.kube.client import Object
 
 _ROUNDING = 0.001
-"""Seconds by which the same time may differ between gate and status."""
+"""Greatest difference in seconds of the same time between gate and status."""
 
 
 class UnderWay(Model):

@@ -16,7 +16,7 @@ from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.cli.report.sample_statistics import Spread
 
 _JITTER = (0, 4, -4, 7, -7)
-"""Pixels by which successive marks are shifted, so that equal values remain distinguishable."""
+"""Vertical offsets of successive marks in pixels, so that equal values remain distinguishable."""
 
 _LEAST_SHOWN = 0.15
 """Least width of an outage in percent: most are shorter than a pixel."""
