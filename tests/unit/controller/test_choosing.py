@@ -187,7 +187,7 @@ def test_the_status_says_which_order_was_chosen_and_why() -> None:
     said = made.condition("StrategiesChosen")
     assert (said["status"], said["reason"]) == ("True", "Chosen")
     assert "a recovery within 2 s after detection (availability Medium)" in said["message"]
-    assert "Left out: Executing (hot) would take 0.96" in said["message"]
+    assert "Left out: Executing (hot) would use 0.96" in said["message"]
     assert made.condition("Protected")["message"] == (
         "If it failed now, Fallback from pool warm would be used: pod w-w (Initialized)."
     )

@@ -36,7 +36,7 @@ def test_it_says_what_and_when_and_ends_with_1(folder: Path, capsys: pytest.Capt
     told = capsys.readouterr()
     assert told.err == ""
     assert "DETECTED  WALL TIME (UTC)          LEAF     LAST HEALTHY  RECOVERED  REASON\n" in told.out
-    assert "3.400 s   2026-05-28 20:26:43.400  cmd_vel  2.900 s    5.000 s    no /cmd_vel for 500 ms\n" in told.out
+    assert "3.400 s   2026-05-28 20:26:43.400  cmd_vel  2.900 s       5.000 s    no /cmd_vel for 500 ms\n" in told.out
     assert "all messages came from the robot or from the active instance" in told.out
     assert "cmd_vel  /cmd_vel  60        7.468 Hz  2.1 s        1x, 1.6 s, first at 3.400 s  Healthy\n" in told.out
 
