@@ -134,7 +134,7 @@ def test_a_report_counts_every_recovery_of_its_period_whatever_became_of_the_mon
         assert one.counted("Recovery") == one.recovered == 3
         assert measured(asked_of, period, namespace=None).counted("Recovery") == 14
         assert not measured(asked_of, period, namespace="nowhere").seen
-        with pytest.raises(CommandError, match=r"can't tell: .*parse error"):
+        with pytest.raises(CommandError, match=r"reports an error: .*parse error"):
             asked_of.query("sum(", end)
 
 

@@ -216,7 +216,7 @@ def test_a_cluster_that_does_not_answer_is_told_and_only_fatal_where_it_was_aske
     cluster("echo 'connection refused' >&2; exit 1")
     assert main([file()]) == MET
     said = capsys.readouterr()
-    assert "recoveries in the cluster aren't taken into account: connection refused" in said.err
+    assert "recoveries in the cluster are not considered: connection refused" in said.err
     assert "830 ms  published" in said.out
     assert main([file(), "--context", "fleet"]) == ERROR
     assert "understudy recommend: connection refused" in capsys.readouterr().err
@@ -255,20 +255,20 @@ def test_it_is_drawn(file, capsys, tmp_path, form):
         (
             (WORKLOAD, POOLS),
             [],
-            "RobotWorkload robot-17: its FailurePolicy navigation isn't in the files; give its file too",
+            "RobotWorkload robot-17: its FailurePolicy navigation is not in the files; give its file too",
         ),
         (
             ALL,
             ["--workload", "robot-71"],
             "--workload: there is no RobotWorkload 'robot-71' in the files (did you mean",
         ),
-        ((WORKLOAD, POLICY.replace("Medium", "Middle"), POOLS), [], "the manifests is invalid\n"),
+        ((WORKLOAD, POLICY.replace("Medium", "Middle"), POOLS), [], "the manifests are invalid\n"),
         ((WORKLOAD, "spec: {a: [}\n"), [], "the files cannot be read\n"),
         (ALL, ["--plot", "tradeoff.txt"], "--plot: found 'tradeoff.txt'; its name must end in .png"),
         (
             (WORKLOAD, WORKLOAD.replace("robot-17", "robot-18"), POLICY, POOLS),
             ["--plot", "x.png"],
-            "--plot: one workload is drawn, and there are robot-17, robot-18: choose one by --workload",
+            "--plot draws one workload, but the files contain robot-17, robot-18: choose one with --workload",
         ),
     ],
 )

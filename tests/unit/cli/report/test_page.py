@@ -110,7 +110,7 @@ def test_what_is_not_known_is_said_first() -> None:
     assert "The data on this period is incomplete." in read(*fleet.robots()).text
     told = read(fleet.forgetful()).text
     assert "robot-2-drive: 2 of 12 are no longer recorded; known since 2026-11-22 04:06:24Z" in told
-    assert "Of 12 recoveries that these robots ever had, 10 are kept; 10 of those began in this period." in told
+    assert "Of all 12 recoveries of these robots, 10 are recorded; 10 of those began in this period." in told
     assert "The data on this period is incomplete" not in read(fleet.whole()).text
     assert "These robots have had no recovery since they were created." in read(fleet.quiet()).text
 

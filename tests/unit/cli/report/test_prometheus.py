@@ -89,14 +89,14 @@ def test_a_token_is_for_the_one_that_was_named_alone(server: Server, other: Serv
 @pytest.mark.parametrize(
     ("status", "text", "words"),
     [
-        (401, "", "answers 401: it wants a token; give one by --prometheus-token-file FILE"),
+        (401, "", "answers 401: it requires a token; give one with --prometheus-token-file FILE"),
         (404, "<html>", "is not a Prometheus (404): give the address before /api/v1"),
         (200, "<html>", "is not a Prometheus: give the address before /api/v1"),
         (200, "[]", "is not a Prometheus"),
         (200, '{"data": {"result": [{"metric": {}}]}}', "is not a Prometheus"),
-        (422, '{"errorType": "execution", "error": "too many samples"}', "can't tell: too many samples; name robots, or"),
-        (503, '{"errorType": "timeout", "error": "query timed out"}', "can't tell: query timed out; name robots, or"),
-        (400, '{"errorType": "bad_data", "error": "parse error"}', "can't tell: parse error"),
+        (422, '{"errorType": "execution", "error": "too many samples"}', "reports an error: too many samples; name robots, or"),
+        (503, '{"errorType": "timeout", "error": "query timed out"}', "reports an error: query timed out; name robots, or"),
+        (400, '{"errorType": "bad_data", "error": "parse error"}', "reports an error: parse error"),
     ],
 )  # fmt: skip
 def test_what_it_can_not_tell(server: Server, status: int, text: str, words: str) -> None:

@@ -92,7 +92,7 @@ def test_every_namespace(stand: FakeKubectl, written: Path) -> None:
         (["--since", "a while"], "--since: 'a while' is not a duration"),
         (["--since", "99999999h"], "--since: year -9382 is out of range"),
         (["--since", "99999999999999h"], "--since: "),
-        (["--from", "yesterday"], "--from: found 'yesterday'; write a date or a moment"),
+        (["--from", "yesterday"], "--from: found 'yesterday'; give a date or a time"),
         (["--from", "2027-01-01"], "the period would begin at 2027-01-01 00:00:00Z and end at 2026-11-22 14:06:24Z"),
     ],
 )
