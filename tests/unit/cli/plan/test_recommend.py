@@ -227,7 +227,7 @@ def test_strategies_that_are_written_out_stand_beside_what_would_be_chosen(file,
     written = written.replace("  requirements: {availability: Medium}\n", "")
     assert main([file(WORKLOAD, written, POOLS)]) == MET
     assert (
-        "policy     has its strategies written out: Executing, Restart, and states no requirements, so the defaults were used"
+        "policy     lists its strategies: Executing, Restart, and states no requirements, so the defaults were used"
         in capsys.readouterr().out
     )
 
