@@ -53,4 +53,4 @@ class Showing:
 
 @cache
 def _page() -> str:
-    return resources.files("understudy.monitor").joinpath("tree.html").read_text()
+    return resources.files("understudy.monitor.report").joinpath("tree.html").read_text()
