@@ -8,9 +8,9 @@ from types import ModuleType
 from prometheus_client.core import Metric
 from prometheus_client.metrics import MetricWrapperBase
 
-from understudy.controller.runtime import operator_metrics as operator
-from understudy.controller.runtime.object_store import Store
-from understudy.controller.status.fleet_metrics import FleetMetrics
+from understudy.controller.reconcile import operator_metrics as operator
+from understudy.controller.reconcile.object_store import Store
+from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.monitor.report import monitor_metrics as monitor
 from understudy.monitor.report.topic_metrics import TopicMetrics
 

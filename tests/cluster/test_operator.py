@@ -31,8 +31,8 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.cli.plan import size
 from understudy.controller.desired import monitor_deployment
-from understudy.controller.desired.plan import Images
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Images
 from understudy.controller.reconcile.reconciler import TOGETHER_SECONDS
 from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime import process as running

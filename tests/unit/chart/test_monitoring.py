@@ -14,7 +14,7 @@ from tests.unit.chart.conftest import CHART, Object, Render, one
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Health
 from understudy.controller.desired import monitor_deployment
-from understudy.controller.status import fleet_metrics
+from understudy.controller.runtime import fleet_metrics
 from understudy.failover.interfaces import Instance
 from understudy.monitor.judge.gate_enforcement import judge
 

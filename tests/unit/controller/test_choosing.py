@@ -24,11 +24,11 @@ from tests.unit.controller.world import (
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.controller.desired.plan import Plan
-from understudy.controller.pods.expectations import Expectations
+from understudy.controller.plan import Plan
 from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.reconcile.observer import Observer
-from understudy.controller.runtime.object_store import Sight, Store
 from understudy.controller.status import policy_status, pool_status
 from understudy.kube.client import PODS, POLICIES, POOLS, WORKLOADS, Object
 

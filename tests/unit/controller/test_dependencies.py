@@ -12,11 +12,11 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.desired.workload_plan import understand
 from understudy.controller.observed import dependency_graph
 from understudy.controller.observed.observation import Observed
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.reconcile.observer import Observer
-from understudy.controller.runtime.object_store import Sight, Store
 from understudy.controller.status import workload_status
 from understudy.kube.client import POLICIES, WORKLOADS, Client, Object
 

@@ -28,7 +28,7 @@ from understudy.api.kinds.switchover_spec import Drain, request
 from understudy.controller.observed import kube_objects, leaving_nodes
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.status import workload_status
 from understudy.kube.client import DISRUPTION_BUDGETS, NODES, PODS, WORKLOADS, Object
 

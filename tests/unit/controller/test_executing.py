@@ -5,12 +5,12 @@ from typing import Any
 
 from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
-from understudy.controller.desired.plan import Apply, Create
-from understudy.controller.pods.expectations import Expectations
+from understudy.controller.plan import Apply, Create
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.contention import AT_ONCE
 from understudy.controller.reconcile.executor import Executor
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import (
     CONFIG_MAPS,
     NETWORK_POLICIES,

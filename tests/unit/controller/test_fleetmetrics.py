@@ -5,8 +5,8 @@ from __future__ import annotations
 from prometheus_client import CollectorRegistry
 
 from tests.unit.controller.world import custom, workload
-from understudy.controller.runtime.object_store import Store
-from understudy.controller.status.fleet_metrics import FleetMetrics
+from understudy.controller.reconcile.object_store import Store
+from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.kube.client import POOLS, WORKLOADS, Object
 
 

@@ -11,8 +11,8 @@ from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec, in_force
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.runtime import resync
-from understudy.controller.runtime.object_store import Sight, Store
 from understudy.controller.status import policy_status
 from understudy.kube.client import CONFIG_MAPS, POLICIES, WORKLOADS, Object
 

@@ -10,11 +10,11 @@ import pytest
 
 from tests.unit.controller.test_pools import created, deleted, observe, present
 from tests.unit.controller.world import IMAGES, Names, held_pod, spare
-from understudy.controller.desired.plan import Plan
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Plan
 from understudy.controller.pods import pool_pods
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.expectations import Expectations
 from understudy.kube.client import Object
 
 NODES = ("a", "b", "c")

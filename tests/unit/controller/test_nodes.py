@@ -26,12 +26,12 @@ from tests.unit.controller.world import (
 from understudy.api import names
 from understudy.controller.observed import kube_objects, leaving_nodes
 from understudy.controller.pods import instance_pod, pod_placement, pool_pods
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.runtime import resync
-from understudy.controller.runtime.object_store import Store
 from understudy.kube.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, NODES, PODS, POOLS, WORKLOADS, Object
 
 

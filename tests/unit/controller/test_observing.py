@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any, cast
 
 from tests.unit.controller.world import hot, standby_pod, workload
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
-from understudy.controller.runtime.object_store import Store
 from understudy.kube.client import PODS, POOLS, WORKLOADS, Client
 
 

@@ -8,13 +8,13 @@ import pytest
 
 from tests.unit.controller import world
 from tests.unit.kube.memory import MemoryClient
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import Rollouts
-from understudy.controller.runtime.object_store import Store
 from understudy.kube.client import POLICIES, ApiError, Object
 from understudy.kube.events import Recorder
 

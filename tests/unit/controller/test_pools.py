@@ -27,13 +27,13 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api import names
-from understudy.controller.desired.plan import Plan
 from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.plan import Plan
 from understudy.controller.pods import instance_pod, pool_pods
-from understudy.controller.pods.expectations import LASTS, Expectations
 from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.expectations import LASTS, Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
-from understudy.controller.runtime.object_store import Store
 from understudy.controller.status import pool_status
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress

@@ -12,12 +12,12 @@ from tests.unit.controller.test_pools import condition, created, deleted, observ
 from tests.unit.controller.world import IMAGES, NOW, held_pod, policy, spare, stamp, workload
 from understudy.advice.adaptive_size import REST
 from understudy.controller.pods import pool_pods, pool_size
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.pods.pool_size import Seen
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.reconcile.observer import Observer
-from understudy.controller.runtime.object_store import Sight, Store
 from understudy.kube.client import POLICIES, POOLS, WORKLOADS, Object
 
 HOUR = 3600.0

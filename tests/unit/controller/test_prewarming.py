@@ -22,7 +22,7 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
-from understudy.controller.desired import degraded_measures
+from understudy.controller.observed import degraded_measures
 from understudy.controller.pods.pool_pods import Observed
 from understudy.controller.status import policy_status, pool_status
 from understudy.kube.client import Object

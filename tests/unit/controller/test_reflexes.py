@@ -10,7 +10,7 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol import freeze_script
 from understudy.controller.desired import action_proxy_container, reflex_validation, ros_environment
-from understudy.controller.desired.plan import Images
+from understudy.controller.plan import Images
 from understudy.controller.pods import instance_pod
 from understudy.kube.client import Object
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.unit.controller.world import World, gate, policy, source_pod, workload
 from understudy.api.kinds.degraded_spec import Resize
 from understudy.api.quantities import amount
-from understudy.controller.desired.plan import Patch, Problem
+from understudy.controller.plan import Patch, Problem
 from understudy.controller.reconcile import in_place_resize
 from understudy.controller.reconcile.in_place_resize import Outcome
 from understudy.kube.client import STRATEGIC, Object

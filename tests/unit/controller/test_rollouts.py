@@ -6,12 +6,12 @@ import pytest
 
 from tests.unit.controller import world
 from understudy.api import names
-from understudy.controller.desired.plan import Apply, Write
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Apply, Write
+from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.rollouts import HOLD, LOOK, Rollouts
-from understudy.controller.runtime import operator_metrics
-from understudy.controller.runtime.object_store import Store
 from understudy.controller.runtime.process import options
 from understudy.kube import apply
 from understudy.kube.client import CONFIG_MAPS, DEPLOYMENTS, PODS, WORKLOADS, Object

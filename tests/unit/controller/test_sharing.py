@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.controller.world import workload
-from understudy.controller.runtime.interning import REMEMBERED_SECONDS, Sharing
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.reconcile.interning import REMEMBERED_SECONDS, Sharing
+from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import WORKLOADS, Object
 
 VALUES = st.recursive(

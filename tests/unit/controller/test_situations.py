@@ -25,10 +25,10 @@ from tests.unit.controller.world import (
 )
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.observed import kube_objects
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
-from understudy.controller.runtime.object_store import Store
 from understudy.controller.status import policy_status
 from understudy.kube.client import POLICIES, POOLS, WORKLOADS, Object
 

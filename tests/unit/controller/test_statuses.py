@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.unit.controller.world import World, policy, workload
-from understudy.controller.desired.plan import Problem
+from understudy.controller.plan import Problem
 from understudy.controller.status import workload_status
 from understudy.kube.client import Object
 

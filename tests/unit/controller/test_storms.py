@@ -10,7 +10,7 @@ from understudy.api.conditions import Condition
 from understudy.api.kinds.failure_policy import StormGuard
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.status import policy_status, storm_detection, workload_status
 from understudy.failover.progress import Progress, rfc3339
 from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, Object

@@ -26,18 +26,18 @@ from tests.unit.controller.world import (
 from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
-from understudy.controller.desired.plan import Plan
 from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.plan import Plan
 from understudy.controller.pods import claim_tokens, pool_pods
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import Rollouts
 from understudy.controller.runtime import resync
-from understudy.controller.runtime.object_store import Sight, Store
 from understudy.controller.runtime.workers import Operator
 from understudy.kube import apply
 from understudy.kube.client import PODS, POOLS, ROLES, SECRETS, WORKLOADS, Client, Object

@@ -178,7 +178,7 @@ class TestBadInputKeepsWhatProtects:
         import dataclasses
 
         from tests.unit.controller.world import IMAGES
-        from understudy.controller.desired.plan import Problem
+        from understudy.controller.plan import Problem
 
         world = self.built(policy("hot"), hot())
         world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = " bad"

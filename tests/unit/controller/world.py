@@ -10,11 +10,11 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.desired import workload_objects
-from understudy.controller.desired.plan import Apply, Create, Delete, Images, Patch, Plan, Problem
 from understudy.controller.desired.workload_plan import Understanding, understand
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.observation import Observed
 from understudy.controller.observed.workload_reference import Referred
+from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan, Problem
 from understudy.controller.pods import instance_pod, pool_pods
 from understudy.controller.status import workload_status
 from understudy.kube import apply

@@ -18,18 +18,18 @@ from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import Probes, Sidecars, Sight
 from understudy.api import names
-from understudy.controller.desired.plan import Images
-from understudy.controller.pods.expectations import Expectations
+from understudy.controller.plan import Images
 from understudy.controller.pods.pool_pods import Fresh
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Sight as Seen
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import Rollouts
 from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime import process as running
-from understudy.controller.runtime.object_store import Sight as Seen
-from understudy.controller.runtime.object_store import Store
 from understudy.controller.runtime.workers import Operator
 from understudy.failover.journal import Journal
 from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expired, Object, Resource

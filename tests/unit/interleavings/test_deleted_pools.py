@@ -21,8 +21,8 @@ from tests.unit.interleavings.invariants import Invariants, _claimed, _labels, _
 from tests.unit.interleavings.simulation import SCENES, TROUBLES, Outcome, Scene, Simulation
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
-from understudy.controller.desired.plan import Create
 from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.plan import Create
 from understudy.controller.pods import claim_tokens
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object

@@ -19,8 +19,8 @@ import pytest
 
 from tests.unit.interleavings import simulation
 from tests.unit.interleavings.simulation import SCENES, Outcome, Scene
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.expectations import Expectations
 from understudy.kube import apply, claims
 from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping
 import pytest
 
 from understudy.api.names import COMPONENT
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.runtime import resync
-from understudy.controller.runtime.object_store import Store
 from understudy.controller.runtime.resync import Lists
 from understudy.kube.client import CONFIG_MAPS, PODS, WORKLOADS, Client, Object, Part
 

@@ -26,8 +26,8 @@ from understudy.cli.doctor import (
 )
 from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.installation_check import Installed
-from understudy.controller.desired.plan import Images
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Images
 from understudy.kube.client import WORKLOADS, Object
 
 WELL, NOT_WELL, CANT = 0, 1, 2

@@ -13,7 +13,7 @@ from understudy.api.base import VERSION
 from understudy.api.schema.definitions import definitions
 from understudy.cli.common.kubectl_proxy import Api, Refused
 from understudy.cli.doctor.findings import Finding
-from understudy.controller.desired.plan import Images
+from understudy.controller.plan import Images
 from understudy.kube.client import CRDS, DEPLOYMENTS, Object
 
 OLDEST = (1, 30)

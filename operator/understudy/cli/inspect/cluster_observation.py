@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 
 from understudy.api import names
 from understudy.cli.common.kubectl import Kubectl
-from understudy.controller.desired import situation_strategies
+from understudy.controller.observed import health_tree_sources, situation_strategies
 from understudy.controller.observed.observation import Observed
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer, Reader
-from understudy.controller.runtime.object_store import Store
-from understudy.controller.status import health_tree_sources
+from understudy.controller.reconcile.object_store import Store
+from understudy.controller.observed import health_tree_sources
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, Object, Resource
 from understudy.kube.gates import registry
 

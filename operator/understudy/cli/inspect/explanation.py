@@ -22,14 +22,14 @@ from understudy.cli.common.tree_text import coloured, plain
 from understudy.cli.common.wording import age, listed, wrapped
 from understudy.cli.inspect import limit_text
 from understudy.cli.inspect.cluster_observation import Around
-from understudy.controller.desired import effective_policy, situation_strategies
-from understudy.controller.desired.plan import Images
+from understudy.controller.desired import effective_policy, standby_pods
 from understudy.controller.desired.workload_plan import Understanding, understand
-from understudy.controller.observed import dependency_graph, kube_objects
+from understudy.controller.observed import dependency_graph, kube_objects, situation_strategies
 from understudy.controller.observed.observation import Observed
 from understudy.controller.observed.pod_diagnosis import trouble
+from understudy.controller.plan import Images
 from understudy.controller.pods import pool_pods as pools
-from understudy.controller.pods import pool_size, standby_pods
+from understudy.controller.pods import pool_size
 from understudy.controller.status import policy_status, protection
 from understudy.controller.status.protection import Means
 from understudy.kube.client import Object

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from understudy.api import names
-from understudy.controller.desired.plan import Images, priority, pull_secrets
+from understudy.controller.plan import Images, priority, pull_secrets
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.kube.client import Object
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from understudy.advice.strategy_order import Order
 from understudy.api import names
 from understudy.api.kinds.failure_policy import Strategy
-from understudy.controller.desired import situation_strategies, strategy_selection
-from understudy.controller.observed import kube_objects
+from understudy.controller.desired import strategy_selection
+from understudy.controller.observed import kube_objects, situation_strategies
 from understudy.controller.observed.observation import WAITING, Observed
 from understudy.controller.pods import pool_pods, pool_size
 from understudy.controller.status import policy_status

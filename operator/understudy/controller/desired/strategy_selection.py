@@ -18,7 +18,7 @@ from understudy.api.kinds.failure_policy import Strategy
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
 from understudy.api.kinds.requirements_spec import Requirements
 from understudy.api.kinds.robot_workload import Recovery
-from understudy.controller.desired import situation_strategies
+from understudy.controller.observed import situation_strategies
 from understudy.controller.pods import pool_size
 from understudy.kube.client import Object
 

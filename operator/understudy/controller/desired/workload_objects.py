@@ -18,12 +18,13 @@ from understudy.controller.desired import (
     monitor_deployment,
     node_drain,
     ros_environment,
+    standby_pods,
 )
-from understudy.controller.desired.plan import Apply, Create, Delete, Images, Patch, Plan
 from understudy.controller.desired.workload_plan import Understanding
 from understudy.controller.observed import dependency_graph, kube_objects, ownership, workload_reference
 from understudy.controller.observed.observation import Observed
-from understudy.controller.pods import claim_tokens, instance_pod, standby_pods
+from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan
+from understudy.controller.pods import claim_tokens, instance_pod
 from understudy.controller.pods.pool_pods import Fresh
 from understudy.controller.status import policy_status
 from understudy.kube.client import (

@@ -12,9 +12,9 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.desired import action_proxy_container, discovery_server, reflex_validation, ros_environment
-from understudy.controller.desired.plan import Images, Problem
 from understudy.controller.observed import kube_objects, workload_reference
 from understudy.controller.observed.observation import Observed
+from understudy.controller.plan import Images, Problem
 from understudy.controller.pods import instance_pod
 from understudy.controller.status import policy_status
 from understudy.kube.client import Object

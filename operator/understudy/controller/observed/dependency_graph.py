@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from understudy.api.conditions import Condition, condition
 from understudy.api.protocol.monitor_settings import Upstream
-from understudy.controller.desired.plan import Problem
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Problem
 from understudy.kube.client import Object
 
 RESOLVED = "DependenciesResolved"

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.switchover_spec import Phase
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
-from understudy.controller.desired.plan import Problem
 from understudy.controller.observed import committed_recovery, kube_objects, workload_reference
+from understudy.controller.plan import Problem
 from understudy.controller.pods import pool_pods as pools
 from understudy.controller.status import policy_status as policies
 from understudy.kube.client import CONFIG_MAPS, Object

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from understudy.api import names
-from understudy.controller.desired import situation_strategies
-from understudy.controller.observed import kube_objects
+from understudy.controller.observed import kube_objects, situation_strategies
 from understudy.kube.client import Object
 
 

@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.controller.desired.plan import Create, Delete, Patch, Write
 from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.plan import Create, Delete, Patch, Write
 from understudy.kube.apply import controller_of
 from understudy.kube.client import SECRETS, Object
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from understudy.api import names
 from understudy.controller.observed import kube_objects
-from understudy.controller.pods.expectations import LASTS
+from understudy.controller.reconcile.expectations import LASTS
 from understudy.kube.client import Object
 
 REST_SECONDS = 10.0

@@ -9,10 +9,17 @@ from typing import Any, NamedTuple
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.desired import strategy_selection
-from understudy.controller.observed import committed_recovery, dependency_graph, kube_objects, leaving_nodes, stand_ins
+from understudy.controller.observed import (
+    committed_recovery,
+    dependency_graph,
+    health_tree_sources,
+    kube_objects,
+    leaving_nodes,
+    stand_ins,
+)
 from understudy.controller.pods import pool_pods
-from understudy.controller.runtime.object_store import Sight, Store
-from understudy.controller.status import health_tree_sources, policy_status, storm_detection
+from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.status import policy_status, storm_detection
 from understudy.kube.apply import controller_of
 from understudy.kube.client import (
     CONFIG_MAPS,

@@ -6,13 +6,13 @@ import logging
 from collections.abc import Callable, Sequence
 
 from understudy.api import names
-from understudy.controller.desired.plan import Apply, Create, Delete, Patch, Problem, Write
 from understudy.controller.observed import kube_objects
-from understudy.controller.pods.expectations import Expectations
+from understudy.controller.plan import Apply, Create, Delete, Patch, Problem, Write
+from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.contention import EVERY, Contention
-from understudy.controller.runtime import operator_metrics
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.kube import apply
 from understudy.kube.apply import Taken
 from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Client, Object, Resource

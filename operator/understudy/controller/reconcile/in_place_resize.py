@@ -12,11 +12,10 @@ from dataclasses import dataclass, replace
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.degraded_spec import Resize
 from understudy.api.quantities import amount
-from understudy.controller.desired import degraded_measures
-from understudy.controller.desired.plan import Patch, Problem
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import kube_objects
+from understudy.controller.observed import degraded_measures, kube_objects
 from understudy.controller.observed.observation import Observed
+from understudy.controller.plan import Patch, Problem
 from understudy.controller.reconcile.executor import RESIZE
 from understudy.kube.client import PODS, STRATEGIC, Object
 

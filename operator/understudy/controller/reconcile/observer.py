@@ -7,8 +7,9 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 from understudy.api import names
-from understudy.controller.desired import degraded_measures, monitor_deployment, strategy_selection
+from understudy.controller.desired import monitor_deployment, strategy_selection
 from understudy.controller.observed import (
+    degraded_measures,
     dependency_graph,
     kube_objects,
     leaving_nodes,
@@ -17,10 +18,10 @@ from understudy.controller.observed import (
 )
 from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import claim_tokens, pool_evictions, pool_pods
-from understudy.controller.pods.expectations import Expectations
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.status import policy_status, workload_status
 from understudy.kube import selectors
 from understudy.kube.client import (

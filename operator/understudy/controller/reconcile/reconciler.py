@@ -12,19 +12,18 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition
 from understudy.controller.desired import node_drain, workload_objects
-from understudy.controller.desired.plan import UNANSWERED, Images, Problem
 from understudy.controller.desired.workload_plan import Understanding, probe_template, understand
 from understudy.controller.observed import dependency_graph, kube_objects
 from understudy.controller.observed.observation import Observed
+from understudy.controller.plan import UNANSWERED, Images, Problem
 from understudy.controller.pods import claim_tokens, instance_pod, pool_pods, pool_size
-from understudy.controller.reconcile import change_index, in_place_resize
+from understudy.controller.reconcile import change_index, in_place_resize, operator_metrics
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.executor import MANAGER, Executor
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.rollouts import Rollouts
 from understudy.controller.reconcile.template_validation import FORGET_REFUSAL, Judge
-from understudy.controller.runtime import operator_metrics
-from understudy.controller.runtime.object_store import Store
 from understudy.controller.status import policy_status, pool_status, storm_detection, workload_status
 from understudy.kube.client import (
     CONFIG_MAPS,

@@ -14,11 +14,11 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.controller.desired.plan import Apply, Write
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Apply, Write
+from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.runtime import operator_metrics
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.reconcile.object_store import Store
 from understudy.kube import apply
 from understudy.kube.client import DEPLOYMENTS, PODS, WORKLOADS, Object
 

@@ -6,7 +6,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 
-from understudy.controller.desired.plan import Problem
+from understudy.controller.plan import Problem
 from understudy.controller.pods import instance_pod
 from understudy.controller.reconcile.executor import Ending
 from understudy.kube.client import PODS, ApiError, Client, Object

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from aiohttp import web
 from prometheus_client import generate_latest
 
-from understudy.controller.runtime.operator_metrics import REGISTRY
+from understudy.controller.reconcile.operator_metrics import REGISTRY
 
 Check = Callable[[], str | None]
 """Why something isn't so, or None if it is."""

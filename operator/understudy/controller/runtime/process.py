@@ -18,16 +18,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from understudy.api import names
-from understudy.controller.desired.plan import Images
-from understudy.controller.pods.expectations import Expectations
+from understudy.controller.plan import Images
+from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.executor import MANAGER, Executor
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import PERCENT, Rollouts
-from understudy.controller.runtime import http_server, kopf_handlers, operator_metrics, watches
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.runtime import http_server, kopf_handlers, watches
+from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.controller.runtime.workers import Operator
-from understudy.controller.status.fleet_metrics import FleetMetrics
 from understudy.kube.client import SERVICE_ACCOUNT, Access, Client
 from understudy.kube.events import Recorder
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing

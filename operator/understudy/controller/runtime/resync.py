@@ -15,10 +15,9 @@ from collections.abc import Sequence
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.controller.observed import kube_objects
-from understudy.controller.runtime.object_store import Sight, Store, same, slim
-from understudy.controller.runtime.object_store import version as version_of
-from understudy.controller.status import health_tree_sources
+from understudy.controller.observed import health_tree_sources, kube_objects
+from understudy.controller.reconcile.object_store import Sight, Store, same, slim
+from understudy.controller.reconcile.object_store import version as version_of
 from understudy.kube.apply import controller_of
 from understudy.kube.client import (
     CONFIG_MAPS,

@@ -11,12 +11,12 @@ import aiohttp
 
 from understudy.api import names
 from understudy.controller.observed import kube_objects
-from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile import change_index, operator_metrics
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.executor import Ending, Stale
+from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.reconcile.reconciler import Reconciler
-from understudy.controller.runtime import operator_metrics, resync
-from understudy.controller.runtime.object_store import Sight, Store
+from understudy.controller.runtime import resync
 from understudy.controller.runtime.work_queue import Queue
 from understudy.kube.client import PODS, POLICIES, POOLS, SECRETS, WORKLOADS, ApiError, Client, Object, Resource
 from understudy.kube.leader_election import LeadershipLost

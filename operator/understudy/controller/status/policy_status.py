@@ -14,10 +14,8 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec, StormGuard
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
 from understudy.api.kinds.procedure_spec import Check, Procedure
 from understudy.api.kinds.tree_spec import Written
-from understudy.controller.desired import situation_strategies
-from understudy.controller.desired.plan import Problem
-from understudy.controller.observed import kube_objects
-from understudy.controller.status import health_tree_sources
+from understudy.controller.observed import health_tree_sources, kube_objects, situation_strategies
+from understudy.controller.plan import Problem
 from understudy.kube.client import Object
 from understudy.trees.languages.notations import load_health
 from understudy.trees.languages.procedure_notations import compose

@@ -9,11 +9,11 @@ from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.api.kinds.robot_workload import STOCKED_MOST
-from understudy.controller.desired import degraded_measures, effective_policy
+from understudy.controller.desired import effective_policy, standby_pods
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import kube_objects, leaving_nodes, pod_diagnosis
+from understudy.controller.observed import degraded_measures, kube_objects, leaving_nodes, pod_diagnosis
 from understudy.controller.observed.observation import WAITING, Observed
-from understudy.controller.pods import pool_pods, pool_size, standby_pods
+from understudy.controller.pods import pool_pods, pool_size
 from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 

@@ -13,8 +13,7 @@ from datetime import datetime
 from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.failure_policy import StormGuard
-from understudy.controller.desired import degraded_measures
-from understudy.controller.observed import committed_recovery, kube_objects
+from understudy.controller.observed import committed_recovery, degraded_measures, kube_objects
 from understudy.kube.client import Object
 
 CONDITION = "Storm"

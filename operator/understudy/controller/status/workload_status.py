@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from understudy.advice import order_explanation
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.kinds.failure_policy import Strategy
-from understudy.controller.desired import effective_policy, node_drain, situation_strategies
-from understudy.controller.desired.plan import Problem
+from understudy.controller.desired import effective_policy, node_drain, standby_pods
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import dependency_graph, kube_objects, pod_diagnosis
+from understudy.controller.observed import dependency_graph, kube_objects, pod_diagnosis, situation_strategies
 from understudy.controller.observed.observation import Observed
-from understudy.controller.pods import standby_pods
+from understudy.controller.plan import Problem
 from understudy.controller.status import policy_status, protection
 from understudy.kube.client import Object
 

@@ -35,7 +35,7 @@ from understudy.cli.doctor.command import said_by_monitors
 from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.installation_check import Installed
 from understudy.cli.doctor.packet_check import Seen
-from understudy.controller.desired.plan import Images
+from understudy.controller.plan import Images
 from understudy.failover.progress import rfc3339
 from understudy.kube.client import Object
 from understudy.kube.gates import registry

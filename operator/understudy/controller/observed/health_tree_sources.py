@@ -10,8 +10,8 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Monitoring, TreeInForce, TreeReference
-from understudy.controller.desired.plan import Problem
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Problem
 from understudy.kube.client import Object
 from understudy.trees.languages.text_files import load_text
 from understudy.trees.source.problems import TreeError

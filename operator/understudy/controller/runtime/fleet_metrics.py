@@ -13,7 +13,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metri
 from prometheus_client.registry import Collector
 
 from understudy.controller.observed import kube_objects
-from understudy.controller.runtime.object_store import Store
+from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import POOLS, WORKLOADS, Object
 
 CONDITIONS = ("Accepted", "Reconciled", "Protected", "Monitored", "GateEnforced")

@@ -5,11 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from understudy.api import names
-from understudy.controller.desired import degraded_measures, effective_policy
-from understudy.controller.desired.plan import Create, Delete, Patch, Plan
+from understudy.controller.desired import effective_policy
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import committed_recovery, kube_objects, leaving_nodes, ownership, stand_ins
+from understudy.controller.observed import (
+    committed_recovery,
+    degraded_measures,
+    kube_objects,
+    leaving_nodes,
+    ownership,
+    stand_ins,
+)
 from understudy.controller.observed.observation import Observed
+from understudy.controller.plan import Create, Delete, Patch, Plan
 from understudy.controller.pods import instance_pod, pod_counts
 from understudy.controller.pods.pool_pods import Fresh
 from understudy.kube.client import PODS, REPLICA_SETS, Object

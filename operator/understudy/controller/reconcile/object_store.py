@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.controller.runtime.interning import Sharing
+from understudy.controller.reconcile.interning import Sharing
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object, Resource
 from understudy.kube.gates import registry
