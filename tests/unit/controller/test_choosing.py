@@ -24,6 +24,7 @@ from tests.unit.controller.world import (
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.controller.observed import pool_reader
 from understudy.controller.plan import Plan
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.expectations import Expectations
@@ -233,7 +234,7 @@ async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_fo
     observer = Observer(None, stored(auto(), written, mine, other), Expectations())  # type: ignore[arg-type]
     for pool, desired in ((hot(), 1), (warm(), 2)):
         observed = await observer.pool(pool)
-        assert pool_status.count(observed, policy_status.pool_spec(pool)).desired == desired
+        assert pool_status.count(observed, pool_reader.spec(pool)).desired == desired
 
 
 def test_a_change_of_any_pool_may_mean_another_order() -> None:

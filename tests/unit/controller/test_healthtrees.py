@@ -9,6 +9,7 @@ import pytest
 from tests.unit.controller.world import NAMESPACE, TREE, policy, workload
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec, in_force
+from understudy.controller.observed import policy_reader
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.object_store import Sight, Store
@@ -79,10 +80,10 @@ def test_without_a_good_tree_the_last_one_stays_in_force(maps: dict[str, Object]
 
 
 def test_a_workload_is_told_of_its_policys_tree() -> None:
-    found = policy_status.problem(referring(), {})
+    found = policy_reader.problem(referring(), {})
     assert found is not None
     assert found.reason == "TreeNotFound"
-    assert policy_status.problem(referring(), trees(health_yaml=GOOD)) is None
+    assert policy_reader.problem(referring(), trees(health_yaml=GOOD)) is None
 
 
 def test_what_is_in_the_policy_again_is_not_kept_beside_it() -> None:

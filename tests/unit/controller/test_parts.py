@@ -124,7 +124,7 @@ class TestPolicies:
             "spec.monitoring.xml, line 3, column 3: <Topic> gap: '500 parsecs' is not a duration"
         )
         found["spec"]["monitoring"] = {"xml": tree.replace("500 parsecs", "500ms")}
-        assert policy_status.problem(found, {}) is None
+        assert policy_reader.problem(found, {}) is None
 
     def test_a_bad_tree_in_openscenario_is_refused_with_its_line(self) -> None:
         found = policy("Restart")
@@ -134,7 +134,7 @@ class TestPolicies:
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert accepted.message.startswith("spec.monitoring.osc, line 3, column 28: topic() gap: found 500parsec, and")
         found["spec"]["monitoring"] = {"osc": tree.replace("500parsec", "500ms")}
-        assert policy_status.problem(found, {}) is None
+        assert policy_reader.problem(found, {}) is None
 
     @pytest.mark.parametrize(
         "monitoring",
@@ -164,7 +164,7 @@ class TestPolicies:
         (accepted,) = policy_status.conditions(found, given, {})
         assert (accepted.status, accepted.reason) == ("False", "PoolNotShared")
         assert accepted.message.startswith("spec.strategies[0].waitFor: FallbackPool hot is Executing")
-        assert policy_status.problem(found, {}) is None, "the rest of the policy is followed"
+        assert policy_reader.problem(found, {}) is None, "the rest of the policy is followed"
 
 
 class TestRobots:

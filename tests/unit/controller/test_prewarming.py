@@ -22,7 +22,7 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
-from understudy.controller.observed import degraded_measures
+from understudy.controller.observed import degraded_measures, policy_reader, pool_reader
 from understudy.controller.pods.pool_pods import Observed
 from understudy.controller.status import policy_status, pool_status
 from understudy.kube.client import Object
@@ -147,14 +147,14 @@ class TestWhatIsSaid:
     def test_a_pool_tells_how_many_it_is_to_have(self) -> None:
         pool = hot(per_workload=0)
         observed = Observed(pool=pool, workloads={"w": workload()}, pods=[], owned={}, now=0.0, prewarmed=1)
-        assert pool_status.count(observed, policy_status.pool_spec(pool)).desired == 1
+        assert pool_status.count(observed, pool_reader.spec(pool)).desired == 1
 
     def test_a_shared_pool_is_not_for_one_workload_alone(self) -> None:
         asked = prewarming(pool="spare")
         found = policy_status.conditions(asked, {"hot": hot(), "spare": spare()}, {})
         assert (found[0].status, found[0].reason) == ("False", "PoolNotPrewarmed")
         assert found[0].message.startswith("spec.degraded.actions[0].prewarm.poolRef.name: FallbackPool spare is")
-        assert policy_status.problem(asked, {}) is None, "the rest of the policy is followed"
+        assert policy_reader.problem(asked, {}) is None, "the rest of the policy is followed"
 
 
 def test_what_does_not_fit_the_kind_asks_for_nothing() -> None:

@@ -18,8 +18,8 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
+from understudy.controller.observed import policy_reader, pool_reader
 from understudy.controller.pods import instance_pod
-from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 
 INACTIVE = {"yaml": {"set_lifecycle": {"node": "/amcl", "state": "inactive"}}, "within": "20s"}
@@ -55,7 +55,7 @@ def test_a_mistake_in_bring_up_is_told_and_what_is_there_stays() -> None:
 def test_a_mistake_in_a_recovery_is_told_in_the_policy() -> None:
     found = policy("Restart", "Restart")
     found["spec"]["strategies"][1]["recovery"] = {"yaml": {"restore_state": {"onyl": ["/amcl_pose"]}}}
-    problem = policy_status.problem(found, {})
+    problem = policy_reader.problem(found, {})
     assert problem is not None
     assert problem.reason == "TreeInvalid"
     assert problem.message == (
@@ -179,13 +179,13 @@ def test_a_mistake_in_another_language_is_told_with_its_place() -> None:
     found["spec"]["strategies"][0]["recovery"] = {
         "osc": "import osc.understudy\nscenario back:\n    do restore_stat()\n"
     }
-    problem = policy_status.problem(found, {})
+    problem = policy_reader.problem(found, {})
     assert problem is not None
     assert problem.message == (
         "spec.strategies[0].recovery.osc, line 3, column 8: restore_stat(): unknown behaviour, did you mean 'restore_state'?"
     )
     pool = warm(readinessCheck=in_xml('<SetLifecycle node="/amcl" state="active"/>') | {"period": "1s"})
-    refused = policy_status.pool_problem(pool)
+    refused = pool_reader.problem(pool)
     assert refused is not None
     assert refused.message == (
         "spec.readinessCheck.xml, line 3, column 1: <SetLifecycle>: isn't for checks: a check only looks; it belongs into a procedure"

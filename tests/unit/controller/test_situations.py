@@ -24,7 +24,7 @@ from tests.unit.controller.world import (
     workload,
 )
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.controller.observed import kube_objects
+from understudy.controller.observed import kube_objects, policy_reader
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
@@ -302,7 +302,7 @@ def test_a_wait_for_a_standby_of_one_s_own_is_told_with_its_place() -> None:
 def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
     asked = situational(("carrying", ("hot",)))
     asked["spec"]["situations"][0]["when"] = {"yaml": {"topik": {}}}
-    found = policy_status.problem(asked, {})
+    found = policy_reader.problem(asked, {})
     assert found is not None
     assert found.message.startswith("spec.situations[0].when.yaml.topik: unknown key 'topik'")
 
@@ -323,7 +323,7 @@ async def test_a_pool_wants_no_standby_of_a_workload_in_whose_situation_it_does_
 
 
 def test_pods_of_a_shared_pool_that_a_situation_names_concern_its_workloads() -> None:
-    assert change_index.policy_status.named_pools(CARRYING) == ["warm", "spare", "hot", "spare"]
+    assert change_index.policy_reader.named_pools(CARRYING) == ["warm", "spare", "hot", "spare"]
     assert created(world().plan(), "pods") == []
 
 

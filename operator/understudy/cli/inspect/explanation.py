@@ -24,13 +24,19 @@ from understudy.cli.inspect import limit_text
 from understudy.cli.inspect.cluster_observation import Around
 from understudy.controller.desired import effective_policy, standby_pods
 from understudy.controller.desired.workload_plan import Understanding, understand
-from understudy.controller.observed import dependency_graph, kube_objects, situation_strategies
+from understudy.controller.observed import (
+    dependency_graph,
+    kube_objects,
+    policy_reader,
+    pool_reader,
+    situation_strategies,
+)
 from understudy.controller.observed.observation import Observed
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.plan import Images
 from understudy.controller.pods import pool_pods as pools
 from understudy.controller.pods import pool_size
-from understudy.controller.status import policy_status, protection
+from understudy.controller.status import protection
 from understudy.controller.status.protection import Means
 from understudy.kube.client import Object
 from understudy.trees.languages.notations import load_monitoring
@@ -118,7 +124,7 @@ class Known:
         if self.spec is None or self.understanding.policy_problem is not None:
             return None
         item = self.observed.policies[self.spec.failure_policy_ref.name]
-        return in_force(policy_status.spec(item), item.get("status"))
+        return in_force(policy_reader.spec(item), item.get("status"))
 
 
 @dataclass(frozen=True)
@@ -343,7 +349,7 @@ def _recorded(strategy: Strategy, observed: Observed) -> str:
     if strategy.pool_ref is None:
         return strategy.type
     item = observed.pools.get(strategy.pool_ref.name)
-    return f"{strategy.type}/{policy_status.readiness(item) if item is not None else ''}"
+    return f"{strategy.type}/{pool_reader.readiness(item) if item is not None else ''}"
 
 
 def _otherwise(known: Known, considered: Sequence[tuple[Strategy, Means]]) -> Iterator[_Entry]:
@@ -397,9 +403,9 @@ def _pools(known: Known) -> Iterator[_Entry]:
     observed = known.observed
     for name in known.pools:
         item = observed.pools.get(name)
-        if item is None or not pools.serves(item, observed.workload):
+        if item is None or not pool_reader.serves(item, observed.workload):
             continue  # it is told above
-        if policy_status.readiness(item) == "Uninitialized":
+        if pool_reader.readiness(item) == "Uninitialized":
             yield from _shared(name, item, observed)
         else:
             yield from _own(name, item, observed)
@@ -420,9 +426,7 @@ def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
 def _own(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
     found = protection.waiting(observed, item)
     ready = sum(kube_objects.ready(pod) for pod in found)
-    yield _Entry(
-        f"{name} ({policy_status.readiness(item)}): {ready} ready, {standby_pods.wanted(observed, name)} wanted"
-    )
+    yield _Entry(f"{name} ({pool_reader.readiness(item)}): {ready} ready, {standby_pods.wanted(observed, name)} wanted")
     yield from map(_pod, found)
 
 

@@ -15,8 +15,8 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.manifests import object_check
 from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.controller.desired import strategy_selection
+from understudy.controller.observed import pool_reader
 from understudy.controller.observed.kube_objects import hint
-from understudy.controller.pods import pool_pods
 from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 
@@ -97,7 +97,7 @@ def _recommended(
     stated = FailurePolicySpec.model_validate(policy.data["spec"]).requirements
     requirements = Requirements.model_validate({**(stated.to_wire() if stated is not None else {}), **levels})
     offered = {one.name: one.data for one in near if one.kind == "FallbackPool"}
-    serving = {name: pool for name, pool in offered.items() if pool_pods.serves(pool, workload.data)}
+    serving = {name: pool for name, pool in offered.items() if pool_reader.serves(pool, workload.data)}
     robots = [one.data for one in near if one.kind == "RobotWorkload"]
     order = strategy_selection.order(
         policy.data,
@@ -105,7 +105,7 @@ def _recommended(
         serving,
         requirements=requirements,
         cpu=cpu,
-        sharing={name: sum(pool_pods.serves(pool, robot) for robot in robots) for name, pool in serving.items()},
+        sharing={name: sum(pool_reader.serves(pool, robot) for robot in robots) for name, pool in serving.items()},
     )
     assert order is not None, "the requirements are understood"
     return Recommendation(

@@ -11,10 +11,9 @@ from understudy.advice.strategy_order import Order
 from understudy.api import names
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.controller.desired import strategy_selection
-from understudy.controller.observed import kube_objects, situation_strategies
+from understudy.controller.observed import kube_objects, policy_reader, pool_reader, situation_strategies
 from understudy.controller.observed.observation import WAITING, Observed
 from understudy.controller.pods import pool_pods, pool_size
-from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 
 
@@ -23,7 +22,7 @@ def strategies(observed: Observed) -> list[Strategy]:
     policy = observed.policy
     assert policy is not None
     found = chosen(observed)
-    return policy_status.spec(policy).strategies if found is None else found
+    return policy_reader.spec(policy).strategies if found is None else found
 
 
 def order(observed: Observed, name: str | None = None) -> Order | None:
@@ -35,11 +34,11 @@ def order(observed: Observed, name: str | None = None) -> Order | None:
     if (
         policy is None
         or not strategy_selection.is_auto(policy)
-        or policy_status.problem(policy, observed.config_maps) is not None
+        or policy_reader.problem(policy, observed.config_maps) is not None
     ):
         return None
     name = situation(observed) if name is None else name
-    found = situation_strategies.find(policy_status.spec(policy), name) if name else None
+    found = situation_strategies.find(policy_reader.spec(policy), name) if name else None
     # A pool that isn't accepted any more has still what it had: what counts on it goes on.
     before = {choice.name for choice in observed.told_pools}
     usable = {pool: item for pool, item in observed.serving.items() if observed.refused(pool) is None or pool in before}
@@ -115,9 +114,9 @@ def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strateg
     if strategy_selection.is_auto(policy):
         found = order(observed, name)
         return strategy_selection.strategies(policy, found) if found is not None else None
-    if policy_status.problem(policy, observed.config_maps) is not None:
+    if policy_reader.problem(policy, observed.config_maps) is not None:
         return None
-    spec = policy_status.spec(policy)
+    spec = policy_reader.spec(policy)
     one = situation_strategies.find(spec, name)
     return one.strategies if one is not None and one.strategies else spec.strategies
 
@@ -135,7 +134,7 @@ def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
     if first is None or first.pool_ref is None:
         return None
     pool, least = first.pool_ref.name, 0
-    if policy_status.readiness(served[pool]) in WAITING:
+    if pool_reader.readiness(served[pool]) in WAITING:
         ready = [
             pod
             for pod in observed.pods
@@ -147,5 +146,5 @@ def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
     else:
         ready = pool_pods.claimable_now(observed.unclaimed.get(pool, ()), observed.held_policies.get(pool))
         if observed.refused(pool) is None:
-            least = policy_status.pool_spec(served[pool]).kept_from(observed.workload["spec"].get("poolPriority") or 0)
+            least = pool_reader.spec(served[pool]).kept_from(observed.workload["spec"].get("poolPriority") or 0)
     return None if len(ready) > least else f"no pod of FallbackPool {pool} is ready for it"

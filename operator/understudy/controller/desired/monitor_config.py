@@ -9,10 +9,9 @@ from understudy.api import names
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.controller.desired import action_proxy_container, effective_policy, node_drain
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import dependency_graph, kube_objects
+from understudy.controller.observed import dependency_graph, kube_objects, pool_reader
 from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import instance_pod, pool_pods
-from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 
 
@@ -72,7 +71,7 @@ def choices(observed: Observed, understanding: Understanding) -> list[PoolChoice
             # Its standbys were made and brought up by what was accepted before, and are judged by that.
             found += [present[name]] if name in present else []
             continue
-        pool = policy_status.pool_spec(served[name])
+        pool = pool_reader.spec(served[name])
         readiness = pool.readiness
         keep_up = pool.keep_up.period if pool.keep_up and readiness == "Initialized" else None
         allowed = pool_pods.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""

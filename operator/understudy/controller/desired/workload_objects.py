@@ -21,12 +21,11 @@ from understudy.controller.desired import (
     standby_pods,
 )
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import dependency_graph, kube_objects, ownership, workload_reference
+from understudy.controller.observed import dependency_graph, kube_objects, ownership, policy_reader, workload_reference
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan
 from understudy.controller.pods import claim_tokens, instance_pod
 from understudy.controller.pods.pool_pods import Fresh
-from understudy.controller.status import policy_status
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -174,7 +173,7 @@ def _monitor(
     if understanding.policy_problem is not None:
         claim = monitor_deployment.claimed(live)
     else:
-        claim = policy_status.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
+        claim = policy_reader.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
     body = monitor_deployment.deployment(
         name,
         namespace,

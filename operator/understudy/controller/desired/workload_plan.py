@@ -12,11 +12,10 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.desired import action_proxy_container, discovery_server, reflex_validation, ros_environment
-from understudy.controller.observed import kube_objects, workload_reference
+from understudy.controller.observed import kube_objects, policy_reader, pool_reader, workload_reference
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Images, Problem
 from understudy.controller.pods import instance_pod
-from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
 from understudy.trees.languages.procedure_notations import composed
@@ -46,10 +45,10 @@ def understand(observed: Observed, images: Images) -> Understanding:
     try:
         spec = RobotWorkloadSpec.model_validate(workload.get("spec") or {})
     except ValidationError as error:
-        return Understanding(problem=Problem("SpecInvalid", policy_status.invalid(error)))
+        return Understanding(problem=Problem("SpecInvalid", policy_reader.invalid(error)))
     policy = _policy_problem(observed, spec)
     trees = ((f"spec.dependsOn[{index}].procedure", one.procedure) for index, one in enumerate(spec.depends_on))
-    if words := policy_status.procedures_problem(("spec.bringUp", spec.bring_up), *trees):
+    if words := policy_reader.procedures_problem(("spec.bringUp", spec.bring_up), *trees):
         return Understanding(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
 
     def refuse(problem: Problem) -> Understanding:
@@ -118,7 +117,7 @@ def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | No
             f"{observed.workload['metadata']['namespace']} ({kube_objects.hint(name, observed.policies)}). "
             f"Create it or correct the name",
         )
-    if found := policy_status.problem(policy, observed.config_maps):
+    if found := policy_reader.problem(policy, observed.config_maps):
         return Problem("PolicyNotAccepted", f"FailurePolicy {name}: {found.message}")
     return None
 
@@ -127,6 +126,6 @@ def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
     """The tree that brings a pool's standbys up, in the short form as text; empty where there is none, or the pool isn't accepted."""
     if observed.refused(pool) is not None:
         return ""
-    parsed = policy_status.pool_spec(observed.pools[pool])
+    parsed = pool_reader.spec(observed.pools[pool])
     found = parsed.initialization or (spec.bring_up if parsed.readiness == "Executing" else None)
     return json.dumps(composed(found, path=pool).node, sort_keys=True) if found is not None else ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import ValidationError
 
 from understudy.api.kinds.degraded_spec import Action
-from understudy.controller.status import policy_status
+from understudy.controller.observed import policy_reader
 from understudy.kube.client import Object
 
 
@@ -30,7 +30,7 @@ def actions(policy: Object | None) -> list[Action]:
         return []  # nothing to parse for the many that have none
     assert policy is not None
     try:
-        found = policy_status.spec(policy).degraded
+        found = policy_reader.spec(policy).degraded
     except ValidationError:
         return []
     return found.actions if found is not None else []

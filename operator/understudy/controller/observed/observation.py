@@ -11,10 +11,8 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.switchover_spec import Phase
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
-from understudy.controller.observed import committed_recovery, kube_objects, workload_reference
+from understudy.controller.observed import committed_recovery, kube_objects, pool_reader, workload_reference
 from understudy.controller.plan import Problem
-from understudy.controller.pods import pool_pods as pools
-from understudy.controller.status import policy_status as policies
 from understudy.kube.client import CONFIG_MAPS, Object
 from understudy.kube.gates import registry
 
@@ -80,17 +78,17 @@ class Observed:
         return {
             name: pool
             for name, pool in self.pools.items()
-            if not kube_objects.deleted(pool) and pools.serves(pool, self.workload)
+            if not kube_objects.deleted(pool) and pool_reader.serves(pool, self.workload)
         }
 
     @property
     def standby_pools(self) -> dict[str, Object]:
         """The pools that keep standbys of the workload's own template."""
-        return {name: pool for name, pool in self.serving.items() if policies.readiness(pool) in WAITING}
+        return {name: pool for name, pool in self.serving.items() if pool_reader.readiness(pool) in WAITING}
 
     def refused(self, pool: str) -> Problem | None:
         """Why a pool isn't accepted. Nothing is made for it then, and what there is of it stays as it was."""
-        return policies.pool_problem(self.pools[pool])
+        return pool_reader.problem(self.pools[pool])
 
     @property
     def told(self) -> WorkloadSettings | None:

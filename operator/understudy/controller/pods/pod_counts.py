@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 
 from understudy.api import names
 from understudy.controller.observed import kube_objects
-from understudy.controller.reconcile.expectations import LASTS
 from understudy.kube.client import Object
 
 REST_SECONDS = 10.0
 """A pod that ended (such as one that its node refused) is replaced after so long: no busy loop of refusals."""
+
+EXPECTED_SECONDS = 60.0
+"""Seconds after which a pod that nobody has observed counts as never made; a request's own timeout is far shorter."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def change(
     present = [pod for pod in fitting if kept(pod) or not moving(pod)]
     leaving = [pod for pod in fitting if not kept(pod) and moving(pod)]
     rest = max((REST_SECONDS - (now - kube_objects.created(pod)) for pod in resting), default=None)
-    again = min((delay for delay in (rest, LASTS if expected else None) if delay is not None), default=None)
+    again = min((delay for delay in (rest, EXPECTED_SECONDS if expected else None) if delay is not None), default=None)
     # Where a template has its pods placed on such a node again, twice as many as are wanted are enough.
     surplus = max(0, len(leaving) - want)
     create = max(0, want - surplus - len(present) - len(resting) - expected)

@@ -13,7 +13,6 @@ from understudy.controller.plan import Apply, Create, Delete, Images, Plan, Prob
 from understudy.controller.observed import kube_objects, leaving_nodes, ownership
 from understudy.controller.pods import claim_tokens, instance_pod, pod_counts, pool_evictions, pool_size
 from understudy.controller.pods.pool_size import Sized
-from understudy.controller.status import policy_status
 from understudy.failover.pool_queue import Waiter, in_order
 from understudy.failover.progress import waiter
 from understudy.kube import selectors
@@ -79,12 +78,6 @@ class Understanding:
     """Its size, where it follows the failures."""
 
 
-def serves(pool: Object, workload: Object) -> bool:
-    """Whether a pool's selector matches a workload."""
-    selector = (pool.get("spec") or {}).get("workloadSelector") or {}
-    return selectors.matches(selector, kube_objects.labels(workload))
-
-
 def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
     """The pods that a shared pool holds: still its own, and still held."""
     return [
@@ -109,10 +102,10 @@ def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
 def understand(observed: Observed, images: Images) -> Understanding:
     """What a pool's spec comes to, before the API server has judged its template."""
     pool = observed.pool
-    refused = policy_status.pool_problem(pool)
+    refused = pool_reader.problem(pool)
     if refused is not None and refused.reason == "SpecInvalid":
         return Understanding(problem=refused)
-    spec = policy_status.pool_spec(pool)
+    spec = pool_reader.spec(pool)
     sized = pool_size.sized(pool, spec, observed.asking, observed.now)
     if refused is not None:
         return Understanding(spec, refused, sized=sized)

@@ -15,11 +15,12 @@ from understudy.controller.observed import (
     health_tree_sources,
     kube_objects,
     leaving_nodes,
+    policy_reader,
     stand_ins,
 )
 from understudy.controller.pods import pool_pods
 from understudy.controller.reconcile.object_store import Sight, Store
-from understudy.controller.status import policy_status, storm_detection
+from understudy.controller.status import storm_detection
 from understudy.kube.apply import controller_of
 from understudy.kube.client import (
     CONFIG_MAPS,
@@ -169,7 +170,7 @@ def _after_commit(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
 def _guard(workload: Object, store: Store, namespace: str) -> Iterator[Key]:
     """A workload's policy, where it guards against storms."""
     policy = store.get(POLICIES, namespace, used_policy(workload))
-    if policy is not None and policy_status.storm_guard(policy) is not None:
+    if policy is not None and policy_reader.storm_guard(policy) is not None:
         yield Key(POLICIES.plural, namespace, kube_objects.name(policy))
 
 
@@ -306,7 +307,7 @@ def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[K
 
 def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:
     for name, policy in store.in_namespace(POLICIES, namespace).items():
-        if strategy_selection.is_auto(policy) or pool in policy_status.named_pools(policy):
+        if strategy_selection.is_auto(policy) or pool in policy_reader.named_pools(policy):
             yield from users(name, store, namespace)
 
 

@@ -5,13 +5,9 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # whom a change affects depends on pods, and so on what is expected of them
-    from understudy.controller.reconcile.change_index import Key
-
-LASTS = 60.0
-"""Seconds after which an unobserved pod is taken as never made; a request's own timeout is far shorter."""
+from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
+from understudy.controller.reconcile.change_index import Key
 
 
 class Expectations:
@@ -35,7 +31,7 @@ class Expectations:
         if not known:
             return 0
         now = self._clock()
-        for name in [name for name, since in known.items() if now - since >= LASTS or observed(name)]:
+        for name in [name for name, since in known.items() if now - since >= EXPECTED_SECONDS or observed(name)]:
             del known[name]
         return len(known)
 

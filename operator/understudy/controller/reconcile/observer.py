@@ -67,7 +67,7 @@ class Observer:
         name, namespace = kube_objects.name(item), item["metadata"]["namespace"]
         found_pools = store.in_namespace(POOLS, namespace)
         key = Key(WORKLOADS.plural, namespace, name)
-        serving = [p for p, pool in found_pools.items() if pool_pods.serves(pool, item)]
+        serving = [p for p, pool in found_pools.items() if pool_reader.serves(pool, item)]
         return Observed(
             workload=item,
             now=time.time(),
@@ -205,7 +205,7 @@ class Observer:
             stand_ins=self._standing_in(item, found, made, active),
             expected=self._expected(Key(POOLS.plural, namespace, name), name),
             prewarmed=sum(
-                pool_pods.serves(item, workload)
+                pool_reader.serves(item, workload)
                 and degraded_measures.prewarmed(
                     workload, store.get(POLICIES, namespace, change_index.used_policy(workload)), name
                 )
@@ -247,7 +247,7 @@ class Observer:
             kube_objects.labels(pod).get(names.WORKLOAD, "") for pod in pods if kube_objects.uid(pod) in active
         }:
             workload = workloads.get(name)
-            if workload is None or not pool_pods.serves(pool, workload):
+            if workload is None or not pool_reader.serves(pool, workload):
                 continue
             policy = self._store.get(POLICIES, namespace, change_index.used_policy(workload))
             if stand_ins.may_stand_in(workload, policy):
@@ -258,14 +258,14 @@ class Observer:
 
     def _asks(self, pool: Object, workload: Object) -> bool:
         """Whether a workload takes a pod of a pool when it fails, where the pool's size follows that."""
-        if not (pool.get("spec") or {}).get("sizing") or not pool_pods.serves(pool, workload):
+        if not (pool.get("spec") or {}).get("sizing") or not pool_reader.serves(pool, workload):
             return False
         policy = self._store.get(POLICIES, pool["metadata"]["namespace"], change_index.used_policy(workload))
         if policy is None:
             return False
         if strategy_selection.is_auto(policy):
             return workload_status.takes_from(change_index.chosen(workload), kube_objects.name(pool))
-        return kube_objects.name(pool) in policy_status.named_pools(policy)
+        return kube_objects.name(pool) in policy_reader.named_pools(policy)
 
     def _spared(self, pool: Object, workload: Object) -> bool:
         """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it, or are in force now.
@@ -273,7 +273,7 @@ class Observer:
         By its status, in which that stands once it was chosen: a fleet's orders aren't thought over for every pod of a pool.
         """
         policy = self._store.get(POLICIES, pool["metadata"]["namespace"], change_index.used_policy(workload))
-        if policy is None or not strategy_selection.varies(policy) or not pool_pods.serves(pool, workload):
+        if policy is None or not strategy_selection.varies(policy) or not pool_reader.serves(pool, workload):
             return False
         chosen = change_index.chosen(workload)
         return bool(chosen) and not workload_status.takes_from(chosen, kube_objects.name(pool))

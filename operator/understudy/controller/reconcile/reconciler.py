@@ -13,7 +13,7 @@ from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition
 from understudy.controller.desired import node_drain, workload_objects
 from understudy.controller.desired.workload_plan import Understanding, probe_template, understand
-from understudy.controller.observed import dependency_graph, kube_objects
+from understudy.controller.observed import dependency_graph, kube_objects, policy_reader
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import UNANSWERED, Images, Problem
 from understudy.controller.pods import claim_tokens, instance_pod, pool_pods, pool_size
@@ -258,7 +258,7 @@ class Reconciler:
 
     def _storm(self, policy: Object, users: Sequence[str]) -> tuple[Condition | None, float | None]:
         """What is said of a storm, and when to look again; nothing where the policy has no guard."""
-        guard, namespace = policy_status.storm_guard(policy), policy["metadata"]["namespace"]
+        guard, namespace = policy_reader.storm_guard(policy), policy["metadata"]["namespace"]
         if guard is None:
             operator_metrics.storm(namespace, kube_objects.name(policy), None)
             return None, None

@@ -47,7 +47,7 @@ def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | N
         )
     driving = [pod for pod in living if kube_objects.uid(pod) in observed.active]
     waiting = [*(pod for pod in living if pod not in driving), *observed.stand_ins]
-    served = sum(pool_pods.serves(observed.pool, workload) for workload in observed.workloads.values())
+    served = sum(pool_reader.serves(observed.pool, workload) for workload in observed.workloads.values())
     return Counts(
         replicas=len(waiting),
         desired=(served - observed.spared) * (spec.per_workload or 0) + observed.prewarmed,
@@ -129,7 +129,7 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
     def no(reason: str, message: str) -> Condition:
         return condition("Ready", False, reason, message, generation=generation)
 
-    if not any(pool_pods.serves(pool, workload) for workload in observed.workloads.values()):
+    if not any(pool_reader.serves(pool, workload) for workload in observed.workloads.values()):
         selector = selectors.as_text((pool.get("spec") or {}).get("workloadSelector") or {})
         return no(
             "NoMatchingWorkload",
@@ -145,9 +145,9 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
     told = f"{counts.ready} of {counts.desired} are ready"
-    if policy_status.readiness(pool) == "Uninitialized":
+    if pool_reader.readiness(pool) == "Uninitialized":
         return no("PodsNotReady", f"{told}.")
-    served = sorted(name for name, workload in observed.workloads.items() if pool_pods.serves(pool, workload))
+    served = sorted(name for name, workload in observed.workloads.items() if pool_reader.serves(pool, workload))
     return no("PodsNotReady", f"{told}; what is being done to them is in the condition BroughtUp of {_named(served)}.")
 
 

@@ -11,10 +11,9 @@ from understudy.api.kinds.failure_policy import Strategy
 from understudy.api.kinds.robot_workload import STOCKED_MOST
 from understudy.controller.desired import effective_policy, standby_pods
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import degraded_measures, kube_objects, leaving_nodes, pod_diagnosis
+from understudy.controller.observed import degraded_measures, kube_objects, leaving_nodes, pod_diagnosis, pool_reader
 from understudy.controller.observed.observation import WAITING, Observed
 from understudy.controller.pods import pool_pods, pool_size
-from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 
 LIMITED = (
@@ -82,7 +81,7 @@ def stocked(observed: Observed, understanding: Understanding) -> Object:
     """The shared pools that it could claim from, the first ones of an order that was chosen among many. Its monitor goes by this until it
     needs a pod, and asks only then.
     """
-    shared = [p for p in observed.pools if policy_status.readiness(observed.pools[p]) == "Uninitialized"]
+    shared = [p for p in observed.pools if pool_reader.readiness(observed.pools[p]) == "Uninitialized"]
     found = [
         strategy.pool_ref.name
         for strategy in _strategies(observed, understanding)
@@ -100,11 +99,11 @@ def standby(observed: Observed, understanding: Understanding) -> str:
         if name not in served:
             continue
         pool = served[name]
-        if policy_status.readiness(pool) in WAITING:
+        if pool_reader.readiness(pool) in WAITING:
             want = standby_pods.wanted(observed, name)
             have = sum(kube_objects.ready(pod) for pod in waiting(observed, pool))
-            return f"{policy_status.readiness(pool)} ({min(have, want)}/{want})"
-        if policy_status.readiness(pool) == "Uninitialized":
+            return f"{pool_reader.readiness(pool)} ({min(have, want)}/{want})"
+        if pool_reader.readiness(pool) == "Uninitialized":
             # Of a shared pool one counts, which is all that it could claim: a number that changes with each claim of any
             # other workload would be written as often to all of them.
             want = min(1, pool_size.size(pool))
@@ -163,9 +162,9 @@ def _strategies(observed: Observed, understanding: Understanding) -> list[Strate
 def _asleep(observed: Observed, name: str, on_demand: Sequence[str]) -> bool:
     """Whether a pool is one that has standbys only while a workload is degraded, and has none now: nobody counts on it."""
     pool = observed.pools.get(name)
-    if name not in on_demand or pool is None or policy_status.readiness(pool) not in WAITING:
+    if name not in on_demand or pool is None or pool_reader.readiness(pool) not in WAITING:
         return False
-    if not pool_pods.serves(pool, observed.workload):
+    if not pool_reader.serves(pool, observed.workload):
         return False  # which is told
     if pool["spec"].get("perWorkload"):
         return False
@@ -190,7 +189,7 @@ def _means(observed: Observed, understanding: Understanding, strategy: Strategy)
             f'FallbackPool "{name}", which its policy names, is not there ({kube_objects.hint(name, observed.pools)})'
         )
         return Means(label, False, "NoPool", f"{words}. Create it, or correct the policy")
-    if not pool_pods.serves(pool, observed.workload):
+    if not pool_reader.serves(pool, observed.workload):
         return Means(
             label,
             False,
@@ -198,7 +197,7 @@ def _means(observed: Observed, understanding: Understanding, strategy: Strategy)
             f"FallbackPool {name} doesn't serve it: its workloadSelector doesn't match the labels of this "
             f"RobotWorkload. Put them on its metadata, or correct the selector",
         )
-    match policy_status.readiness(pool):
+    match pool_reader.readiness(pool):
         case "Executing" | "Initialized":
             found = _standing(observed, label, pool)
             return found if found.available else unfound(label) or found
@@ -245,7 +244,7 @@ def _standing(observed: Observed, label: str, pool: Object) -> Means:
     ready = [pod for pod in found if kube_objects.ready(pod)]
     if ready:
         near = ", on the same node as the pod in control" if _beside_active(observed, ready) else ""
-        return Means(label, True, message=f"pod {kube_objects.name(ready[0])} ({policy_status.readiness(pool)}){near}")
+        return Means(label, True, message=f"pod {kube_objects.name(ready[0])} ({pool_reader.readiness(pool)}){near}")
     if (refused := observed.refused(name)) is not None:
         words = f"FallbackPool {name} is not accepted, so no standby is made: {refused.message}"
         return Means(label, False, "PoolNotAccepted", words)
@@ -265,7 +264,7 @@ def _uninitialized(observed: Observed, label: str, pool: Object, priority: int) 
     name = kube_objects.name(pool)
     held = observed.unclaimed.get(name, ())
     ready = pool_pods.claimable_now(held, observed.held_policies.get(name))
-    kept = policy_status.pool_spec(pool).kept_from(priority) if observed.refused(name) is None else 0
+    kept = pool_reader.spec(pool).kept_from(priority) if observed.refused(name) is None else 0
     if len(ready) > kept:
         # How many it has is in its own status: here each claim would be a write for every workload that it serves.
         return Means(label, True, message="it has pods ready (Uninitialized)")

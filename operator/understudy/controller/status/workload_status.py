@@ -9,10 +9,16 @@ from understudy.api.conditions import Condition, condition, merged
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.controller.desired import effective_policy, node_drain, standby_pods
 from understudy.controller.desired.workload_plan import Understanding
-from understudy.controller.observed import dependency_graph, kube_objects, pod_diagnosis, situation_strategies
+from understudy.controller.observed import (
+    dependency_graph,
+    kube_objects,
+    pod_diagnosis,
+    pool_reader,
+    situation_strategies,
+)
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Problem
-from understudy.controller.status import policy_status, protection
+from understudy.controller.status import protection
 from understudy.kube.client import Object
 
 PROGRESSING = frozenset(
@@ -131,7 +137,7 @@ def _short(observed: Observed, strategy: Strategy) -> str:
         return strategy.type
     name = strategy.pool_ref.name
     pool = observed.pools.get(name)
-    return f"{policy_status.readiness(pool) if pool is not None else strategy.type} ({name})"
+    return f"{pool_reader.readiness(pool) if pool is not None else strategy.type} ({name})"
 
 
 def takes_from(strategies: str, pool: str) -> bool:

@@ -1,0 +1,40 @@
+"""Reads FallbackPools: their specs, whether they can be followed, and which workloads they serve."""
+
+from __future__ import annotations
+
+from pydantic import ValidationError
+
+from understudy.api.kinds.fallback_pool import FallbackPoolSpec
+from understudy.controller.observed import kube_objects, policy_reader, selectors
+from understudy.controller.plan import Problem
+from understudy.kube.client import Object
+
+
+def problem(pool: Object) -> Problem | None:
+    """Why a pool can't be followed, as far as its own spec says; None if it can."""
+    try:
+        parsed = spec(pool)
+    except ValidationError as error:
+        return Problem("SpecInvalid", policy_reader.invalid(error))
+    if found := policy_reader.procedures_problem(
+        ("spec.initialization", parsed.initialization), ("spec.readinessCheck", parsed.readiness_check)
+    ):
+        return Problem("TreeInvalid", found)
+    return None
+
+
+def readiness(pool: Object) -> str:
+    """The pool's readiness."""
+    found: str = (pool.get("spec") or {}).get("readiness", "")
+    return found
+
+
+def spec(pool: Object) -> FallbackPoolSpec:
+    """A pool's spec. Raises ValidationError where a stored one doesn't fit the present kind."""
+    return FallbackPoolSpec.model_validate(pool.get("spec") or {})
+
+
+def serves(pool: Object, workload: Object) -> bool:
+    """Whether a pool's selector matches a workload."""
+    selector = (pool.get("spec") or {}).get("workloadSelector") or {}
+    return selectors.matches(selector, kube_objects.labels(workload))
