@@ -9,10 +9,10 @@ import pytest
 from tests.unit.controller.world import IMAGES, TEMPLATE, hot, pod, policy, spare
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Ros
-from understudy.controller.desired import discovery_server, monitor_deployment, ros_environment
-from understudy.controller.observed import workload_reference
+from understudy.controller.desired import discovery_server, monitor_deployment
+from understudy.controller.observed import policy_reader, workload_reference
 from understudy.controller.observed.pod_diagnosis import trouble
-from understudy.controller.pods import instance_pod, pod_placement
+from understudy.controller.pods import instance_pod, pod_placement, ros_environment
 from understudy.controller.status import policy_status
 from understudy.kube.client import Object
 

@@ -9,9 +9,9 @@ from tests.unit.controller.world import workload
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol import freeze_script
-from understudy.controller.desired import action_proxy_container, reflex_validation, ros_environment
+from understudy.controller.desired import action_proxy_container, reflex_validation
 from understudy.controller.plan import Images
-from understudy.controller.pods import instance_pod
+from understudy.controller.pods import instance_pod, ros_environment
 from understudy.kube.client import Object
 
 CMD_VEL = {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}

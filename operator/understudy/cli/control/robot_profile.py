@@ -14,7 +14,7 @@ from understudy.api.output_formats import structured
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control.profile_files import Profile
-from understudy.controller.desired.ros_environment import PROFILES_DIR
+from understudy.controller.pods.ros_environment import PROFILES_DIR
 from understudy.kube.client import Object
 
 DONE, CANT = 0, 2

@@ -24,7 +24,6 @@ from understudy.cli.common.kubectl_proxy import Answer, Api
 from understudy.cli.common.pod_session import Session, session
 from understudy.cli.common.wording import unix
 from understudy.cli.doctor import pod_program
-from understudy.controller.plan import Images, pull_secrets
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.plan import Images, pull_secrets

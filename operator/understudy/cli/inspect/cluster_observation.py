@@ -14,8 +14,6 @@ from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer, Reader
-from understudy.controller.reconcile.object_store import Store
-from understudy.controller.observed import health_tree_sources
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, POOLS, WORKLOADS, Object, Resource
 from understudy.kube.gates import registry
 

@@ -8,9 +8,9 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import GROUP
 from understudy.api.kinds.robot_workload import MonitorSettings
-from understudy.controller.desired import ros_environment
 from understudy.controller.desired.discovery_server import TOLERATIONS
 from understudy.controller.plan import Images, priority, pull_secrets
+from understudy.controller.pods import ros_environment
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.controller.pods.pod_placement import away_from
 from understudy.kube.apply import digest

@@ -17,14 +17,13 @@ from understudy.controller.desired import (
     monitor_config,
     monitor_deployment,
     node_drain,
-    ros_environment,
     standby_pods,
 )
 from understudy.controller.desired.workload_plan import Understanding
 from understudy.controller.observed import dependency_graph, kube_objects, ownership, policy_reader, workload_reference
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan
-from understudy.controller.pods import claim_tokens, instance_pod
+from understudy.controller.pods import claim_tokens, instance_pod, ros_environment
 from understudy.controller.pods.pool_pods import Fresh
 from understudy.kube.client import (
     CONFIG_MAPS,

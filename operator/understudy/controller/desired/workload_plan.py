@@ -11,11 +11,11 @@ from pydantic import ValidationError
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.controller.desired import action_proxy_container, discovery_server, reflex_validation, ros_environment
+from understudy.controller.desired import action_proxy_container, discovery_server, reflex_validation
 from understudy.controller.observed import kube_objects, policy_reader, pool_reader, workload_reference
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Images, Problem
-from understudy.controller.pods import instance_pod
+from understudy.controller.pods import instance_pod, ros_environment
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
 from understudy.trees.languages.procedure_notations import composed

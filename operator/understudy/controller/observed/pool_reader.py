@@ -5,8 +5,9 @@ from __future__ import annotations
 from pydantic import ValidationError
 
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
-from understudy.controller.observed import kube_objects, policy_reader, selectors
+from understudy.controller.observed import kube_objects, policy_reader
 from understudy.controller.plan import Problem
+from understudy.kube import selectors
 from understudy.kube.client import Object
 
 

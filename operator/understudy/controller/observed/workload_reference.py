@@ -8,8 +8,8 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import WorkloadReference
-from understudy.controller.plan import Patch, Problem
 from understudy.controller.observed import kube_objects
+from understudy.controller.plan import Patch, Problem
 from understudy.kube import selectors
 from understudy.kube.client import PODS, Object
 

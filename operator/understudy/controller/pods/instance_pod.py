@@ -13,10 +13,9 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.protocol import freeze_script, hold_script
-from understudy.controller.desired import ros_environment
 from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Images, pull_secrets
-from understudy.controller.pods import pod_placement, template_shape
+from understudy.controller.pods import pod_placement, ros_environment, template_shape
 from understudy.kube import claims
 from understudy.kube.apply import digest
 from understudy.kube.client import Object

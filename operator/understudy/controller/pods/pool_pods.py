@@ -9,8 +9,8 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
+from understudy.controller.observed import kube_objects, leaving_nodes, ownership, pool_reader
 from understudy.controller.plan import Apply, Create, Delete, Images, Plan, Problem
-from understudy.controller.observed import kube_objects, leaving_nodes, ownership
 from understudy.controller.pods import claim_tokens, instance_pod, pod_counts, pool_evictions, pool_size
 from understudy.controller.pods.pool_size import Sized
 from understudy.failover.pool_queue import Waiter, in_order

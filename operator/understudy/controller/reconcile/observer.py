@@ -13,6 +13,8 @@ from understudy.controller.observed import (
     dependency_graph,
     kube_objects,
     leaving_nodes,
+    policy_reader,
+    pool_reader,
     stand_ins,
     workload_reference,
 )
@@ -22,7 +24,7 @@ from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
-from understudy.controller.status import policy_status, workload_status
+from understudy.controller.status import workload_status
 from understudy.kube import selectors
 from understudy.kube.client import (
     CONFIG_MAPS,

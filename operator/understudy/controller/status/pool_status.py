@@ -9,13 +9,11 @@ from datetime import UTC, datetime
 from understudy.api import names
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
-from understudy.controller.plan import UNANSWERED, Problem
-from understudy.controller.observed import kube_objects, leaving_nodes
+from understudy.controller.observed import kube_objects, leaving_nodes, pool_reader
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.plan import UNANSWERED, Problem
 from understudy.controller.pods import instance_pod, pod_counts, pool_pods, pool_size
 from understudy.controller.pods.pool_size import Sized
-from understudy.controller.status import policy_status
 from understudy.kube import selectors
 from understudy.kube.client import Object
 from understudy.kube.gates import isolation

@@ -16,7 +16,7 @@ from tests.support.fake_kubectl import FakeKubectl
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.cli.control import fence, robot_profile
-from understudy.controller.desired import ros_environment
+from understudy.controller.pods import ros_environment
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
 
