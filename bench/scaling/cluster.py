@@ -36,6 +36,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
+from understudy.kube.kubeconfig import load_access
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 NAME = "bench-scale"
@@ -113,7 +114,7 @@ class Cluster:
     @property
     def access(self) -> Access:
         """As the administrator."""
-        return Access.from_kubeconfig(str(self.kubeconfig))
+        return load_access(str(self.kubeconfig))
 
     def do(self, work: Callable[[Client], Coroutine[Any, Any, T]]) -> T:
         """Do something with a client of its own."""

@@ -31,6 +31,7 @@ from understudy.failover.progress import Progress
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube.client import NETWORK_POLICIES, Access, ApiError
 from understudy.kube.events import Recorder
+from understudy.kube.kubeconfig import load_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor import loop
@@ -197,7 +198,7 @@ class Process:
     """All monitors of this process."""
 
     def __init__(self, kubeconfig: str, folder: Path) -> None:
-        self._access = Access.from_kubeconfig(kubeconfig)
+        self._access = load_access(kubeconfig)
         self._folder = folder
         self._monitors: dict[str, Monitor] = {}
         self._waiting: dict[str, Reflector] = {}

@@ -20,6 +20,7 @@ from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, WORKLOADS, Access, ApiError, Client, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
+from understudy.kube.kubeconfig import load_access
 
 
 @dataclass
@@ -104,7 +105,7 @@ def _begin() -> None:
 
 def main(kubeconfig: str, namespace: str, pool: str, who: str, *robots: str) -> None:
     """Contend, and print what became of it."""
-    outcomes = asyncio.run(contend(Access.from_kubeconfig(kubeconfig), namespace, pool, who, robots, _begin))
+    outcomes = asyncio.run(contend(load_access(kubeconfig), namespace, pool, who, robots, _begin))
     print(json.dumps([asdict(outcome) for outcome in outcomes]))
 
 

@@ -11,9 +11,10 @@ import pytest
 
 from understudy.api import names
 from understudy.kube import claims
-from understudy.kube.client import NAMESPACES, NETWORK_POLICIES, PODS, Access, ApiError, Client
+from understudy.kube.client import NAMESPACES, NETWORK_POLICIES, PODS, ApiError, Client
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
+from understudy.kube.kubeconfig import load_access
 
 pytestmark = pytest.mark.cluster
 
@@ -22,7 +23,7 @@ CONTENDERS = 12
 
 @pytest.fixture
 async def client() -> AsyncIterator[Client]:
-    async with Client(Access.from_kubeconfig(os.environ.get("KUBECONFIG"))) as client:
+    async with Client(load_access(os.environ.get("KUBECONFIG"))) as client:
         yield client
 
 

@@ -31,6 +31,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.failover.interfaces import ClaimLost
 from understudy.kube.client import Access, Client
+from understudy.kube.kubeconfig import load_access
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet as Instances
 from understudy.monitor.crash_points import CrashPoints
@@ -223,7 +224,7 @@ class Elsewhere:
 def test_whoever_is_first_every_pod_has_one_owner_and_every_gate_one_pod(fleet: Fleet) -> None:
     fleet.create(spare(replicas=PODS), *(workload(robot) for robot in ROBOTS), *map(gate, ROBOTS))
     fleet.create(*(held(fleet, number) for number in range(PODS)))
-    access = Access.from_kubeconfig(str(fleet.cluster.kubeconfig))
+    access = load_access(str(fleet.cluster.kubeconfig))
     with History(fleet) as history, kubelet(fleet), Elsewhere(fleet) as elsewhere:
         found = asyncio.run(contend(access, fleet.namespace, "spare", "here", ROBOTS, elsewhere.begin))
         found += elsewhere.outcomes()
@@ -300,7 +301,7 @@ async def fail_together(
     fleet: Fleet, robots: Sequence[str], half: Callable[[], None], folder: Path
 ) -> list[dict[str, str]]:
     """Have all robots fail again and again; ``half`` is called in the midst of it."""
-    access = Access.from_kubeconfig(str(fleet.cluster.kubeconfig))
+    access = load_access(str(fleet.cluster.kubeconfig))
     uids = [fleet.get("RobotWorkload", robot)["metadata"]["uid"] for robot in robots]
     end = time.monotonic() + CHURN
     asyncio.get_running_loop().call_later(CHURN / 2, half)

@@ -15,7 +15,8 @@ from tests.support.cluster import Cluster, Object, Refused, load, until
 from understudy.api.base import API_VERSION
 from understudy.api.schema.definitions import definitions
 from understudy.api.schema.printed_kinds import KINDS
-from understudy.kube.client import WORKLOADS, Access, Client
+from understudy.kube.client import WORKLOADS, Client
+from understudy.kube.kubeconfig import load_access
 from understudy.kube.undeclared_fields import apply_declared
 
 MANIFESTS = Path(__file__).parent / "manifests"
@@ -192,7 +193,7 @@ async def test_a_status_with_fields_of_a_newer_version_is_taken_but_for_these(cl
     said["recoveries"][0]["cost"] = {"euro": 3}
     said["conditions"][1]["because"] = "of it"
     body: Object = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "metadata": {"name": name}, "status": said}
-    async with Client(Access.from_kubeconfig(str(cluster.kubeconfig))) as client:
+    async with Client(load_access(str(cluster.kubeconfig))) as client:
         answer, unknown = await apply_declared(
             client, WORKLOADS, namespace, body, manager="understudy-monitor", subresource="status"
         )

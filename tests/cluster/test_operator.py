@@ -37,9 +37,10 @@ from understudy.controller.reconcile.reconciler import TOGETHER_SECONDS
 from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime import process as running
 from understudy.kube import claims
-from understudy.kube.client import Access, Client
+from understudy.kube.client import Client
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
+from understudy.kube.kubeconfig import load_access
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
 POLICY = "policy/v1"
@@ -196,7 +197,7 @@ class Fleet:
         """What the monitor does at a switch."""
 
         async def run() -> None:
-            async with Client(Access.from_kubeconfig(str(self.cluster.kubeconfig))) as client:
+            async with Client(load_access(str(self.cluster.kubeconfig))) as client:
                 record = GateRecord.of(self.gate(workload))
                 active, uid = (pod["metadata"]["name"], pod["metadata"]["uid"]) if pod else ("", "")
                 await GATE.commit(
@@ -209,7 +210,7 @@ class Fleet:
         """What the monitor does with a pod of a shared pool."""
 
         async def run() -> None:
-            async with Client(Access.from_kubeconfig(str(self.cluster.kubeconfig))) as client:
+            async with Client(load_access(str(self.cluster.kubeconfig))) as client:
                 uid = self.get("RobotWorkload", workload)["metadata"]["uid"]
                 await claims.claim(client, pod, workload=workload, workload_uid=uid, claim=f"{uid}/1")
 
@@ -250,7 +251,7 @@ class Operator:
     """An operator in a thread of this process, for one namespace."""
 
     def __init__(self, kubeconfig: Path, namespace: str, *, resync_every: float = 30.0) -> None:
-        self._access = Access.from_kubeconfig(str(kubeconfig))
+        self._access = load_access(str(kubeconfig))
         self._options = running.Options(
             images=IMAGES,
             lease_namespace=namespace,

@@ -8,13 +8,11 @@ one persistent connection, one request, no model conversion.
 from __future__ import annotations
 
 import asyncio
-import base64
 import json
 import os
 import random
 import re
 import ssl
-import tempfile
 from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +20,6 @@ from types import TracebackType
 from typing import Any, Protocol, Self
 
 import aiohttp
-import yaml
 
 Object = dict[str, Any]
 
@@ -179,14 +176,27 @@ def _between(text: str, at: int) -> int:
     return found.end()
 
 
+class RenewedToken(Protocol):
+    """A token that is renewed, as by a credential plugin (kubeconfig.py)."""
+
+    async def token(self) -> str | None:
+        """The present token; None if client certificates prove who asks."""
+        ...
+
+    def reject(self) -> None:
+        """Renew the token for the next request: the API server answered 401."""
+        ...
+
+
 @dataclass
 class Access:
-    """Where the API server is and how to prove who asks."""
+    """Where the API server is and how to prove who asks. A kubeconfig is read by kubeconfig.py."""
 
     server: str
     context: ssl.SSLContext
     token: str | None = None
     token_file: Path | None = None
+    plugin: RenewedToken | None = None
 
     @classmethod
     def in_cluster(cls) -> Access:
@@ -197,43 +207,11 @@ class Access:
         context = ssl.create_default_context(cafile=str(SERVICE_ACCOUNT / "ca.crt"))
         return cls(server=f"https://{host}:{port}", context=context, token_file=SERVICE_ACCOUNT / "token")
 
-    @classmethod
-    def from_kubeconfig(cls, path: str | None = None) -> Access:
-        """Access as a kubeconfig's current context: client certificates or a token.
-
-        Raises ValueError where the kubeconfig needs a credential plugin.
-        """
-        file = Path(path or os.environ.get("KUBECONFIG", "").split(":")[0] or Path.home() / ".kube" / "config")
-        config = yaml.safe_load(file.read_text())
-        context = next(c["context"] for c in config["contexts"] if c["name"] == config["current-context"])
-        cluster = next(c["cluster"] for c in config["clusters"] if c["name"] == context["cluster"])
-        user = next(u["user"] for u in config["users"] if u["name"] == context["user"])
-        if "exec" in user or "auth-provider" in user:
-            raise ValueError(f"{file}: user {context['user']} needs a credential plugin, which is not supported here")
-        ca = _data(cluster, "certificate-authority")
-        tls = ssl.create_default_context(cadata=ca.decode() if ca else None)
-        if cluster.get("insecure-skip-tls-verify"):
-            tls.check_hostname, tls.verify_mode = False, ssl.CERT_NONE
-        certificate, key = _data(user, "client-certificate"), _data(user, "client-key")
-        if certificate and key:
-            with tempfile.NamedTemporaryFile() as both:  # ssl loads chains from files only
-                both.write(certificate + b"\n" + key)
-                both.flush()
-                tls.load_cert_chain(both.name)
-        return cls(server=cluster["server"], context=tls, token=user.get("token"))
-
-    @classmethod
-    def default(cls) -> Access:
-        """In the cluster as the ServiceAccount, outside by the kubeconfig."""
-        return cls.in_cluster() if (SERVICE_ACCOUNT / "token").exists() else cls.from_kubeconfig()
-
-
-def _data(section: Mapping[str, Any], key: str) -> bytes | None:
-    if value := section.get(f"{key}-data"):
-        return base64.b64decode(value)
-    if file := section.get(key):
-        return Path(file).read_bytes()
-    return None
+    async def bearer(self) -> str | None:
+        """The token for the next request; None if client certificates prove who asks."""
+        if self.plugin is not None:
+            return await self.plugin.token()
+        return self.token_file.read_text() if self.token_file is not None else self.token
 
 
 class Listener(Protocol):
@@ -272,11 +250,12 @@ class Client:
         if self._session is not None:
             await self._session.close()
 
-    def _headers(self) -> dict[str, str]:
-        if self._access.token_file is not None:
-            time = asyncio.get_running_loop().time()
-            if time - self._token_read >= _TOKEN_LIFETIME:
-                self._token, self._token_read = self._access.token_file.read_text(), time
+    async def _headers(self) -> dict[str, str]:
+        now = asyncio.get_running_loop().time()
+        if self._access.plugin is not None:
+            self._token = await self._access.plugin.token()
+        elif self._access.token_file is not None and now - self._token_read >= _TOKEN_LIFETIME:
+            self._token, self._token_read = await self._access.bearer(), now
         return {"Authorization": f"Bearer {self._token}"} if self._token else {}
 
     async def request(
@@ -321,7 +300,7 @@ class Client:
                 self._access.server + path,
                 params=params,
                 data=data,
-                headers={**self._headers(), **headers},
+                headers={**await self._headers(), **headers},
                 timeout=self._timeout,
             ) as response:
                 text = await response.read()
@@ -329,6 +308,8 @@ class Client:
         finally:
             if self.listener is not None:
                 self.listener.asked(method, path, status)
+        if status == 401 and self._access.plugin is not None:
+            self._access.plugin.reject()
         if status >= 400:
             raise _error(status, text.decode(errors="replace"))
         return text
@@ -459,10 +440,15 @@ class Client:
         }
         timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=silence or lifetime + 15)
         async with self._session.get(
-            self._access.server + resource.path(namespace), params=params, headers=self._headers(), timeout=timeout
+            self._access.server + resource.path(namespace),
+            params=params,
+            headers=await self._headers(),
+            timeout=timeout,
         ) as response:
             if self.listener is not None:
                 self.listener.asked("WATCH", resource.path(namespace), response.status)
+            if response.status == 401 and self._access.plugin is not None:
+                self._access.plugin.reject()
             if response.status >= 400:
                 raise Expired if response.status == 410 else _error(response.status, await response.text())
             buffer = b""

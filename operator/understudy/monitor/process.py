@@ -18,9 +18,10 @@ from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus
 from understudy.failover.journal import Journal
-from understudy.kube.client import Access, Client
+from understudy.kube.client import Client
 from understudy.kube.events import Recorder
 from understudy.kube.gates import registry
+from understudy.kube.kubeconfig import default_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import TaskLink
 from understudy.monitor.act.cluster import Cluster
@@ -80,7 +81,7 @@ async def _run(workload: str, namespace: str, state: Path) -> None:
 
 async def _protect(workload: str, namespace: str, state: Path) -> None:
     alive = {"ready": 0.0}
-    async with Client(Access.default()) as client, asyncio.TaskGroup() as group:
+    async with Client(default_access()) as client, asyncio.TaskGroup() as group:
         client.listener = monitor_metrics.TRAFFIC
         wakeups = Wakeups()
         gate_kind = registry.KINDS[os.environ.get(names.GATE_KIND_VARIABLE, registry.DEFAULT.kind)]

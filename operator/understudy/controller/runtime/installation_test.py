@@ -21,6 +21,7 @@ from understudy.api.base import API_VERSION, VERSION
 from understudy.api.schema.definitions import definitions
 from understudy.controller.runtime.process import LEASE
 from understudy.kube.client import CRDS, DEPLOYMENTS, LEASES, PODS, WORKLOADS, Access, ApiError, Client, Object
+from understudy.kube.kubeconfig import default_access
 
 WITHIN = 60.0
 """Seconds in which everything must be in order: an installation may have been finished a moment ago."""
@@ -178,7 +179,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--no-admission", action="store_true", help="the admission policy was left out")
     given = parser.parse_args(argv)
     place = Place(os.environ["UNDERSTUDY_NAMESPACE"], given.operator, os.environ["POD_NAME"], not given.no_admission)
-    found = asyncio.run(verify(Access.default(), place))
+    found = asyncio.run(verify(default_access(), place))
     for what, problem in found.items():
         print(f"FAILED  {what}: {problem}" if problem else f"ok      {what}")
     return int(any(found.values()))

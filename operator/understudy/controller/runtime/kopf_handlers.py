@@ -6,6 +6,7 @@ Lease decides who acts; no Events of its own, and no log line per object, which 
 
 from __future__ import annotations
 
+import itertools
 import logging
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -33,16 +34,19 @@ def registry(see: See, access: Access) -> kopf.OperatorRegistry:
     for resource in WATCHED:
         on(resource)
 
+    sessions = itertools.count()
+
     @kopf.on.login(registry=made)
     async def login(**_: Any) -> Any:
-        return _session(access)
+        if next(sessions) and access.plugin is not None:  # kopf asks again after a 401
+            access.plugin.reject()
+        return _session(access, await access.bearer())
 
     return made
 
 
-def _session(access: Access) -> kopf.AiohttpSession:
-    """A session as whoever the operator is. kopf asks for another when the token has expired (401)."""
-    token = access.token_file.read_text() if access.token_file is not None else access.token
+def _session(access: Access, token: str | None) -> kopf.AiohttpSession:
+    """A session as whoever the operator is."""
     headers = {"Authorization": f"Bearer {token}", "User-Agent": "understudy-operator"} if token else {}
     connector = aiohttp.TCPConnector(ssl=access.context, limit=0)
     return kopf.AiohttpSession(

@@ -31,6 +31,7 @@ from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.controller.runtime.workers import Operator
 from understudy.kube.client import SERVICE_ACCOUNT, Access, Client
 from understudy.kube.events import Recorder
+from understudy.kube.kubeconfig import KubeconfigError, default_access, load_access
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
 from understudy.process import json_logs
 
@@ -239,7 +240,11 @@ def main(argv: Sequence[str]) -> int:
     """Run the operator; the exit status."""
     given, chosen = options(argv)
     json_logs.configure(given.log_level)
-    access = Access.from_kubeconfig(given.kubeconfig) if given.kubeconfig else Access.default()
+    try:
+        access = load_access(given.kubeconfig) if given.kubeconfig else default_access()
+    except KubeconfigError as error:
+        print(f"understudy operator: {error}", file=sys.stderr)
+        return 1
     status = asyncio.run(run(access, chosen))
     sys.stderr.flush()
     return status
