@@ -1,8 +1,7 @@
-"""Watches everything but our own kinds, so that what changes is acted on within moments.
+"""Watches every kind but our own, so that the operator acts on a change within moments.
 
-kopf could, and does for our own. But it has a record of each object that it watches, and a task, a queue and the whole text of each that
-comes: with a fleet's pods, sets and policies that is several times what the store keeps of them. And it would bring every ConfigMap
-of the cluster, since it selects by labels only what has already been sent.
+kopf watches our own kinds. It could watch the others too, but it keeps a record of each object, and a task and a queue for each event.
+With a fleet's objects that exceeds the operator's memory bound: docs/explanation/operator-events.md has the figures.
 """
 
 from __future__ import annotations
@@ -47,17 +46,17 @@ WATCHED: tuple[tuple[Resource, str | None], ...] = (
     (NODES, None),
     (CONFIG_MAPS, TREES),
 )
-"""What is watched, and by which label selector. Workloads may refer to anybody's controllers, and so to their pods."""
+"""Watched resources with their label selectors. A RobotWorkload may refer to any controller, and so to its pods."""
 
 BEGINNING = "0"
-"""The version from which a watch first brings what is there."""
+"""The resourceVersion at which a watch first sends all existing objects."""
 
 SILENCE = 75.0
-"""Seconds after which a watch that brings not even a bookmark, of which there is one a minute, is begun anew."""
+"""Seconds after which a silent watch is started again. The API server sends a bookmark every minute."""
 
 
 async def watch(client: Client, see: See, namespaces: Sequence[str]) -> None:
-    """Watch until cancelled, in the given namespaces or in all, through every error."""
+    """Watch until cancelled, in the given namespaces or in all. Errors are retried."""
     async with asyncio.TaskGroup() as group:
         for resource, labels in WATCHED:
             for namespace in (namespaces if resource != NODES else ()) or (None,):
@@ -73,11 +72,11 @@ async def _keep(client: Client, see: See, resource: Resource, labels: str | None
                 async for kind, item in events:
                     retry = RETRY_FIRST
                     if kind != "BOOKMARK":
-                        _tell(see, resource, item, kind == "DELETED")
-                    # What is there already comes in any order: until a bookmark, no version stands for all before it.
+                        _hand_on(see, resource, item, kind == "DELETED")
+                    # Existing objects come in any order, so no version covers all before it until the first bookmark.
                     if kind == "BOOKMARK" or version != BEGINNING:
                         version = item["metadata"]["resourceVersion"]
-        except Expired:  # of what is gone meanwhile the next list tells
+        except Expired:  # the next list finds what was deleted meanwhile
             version = BEGINNING
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
             level = logging.DEBUG if retry < RETRY_MOST else logging.WARNING
@@ -86,8 +85,8 @@ async def _keep(client: Client, see: See, resource: Resource, labels: str | None
             retry = min(retry * 2, RETRY_MOST)
 
 
-def _tell(see: See, resource: Resource, item: Object, gone: bool) -> None:
+def _hand_on(see: See, resource: Resource, item: Object, gone: bool) -> None:
     try:
         see(resource, item, gone)
-    except Exception:  # one object's surprise must not end the protection of all others
+    except Exception:  # an unexpected object must not end the protection of all others
         _logger.exception("%s %s", resource.plural, item["metadata"].get("name"))
