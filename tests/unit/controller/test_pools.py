@@ -30,8 +30,9 @@ from understudy.api import names
 from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Plan
 from understudy.controller.pods import instance_pod, pool_pods
+from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
 from understudy.controller.reconcile import change_index
-from understudy.controller.reconcile.expectations import LASTS, Expectations
+from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.status import pool_status
@@ -107,7 +108,7 @@ def test_it_is_looked_again_once_a_pod_that_was_perhaps_never_made_is_not_expect
     # Of a request that got no answer nothing may ever tell: no watch does where nothing was made.
     made = plan(observe(spare(replicas=1), expected=1))
     assert not created(made, "pods")
-    assert made.again_after == LASTS
+    assert made.again_after == EXPECTED_SECONDS
 
 
 @pytest.mark.parametrize("extra", [0, 1, 5])
@@ -531,7 +532,7 @@ class TestAPoolThatHasRunDry:
         told = condition(found, "Available")
         assert (told["status"], told["reason"]) == ("False", "Dry")
         assert told["message"] == (
-            "0 of 1 could be claimed now; these wait for one, in this order: b (poolPriority 100, since 22:13:18 UTC), "
+            "0 of 1 can be claimed now; workloads that wait, in this order: b (poolPriority 100, since 22:13:18 UTC), "
             "a (poolPriority 0, since 22:13:18 UTC)."
         )
         assert status(found)["waiting"] == 2
@@ -546,7 +547,7 @@ class TestAPoolThatHasRunDry:
         pool = spare(replicas=2, reserve={"poolPriority": 100})
         pod = held_pod("spare-a", of=pool, template_hash=present(pool))
         told = condition(observe(pool, [pod]), "Available")["message"]
-        assert told == "1 of 2 could be claimed now, the last 1 from poolPriority 100 upwards."
+        assert told == "1 of 2 can be claimed now, the last 1 only with poolPriority 100 or higher."
 
     def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
         found = status(observe(hot(), workloads=[workload()]))

@@ -9,9 +9,10 @@ import pytest
 from tests.unit.controller.world import held_pod, hot, pod, policy, source_pod, spare, standby_pod, workload
 from understudy.api import names
 from understudy.controller.observed import kube_objects, pod_diagnosis
+from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.reconcile.expectations import LASTS, Expectations
+from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.runtime.resync import kept
 from understudy.kube.client import (
@@ -255,7 +256,7 @@ def test_expectations_last_until_they_are_settled_or_too_old() -> None:
     expectations.settled(key, "spare", "spare-a")
     assert expectations.count(key, "spare") == 1
     assert expectations.count(key, "other") == 0
-    now[0] = LASTS
+    now[0] = EXPECTED_SECONDS
     assert expectations.count(key, "spare") == 0
 
 
