@@ -9,9 +9,9 @@ import pytest
 from tests.unit.controller.world import held_pod, hot, pod, policy, source_pod, spare, standby_pod, workload
 from understudy.api import names
 from understudy.controller.observed import kube_objects, pod_diagnosis
+from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Sight, Store
 from understudy.controller.runtime.resync import kept

@@ -8,7 +8,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.ros.dds.profiles import gate_ports
+from understudy.ros.rmw import MIDDLEWARE
 
 ENV_FILE = "ros.env"
 PROFILES_FILE = names.PROFILES_KEY
@@ -29,7 +29,7 @@ class Profile:
     @property
     def variables(self) -> dict[str, str]:
         """The environment, with the profiles where they will be."""
-        return {**self.environment, names.PROFILES_VARIABLE: f"{self.folder.rstrip('/')}/{PROFILES_FILE}"}
+        return {**self.environment, MIDDLEWARE.settings_variable: f"{self.folder.rstrip('/')}/{PROFILES_FILE}"}
 
     @property
     def env_file(self) -> str:
@@ -44,7 +44,7 @@ class Profile:
     @property
     def ports(self) -> dict[str, int]:
         """The gated ports by the topics that are read there."""
-        return gate_ports(self.spec.outputs)
+        return MIDDLEWARE.gate_ports(self.spec.outputs)
 
     def lines(self) -> Iterator[str]:
         """Both files with where they go, and what is to be done, for a person."""
@@ -64,7 +64,7 @@ class Profile:
         yield f"  a shell   set -a; . {folder}/{ENV_FILE}; set +a"
         yield ""
         yield f"Each process that reads {topics} must be started so, or a standby gets through to it. For the others the variables"
-        yield f"but {names.PROFILES_VARIABLE} suffice. One output is read by one process of the robot only."
+        yield f"but {MIDDLEWARE.settings_variable} suffice. One output is read by one process of the robot only."
         first, last = names.GATE_RANGE
         ports = ", ".join(f"{name} at {port}" for name, port in self.ports.items())
         yield f"Its firewall must let UDP in: {ports} (all gated ports: {first} to {last}), and what DDS uses from 7400 on."
@@ -81,7 +81,7 @@ class Profile:
                 "spec.gate.robots has no address of a robot, so no instance hears it: "
                 f"kubectl patch robotworkload -n {self.namespace} {self.name} --type=merge -p '{patch}'"
             )
-        server = self.environment.get("ROS_DISCOVERY_SERVER", "")
+        server = MIDDLEWARE.discovery_server(self.environment)
         match self.spec.ros.discovery.mode:
             case "Managed":
                 yield (

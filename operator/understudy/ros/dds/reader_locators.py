@@ -16,8 +16,9 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from understudy.ros.dds import rtps
-from understudy.ros.dds.rtps import Gap, Heartbeat, Locator, Participant, Reader, Sample
-from understudy.ros.dds.sample_sources import VENDOR
+from understudy.ros.dds.host_ids import VENDOR
+from understudy.ros.dds.rtps import Gap, Heartbeat, Participant, Reader, Sample
+from understudy.ros.middleware import Locator
 
 _logger = logging.getLogger(__name__)
 

@@ -19,6 +19,7 @@ from understudy.cli.control import fence, robot_profile
 from understudy.controller.pods import ros_environment
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
+from understudy.ros.rmw import MIDDLEWARE
 
 ROBOT = "robot-17-navigation"
 GATE = names.gate(ROBOT)
@@ -128,7 +129,7 @@ def test_where_there_is_no_gate_that_is_told(stand: FakeKubectl, capsys: pytest.
 def given_out(item: dict[str, Any]) -> list[dict[str, Any]]:
     """What the operator writes for the robot's side."""
     spec = RobotWorkloadSpec.model_validate(item["spec"])
-    maps = ros_environment.config_maps(ROBOT, ros_environment.ros_environment(spec.ros, "10.96.0.7"), spec.outputs)
+    maps = ros_environment.config_maps(ROBOT, MIDDLEWARE.environment(spec.ros, "10.96.0.7"), spec.outputs)
     return [item, *maps]
 
 

@@ -39,6 +39,7 @@ from understudy.controller.plan import Images
 from understudy.failover.progress import rfc3339
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
+from understudy.ros.rmw import MIDDLEWARE
 
 ENFORCED = Seen(
     ("n1", "n2"), before=True, established=0.03, fresh=False, others=True, opened=0.02, closed=0.01, lifted=0.04
@@ -270,15 +271,15 @@ def test_the_operator_s_rights_are_asked_for_in_its_name() -> None:
         ),
         (replace(ENFORCED, nodes=("n1", "n1")), "OK", "(on n1 only)"),
         (replace(ENFORCED, opened=2.5), "WARN", "opened 2.5 s"),
-        (replace(ENFORCED, before=False), "FAIL", "UDP doesn't get from one pod to another at all"),
-        (replace(ENFORCED, fresh=True), "FAIL", "NetworkPolicies aren't enforced for UDP"),
+        (replace(ENFORCED, before=False), "FAIL", "UDP packets do not get from one pod to another at all"),
+        (replace(ENFORCED, fresh=True), "FAIL", "gates are not enforced for UDP"),
         (replace(ENFORCED, others=False), "FAIL", "also stops UDP to other ports"),
         (
             replace(ENFORCED, established=None),
             "WARN",
-            "what was being sent before the gate closed still comes 10.0 s later",
+            "an established flow still gets through 10.0 s after the gate was closed",
         ),
-        (replace(ENFORCED, opened=None), "FAIL", "didn't come through within 10.0 s after the gate was opened"),
+        (replace(ENFORCED, opened=None), "FAIL", "did not come through within 10.0 s after the gate was opened"),
         (replace(ENFORCED, closed=None), "WARN", "still came 10.0 s after an open gate was closed"),
     ],
 )
@@ -374,7 +375,7 @@ def test_a_graph_in_which_somebody_is_found_has_a_server() -> None:
 @pytest.mark.parametrize(
     ("discovery", "server", "cure"),
     [
-        ({}, "10.0.0.7:11811", "look whether the Service robot-17-navigation-discovery has endpoints"),
+        ({}, "10.0.0.7:11811", "check whether the Service robot-17-navigation-discovery has endpoints"),
         (
             {"mode": "External", "server": "ds:11811"},
             "ds:11811",
@@ -393,7 +394,10 @@ def test_an_empty_graph_is_told_with_what_to_look_at(discovery: Any, server: str
 
 def test_a_fleet_that_finds_nobody_is_not_waited_for_to_its_last_robot() -> None:
     class Pods:
-        receiver, api = None, Server({"*": {"data": {"ROS_DOMAIN_ID": "1", names.PROFILES_VARIABLE: "/etc/p.xml"}}})
+        receiver, api = (
+            None,
+            Server({"*": {"data": {"ROS_DOMAIN_ID": "1", MIDDLEWARE.settings_variable: "/etc/p.xml"}}}),
+        )
         kubectl = SimpleNamespace(namespace="fleet")
 
         @contextlib.contextmanager
