@@ -112,8 +112,8 @@ def shown() -> list[Finding]:
             Finding(f"CRD {kind}", "OK", f"v1alpha1 of version {__version__}")
             for kind in ("robotworkloads", "failurepolicies", "fallbackpools")
         ),
-        Finding("your rights", "OK", "all that the verbs of this command need in fleet"),
-        Finding("operator's rights", "OK", "system:serviceaccount:system:account may do its work in fleet"),
+        Finding("your rights", "OK", "you have all rights that the verbs of this command need in fleet"),
+        Finding("operator's rights", "OK", "system:serviceaccount:system:account has all rights that it needs in fleet"),
         *packet_check.judge(replace(ENFORCED, closed=0.034)),
         discovery_check.judge(
             fleet.well(),
@@ -239,7 +239,7 @@ def test_rights_that_are_missing_are_named_with_what_they_are_for() -> None:
     server = Server({"*": review})
     found = rights_check.of_this_user(server, "fleet")  # type: ignore[arg-type]
     assert found.level == "WARN"
-    assert found.found == "you may not in fleet: create pods/exec (for inject, doctor)"
+    assert found.found == "you lack rights in fleet: create pods/exec (for inject, doctor)"
     assert all(body["spec"]["resourceAttributes"]["namespace"] == "fleet" for _, body in server.asked)
 
 
