@@ -112,9 +112,9 @@ def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy fence",
-        description="Closes the gate of a RobotWorkload: as soon as the gate is enforced, no output of its instances reaches the robot. Also "
-        "pauses the workload, so that the gate stays closed until understudy resume. This is not an emergency stop: what the robot does "
-        "without commands is up to the robot.",
+        description="Closes the gate of a RobotWorkload: as soon as the gate is enforced, no output of its instances reaches the robot. "
+        "Also pauses the workload, so that the gate stays closed until understudy resume. This is not an emergency stop: what the robot "
+        "does without commands is up to the robot.",
         epilog="Exit status: 0 if the gate is closed and its monitor leaves it closed, 1 if it is closed and the monitor has not reported "
         "the pause, 2 on an error.",
     )

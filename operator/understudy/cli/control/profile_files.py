@@ -64,7 +64,10 @@ class Profile:
         yield f"  a shell   set -a; . {folder}/{ENV_FILE}; set +a"
         yield ""
         yield f"Each process that reads {topics} must be started like this; otherwise it also receives what standbys send."
-        yield f"Other processes need the variables except {MIDDLEWARE.settings_variable}. Only one process of the robot may read an output."
+        yield (
+            f"Other processes need the variables except {MIDDLEWARE.settings_variable}. Only one process of the robot may read an "
+            "output."
+        )
         first, last = names.GATE_RANGE
         ports = ", ".join(f"{name} at {port}" for name, port in self.ports.items())
         yield f"Its firewall must accept UDP at: {ports} (all gated ports: {first} to {last}), and at the ports of DDS from 7400 on."
@@ -74,7 +77,8 @@ class Profile:
 
     def _todo(self) -> Iterator[str]:
         if self.spec.gate.robots:
-            yield f"The robot's address must be in spec.gate.robots ({', '.join(self.spec.gate.robots)}), or instances receive nothing from it."
+            robots = ", ".join(self.spec.gate.robots)
+            yield f"The robot's address must be in spec.gate.robots ({robots}), or instances receive nothing from it."
         else:
             patch = '{"spec":{"gate":{"robots":["ADDRESS/32"]}}}'
             yield (

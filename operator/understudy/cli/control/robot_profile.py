@@ -49,16 +49,16 @@ def _profile(kubectl: Kubectl, item: Object, folder: str) -> Profile:
     try:
         spec = RobotWorkloadSpec.model_validate(item["spec"])
     except ValidationError as error:
-        raise CommandError(f"RobotWorkload {name} is of another version of Understudy: see understudy doctor") from error
+        raise CommandError(
+            f"RobotWorkload {name} is of another version of Understudy: see understudy doctor"
+        ) from error
     return Profile(name, item["metadata"]["namespace"], spec, environment, profiles[names.PROFILES_KEY], folder)
 
 
 def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
     found = kubectl.find("configmaps", name)
     if found is None:
-        raise CommandError(
-            f"ConfigMap {name} does not exist yet: understudy explain {workload} says what it waits for"
-        )
+        raise CommandError(f"ConfigMap {name} does not exist yet: understudy explain {workload} says what it waits for")
     data: dict[str, str] = found["data"]
     return data
 

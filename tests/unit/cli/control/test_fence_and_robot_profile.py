@@ -186,9 +186,7 @@ def test_before_the_operator_has_written_anything_there_is_nothing(
 ) -> None:
     stand.tell([fleet.well()])
     assert robot_profile.main([ROBOT]) == 2
-    assert f"ConfigMap {ROBOT}-robot-env does not exist yet" in (
-        capsys.readouterr().err
-    )
+    assert f"ConfigMap {ROBOT}-robot-env does not exist yet" in (capsys.readouterr().err)
 
 
 def test_the_page_shows_what_is_said_of_a_robot_outside_the_cluster(

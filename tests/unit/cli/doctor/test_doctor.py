@@ -113,7 +113,9 @@ def shown() -> list[Finding]:
             for kind in ("robotworkloads", "failurepolicies", "fallbackpools")
         ),
         Finding("your rights", "OK", "you have all rights that the verbs of this command need in fleet"),
-        Finding("operator's rights", "OK", "system:serviceaccount:system:account has all rights that it needs in fleet"),
+        Finding(
+            "operator's rights", "OK", "system:serviceaccount:system:account has all rights that it needs in fleet"
+        ),
         *packet_check.judge(replace(ENFORCED, closed=0.034)),
         discovery_check.judge(
             fleet.well(),
