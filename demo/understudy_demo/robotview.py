@@ -150,7 +150,7 @@ class RobotLog:
     def renamed(self, names: Mapping[str, str]) -> RobotLog:
         """The same with other names for sources; those without one keep theirs.
 
-        A robot whose commands don't say who sent them knows hosts only (``understudy.ros.dds.sample_sources``), not pods.
+        A robot whose commands don't say who sent them knows hosts only (``understudy.ros.observe.sample_sources``), not pods.
         """
         return RobotLog([replace(c, source=names.get(c.source, c.source)) for c in self.commands], self.motions)
 

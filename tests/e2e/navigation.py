@@ -21,7 +21,7 @@ from understudy_demo.robotview import RobotLog
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.scenario import Robot, eventually
 from understudy.api import names
-from understudy.ros.dds.sample_sources import VENDOR, host_id
+from understudy.ros.dds.host_ids import VENDOR, host_id
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CONTAINER = "navigation"

@@ -25,7 +25,7 @@ def test_nobody_drives_a_robot_that_was_fenced_until_somebody_resumes(executing:
     done = understudy(kubectl, "fence", name, "--reason", "it is in the wrong aisle", "--owner", "ann", "--yes")
     fenced = time.time()
     assert done.returncode == 0, done.stdout + done.stderr
-    assert f"gate closed at epoch 2 (shut out: {active})." in done.stdout
+    assert f"gate closed at epoch 2 (fenced: {active})." in done.stdout
     assert "It is paused by ann: fenced: it is in the wrong aisle." in done.stdout
     executing.replace_monitor()
     time.sleep(5)

@@ -27,6 +27,7 @@ from understudy.api.protocol import hold_script
 from understudy.api.protocol.agent_messages import AgentStatus, Phase
 from understudy.api.protocol.kept_state import KeptState
 from understudy.kube.gates.probes import ProbeSender
+from understudy.ros.rmw import MIDDLEWARE
 
 if TYPE_CHECKING:
     from understudy.ros.actions.instance_calls import InstanceCaller
@@ -247,7 +248,7 @@ class Agent:
                 file = prepare.write(profiles, self._identity.directory, self._identity.pod)
             except OSError as error:
                 raise Refused(f"writing the profiles: {error}") from error
-            ros = {**ros, names.PROFILES_VARIABLE: str(file)}
+            ros = {**ros, MIDDLEWARE.settings_variable: str(file)}
         if names.STRENGTH_VARIABLE in profiles:
             try:
                 self.isolation.build(self._identity.held)
@@ -366,7 +367,4 @@ def _is_environment(value: object) -> bool:
 
 def _enter(ros: Mapping[str, str]) -> None:
     """Make a robot's ROS environment this process's own; read by the middleware when the node is made."""
-    os.environ.update(ros)
-    if os.environ.get("ROS_DISCOVERY_SERVER"):
-        # Behind a discovery server only a super client sees the whole graph.
-        os.environ["ROS_SUPER_CLIENT"] = "TRUE"
+    os.environ.update(MIDDLEWARE.introspecting({**os.environ, **ros}))

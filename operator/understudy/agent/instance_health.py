@@ -2,7 +2,7 @@
 
 An executing standby's outputs do not reach the monitor, and the active pod's are matched by every reader of the same
 name, so only here can the health of a standby be determined. What counts for an output are samples of writers on this host alone
-(the pod's network namespace, see ros/dds/sample_sources.py); for all else anyone's, since instances of one workload are isolated
+(the pod's network namespace, see Middleware.host_of); for all else anyone's, since instances of one workload are isolated
 from each other.
 
 ROS is imported when it is first needed, or before: by a held agent as soon as it stands.
@@ -128,9 +128,9 @@ class _OwnOutputs:
 
     def task(self, name: str) -> float | None:
         """Only this instance's own goals make it work."""
-        from understudy.ros.dds.sample_sources import HOST
+        from understudy.ros.rmw import MIDDLEWARE
 
-        times = [since for gid, since in self._watching.active(name).items() if gid[HOST] == self._host]
+        times = [since for gid, since in self._watching.active(name).items() if MIDDLEWARE.host_of(gid) == self._host]
         return min(times, default=None)
 
     def publishers(self, name: str) -> Publishers | None:
@@ -328,13 +328,18 @@ class InstanceHealth:
 
     def _look_for_presence(self, graph: Graph, host: bytes, plan: HealthPlan) -> None:
         """Whether this pod's application has an endpoint for an output. Asked for seldom once it had one."""
-        from understudy.ros.dds.sample_sources import HOST
+        from understudy.ros.rmw import MIDDLEWARE
 
         now = time.monotonic()
         if self._present and now < self._looked_for_presence + PRESENCE_PERIOD:
             return
         self._looked_for_presence = now
-        found = [(output, end) for output in plan.outputs for end in graph.endpoints(output) if end.gid[HOST] == host]
+        found = [
+            (output, end)
+            for output in plan.outputs
+            for end in graph.endpoints(output)
+            if MIDDLEWARE.host_of(end.gid) == host
+        ]
         self._present = bool(found)
         self._on_writers(end.gid for output, end in found if output.topic)
 
@@ -349,10 +354,10 @@ class InstanceHealth:
 
 def _application(graph: Graph, host: bytes) -> bool:
     """Whether a node of the application is there: one on this host that is none of ours."""
-    from understudy.ros.dds.sample_sources import HOST
+    from understudy.ros.rmw import MIDDLEWARE
 
     nodes = graph.publishers("/parameter_events")
-    return any(node.gid[HOST] == host and node.node and not node.node.startswith(OURS) for node in nodes)
+    return any(MIDDLEWARE.host_of(node.gid) == host and node.node and not node.node.startswith(OURS) for node in nodes)
 
 
 def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
@@ -363,8 +368,8 @@ def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
     from understudy.ros.runtime.lean_imports import import_rclpy
 
     import_rclpy()
-    from understudy.ros.dds.sample_sources import HOST
     from understudy.ros.observe.topic_watch import TopicWatch
+    from understudy.ros.rmw import MIDDLEWARE
     from understudy.ros.runtime.graph_node import Graph
 
     graph = Graph(node_name)
@@ -373,7 +378,7 @@ def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
         while time.monotonic() < end:
             for endpoint in graph.publishers("/parameter_events"):
                 if endpoint.node == f"/{node_name}":
-                    host = endpoint.gid[HOST]
+                    host = MIDDLEWARE.host_of(endpoint.gid)
                     return graph, TopicWatch(graph, host), host
             time.sleep(0.01)
         raise TimeoutError(f"the node does not see its own publisher within {OWN_GID:g} s")

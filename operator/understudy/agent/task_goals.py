@@ -255,7 +255,7 @@ class TaskGoals:
 
     async def _serving(self, action: str) -> set[bytes]:
         """The GIDs of this host's servers of an action."""
-        from understudy.ros.dds.sample_sources import HOST
+        from understudy.ros.rmw import MIDDLEWARE
 
         served, joined = self._served, self._joined
         assert served is not None
@@ -263,7 +263,7 @@ class TaskGoals:
         topic = f"rq{action}/_action/send_goalRequest"
         infos = await served.get(lambda: served.node.get_subscriptions_info_by_topic(topic, no_mangle=True))
         gids = {bytes(info.endpoint_gid)[:16] for info in infos}
-        return {gid for gid in gids if joined.host is None or gid[HOST] == joined.host}
+        return {gid for gid in gids if joined.host is None or MIDDLEWARE.host_of(gid) == joined.host}
 
     def _moved(self) -> bool:
         """Whether this process has left the graph in which it had joined, as after an error there."""

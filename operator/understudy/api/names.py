@@ -133,8 +133,6 @@ INSTANCE_PROFILES_DIR = "/etc/understudy-profiles"
 """Mount path of the DDS profiles in instances."""
 
 PROFILES_KEY = "profiles.xml"
-PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-"""Environment variable with the path of the DDS profiles, for Fast DDS on Jazzy."""
 
 POD_VARIABLE = "UNDERSTUDY_POD"
 """Environment variable of an instance's containers with the name of the pod, which Fast DDS puts into the profiles."""

@@ -7,6 +7,7 @@ import sys
 
 from tests.unit.agent.conftest import PACKAGE, Pod, eventually
 from understudy.api import names
+from understudy.ros.rmw import MIDDLEWARE
 
 PROFILES = f"<name>understudy-${{{names.POD_VARIABLE}}}</name>"
 
@@ -35,7 +36,9 @@ def test_without_profiles_it_says_so(tmp_path):
 
 async def test_a_held_pod_learns_its_profiles_with_the_claim(pod: Pod, links):
     pod.start_agent()
-    pod.start_container(["/bin/sh", "-c", f'echo "file ${names.PROFILES_VARIABLE}"; cat "${names.PROFILES_VARIABLE}"'])
+    pod.start_container(
+        ["/bin/sh", "-c", f'echo "file ${MIDDLEWARE.settings_variable}"; cat "${MIDDLEWARE.settings_variable}"']
+    )
     links.append(link := pod.link())
     await link.wait_for(lambda s: s.ready, 60)
     await link.start({}, {}, profiles=PROFILES)

@@ -12,9 +12,10 @@ from understudy.api.kinds.robot_workload import Ros
 from understudy.controller.desired import discovery_server, monitor_deployment
 from understudy.controller.observed import policy_reader, workload_reference
 from understudy.controller.observed.pod_diagnosis import trouble
-from understudy.controller.pods import instance_pod, pod_placement, ros_environment
+from understudy.controller.pods import instance_pod, pod_placement
 from understudy.controller.status import policy_status
 from understudy.kube.client import Object
+from understudy.ros.rmw import MIDDLEWARE
 
 ENVIRONMENT = {"ROS_DOMAIN_ID": "7", "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "ROS_DISCOVERY_SERVER": "10.0.0.1:11811"}
 RECIPE = instance_pod.Recipe(
@@ -169,14 +170,14 @@ class TestPolicies:
 
 class TestRobots:
     def test_managed_external_and_multicast(self) -> None:
-        managed = ros_environment.ros_environment(Ros(), "10.0.0.1")
+        managed = MIDDLEWARE.environment(Ros(), "10.0.0.1")
         assert managed["ROS_DISCOVERY_SERVER"] == "10.0.0.1:11811"
-        assert ros_environment.ros_environment(Ros(), "fd00::1")["ROS_DISCOVERY_SERVER"] == "[fd00::1]:11811"
+        assert MIDDLEWARE.environment(Ros(), "fd00::1")["ROS_DISCOVERY_SERVER"] == "[fd00::1]:11811"
         external = Ros.model_validate({"domainId": 5, "discovery": {"mode": "External", "server": "h:1"}})
-        assert ros_environment.ros_environment(external, None)["ROS_DISCOVERY_SERVER"] == "h:1"
-        assert ros_environment.ros_environment(external, None)["ROS_DOMAIN_ID"] == "5"
+        assert MIDDLEWARE.environment(external, None)["ROS_DISCOVERY_SERVER"] == "h:1"
+        assert MIDDLEWARE.environment(external, None)["ROS_DOMAIN_ID"] == "5"
         multicast = Ros.model_validate({"discovery": {"mode": "Multicast"}})
-        assert "ROS_DISCOVERY_SERVER" not in ros_environment.ros_environment(multicast, None)
+        assert "ROS_DISCOVERY_SERVER" not in MIDDLEWARE.environment(multicast, None)
 
     def test_a_service_without_an_address_is_none(self) -> None:
         assert discovery_server.address(None) is None

@@ -13,6 +13,7 @@ from understudy.controller.desired import action_proxy_container, reflex_validat
 from understudy.controller.plan import Images
 from understudy.controller.pods import instance_pod, ros_environment
 from understudy.kube.client import Object
+from understudy.ros.rmw import MIDDLEWARE
 
 CMD_VEL = {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}
 LAMP = {"topic": "/lamp", "type": "std_msgs/msg/Bool"}
@@ -54,8 +55,8 @@ def test_pods_that_cannot_be_given_a_strength_are_refused() -> None:
     own = spec([CMD_VEL])
     assert own.template is not None
     template = copy.deepcopy(own.template)
-    template["spec"]["containers"][0]["env"] = [{"name": names.PROFILES_VARIABLE, "value": "/mine.xml"}]
-    assert names.PROFILES_VARIABLE in (reflex_validation.problem(own, template) or "")
+    template["spec"]["containers"][0]["env"] = [{"name": MIDDLEWARE.settings_variable, "value": "/mine.xml"}]
+    assert MIDDLEWARE.settings_variable in (reflex_validation.problem(own, template) or "")
 
 
 def test_a_strength_is_put_in_before_any_process_starts_and_the_robot_chooses_by_it() -> None:

@@ -16,6 +16,7 @@ from understudy.controller.desired import action_proxy_container
 from understudy.controller.pods import instance_pod
 from understudy.kube.client import Object
 from understudy.ros.dds.profiles import instance_profiles_xml
+from understudy.ros.rmw import MIDDLEWARE
 
 TASKS = [{"action": "/goto", "type": "test_msgs/action/Fibonacci"}]
 PROFILES = instance_profiles_xml([Task.model_validate(TASKS[0])])
@@ -34,7 +35,7 @@ class TestPods:
     def test_the_application_and_its_agent_read_the_profiles_with_the_pods_name(self) -> None:
         spec = instance_pod.build(TEMPLATE, RECIPE)["spec"]
         for container in spec["containers"]:
-            path = env(container, names.PROFILES_VARIABLE)["value"]
+            path = env(container, MIDDLEWARE.settings_variable)["value"]
             assert path == f"{mounts(container)[names.INSTANCE_PROFILES_VOLUME]}/{names.PROFILES_KEY}"
             assert env(container, names.POD_VARIABLE)["valueFrom"]["fieldRef"]["fieldPath"] == "metadata.name"
         volume = next(v for v in spec["volumes"] if v["name"] == names.INSTANCE_PROFILES_VOLUME)
@@ -49,7 +50,7 @@ class TestPods:
         first, second = spec["initContainers"]
         assert (first["name"], first["args"], second["name"]) == (names.INIT_CONTAINER, ["prepare"], "mine")
         for container in spec["containers"]:
-            assert env(container, names.PROFILES_VARIABLE)["value"] == "/understudy/profiles.xml"
+            assert env(container, MIDDLEWARE.settings_variable)["value"] == "/understudy/profiles.xml"
             assert mounts(container)[names.AGENT_VOLUME] == "/understudy"
 
     def test_other_profiles_are_other_pods(self) -> None:
@@ -59,12 +60,12 @@ class TestPods:
 
     def test_a_container_keeps_profiles_of_its_own_and_it_is_said(self) -> None:
         template = copy.deepcopy(TEMPLATE)
-        template["spec"]["containers"][0]["env"] = [{"name": names.PROFILES_VARIABLE, "value": "/mine.xml"}]
+        template["spec"]["containers"][0]["env"] = [{"name": MIDDLEWARE.settings_variable, "value": "/mine.xml"}]
         app = instance_pod.build(template, RECIPE)["spec"]["containers"][0]
-        assert [e["value"] for e in app["env"] if e["name"] == names.PROFILES_VARIABLE] == ["/mine.xml"]
+        assert [e["value"] for e in app["env"] if e["name"] == MIDDLEWARE.settings_variable] == ["/mine.xml"]
         spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS)["spec"])
         words = action_proxy_container.problem("w", spec, template)
-        assert f"container {template['spec']['containers'][0]['name']} sets {names.PROFILES_VARIABLE}" in words
+        assert f"container {template['spec']['containers'][0]['name']} sets {MIDDLEWARE.settings_variable}" in words
         assert "w-instance-profiles" in words
         assert action_proxy_container.problem("w", spec, TEMPLATE) == ""
 
@@ -79,13 +80,13 @@ class TestWorkloads:
         config = applied(plan, "configmaps")
         assert ("tasks" in containers) == ("w-instance-profiles" in config) == bool(tasks)
         template = applied(plan, "replicasets")["w"]["spec"]["template"]
-        assert (env(template["spec"]["containers"][0], names.PROFILES_VARIABLE) is not None) == bool(tasks)
+        assert (env(template["spec"]["containers"][0], MIDDLEWARE.settings_variable) is not None) == bool(tasks)
         if tasks:
             proxy = containers["tasks"]
             assert proxy["args"] == ["tasks"]
             assert mounts(proxy).items() >= {"tasks": "/run/understudy", "state": "/var/lib/understudy"}.items()
             assert mounts(containers["monitor"])["tasks"] == "/run/understudy"
-            assert env(proxy, names.PROFILES_VARIABLE) is None
+            assert env(proxy, MIDDLEWARE.settings_variable) is None
             (port,) = (port["containerPort"] for port in proxy["ports"])
             assert proxy["livenessProbe"]["httpGet"] == {"path": "/healthz", "port": port}
             assert port not in [p["containerPort"] for p in containers["monitor"]["ports"]], (

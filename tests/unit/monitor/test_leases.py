@@ -21,7 +21,7 @@ from understudy.monitor.act import permits as module
 from understudy.monitor.act.permits import Permits, Word, witnesses, word
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.ros.dds.sample_sources import VENDOR, host_id
+from understudy.ros.dds.host_ids import VENDOR, host_id
 
 ACTIVE, STANDBY = Instance("a", "uid-a", running=True), Instance("s", "uid-s", running=True)
 BEFORE, AFTER = GateState(3, "a", "uid-a"), GateState(4, "s", "uid-s")

@@ -93,7 +93,7 @@ def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(sight) -> None:
 
 
 def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight) -> None:
-    from understudy.ros.dds.sample_sources import VENDOR, host_id
+    from understudy.ros.dds.host_ids import VENDOR, host_id
     from understudy.ros.observe.topic_watch import SourceRecord
 
     sight._watching.attribute({"w-1": "192.0.2.1"}, "w-1")
@@ -109,7 +109,7 @@ def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(sight)
 
 async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output() -> None:
     from understudy.monitor.observe.health_observer import GatedReaders
-    from understudy.ros.dds.sample_sources import Sources
+    from understudy.ros.observe.sample_sources import Sources
 
     class Sight:
         expected = ("/cmd_vel",)

@@ -215,7 +215,7 @@ def work(action: str) -> None:
 
 
 def obey(topic: str, text: str) -> None:
-    from understudy.ros.dds.sample_sources import Sources
+    from understudy.ros.observe.sample_sources import Sources
     from understudy.ros.runtime.graph_node import Graph
     from understudy.ros.runtime.sample_taking import SampleTaker
 

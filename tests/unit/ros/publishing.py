@@ -10,7 +10,7 @@ from std_msgs.msg import String
 
 from understudy.ros.actions.calling_node import GraphLocation
 from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
-from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.dds.host_ids import HOST
 from understudy.ros.runtime.graph_node import Graph
 
 

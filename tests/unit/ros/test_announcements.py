@@ -16,7 +16,7 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import Output
 from understudy.ros.dds.profiles import profiles_xml
 from understudy.ros.dds.reader_locators import Discovery, locators
-from understudy.ros.dds.rtps import Locator
+from understudy.ros.middleware import Locator
 
 pytestmark = pytest.mark.ros
 

@@ -211,7 +211,7 @@ async def test_of_another_host_nothing_counts(managed: Managed, dds: None, graph
     """Behind a discovery server an agent also learns of the other instances' servers, which it can't reach."""
     from understudy.ros.actions.calling_node import GraphLocation
     from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
-    from understudy.ros.dds.sample_sources import HOST
+    from understudy.ros.dds.host_ids import HOST
 
     managed.start()
     context = graph.node.context

@@ -19,7 +19,7 @@ pytest.importorskip("rclpy")
 from tests.unit.ros.judging import Judged
 from tests.unit.ros.processes import Processes
 from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
-from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.dds.host_ids import HOST
 from understudy.ros.observe.lifecycle_states import LifecycleStates
 from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.ros.runtime.graph_node import Endpoint

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
-from understudy.ros.dds.sample_sources import HOST, VENDOR
+from understudy.ros.dds.host_ids import HOST, VENDOR
 from understudy.ros.observe.topic_watch import TopicWatch
 
 pytestmark = pytest.mark.ros

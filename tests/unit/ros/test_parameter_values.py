@@ -14,7 +14,7 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
 from understudy.ros.actions.instance_calls import InstanceCaller
-from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.dds.host_ids import HOST
 from understudy.ros.observe.parameter_values import EVENTS, ParameterValues, Setting, setting
 from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.trees.core.observations import TopicRecord

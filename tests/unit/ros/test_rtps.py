@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from understudy.ros.dds import rtps
-from understudy.ros.dds.rtps import Gap, Heartbeat, Locator, Participant, Reader, Sample
+from understudy.ros.dds.rtps import Gap, Heartbeat, Participant, Reader, Sample
+from understudy.ros.middleware import Locator
 
 RECORDED = {
     name: bytes.fromhex(datagram)

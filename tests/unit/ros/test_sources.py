@@ -7,7 +7,8 @@ import os
 import pytest
 
 from tests.unit.ros.network import network
-from understudy.ros.dds.sample_sources import VENDOR, Sources, host_id
+from understudy.ros.dds.host_ids import VENDOR, host_id
+from understudy.ros.observe.sample_sources import Sources
 
 SEEN = {
     # Host ids that Fast DDS 2.14 put into GIDs on hosts with these addresses.

@@ -1,7 +1,7 @@
 """Commands as they arrive, with who sent them and when the middleware received them.
 
 A Twist doesn't say who sent it, and two instances of one navigation stack send the same. The GID of the DDS writer
-tells them apart, and its first four bytes the host (understudy.ros.dds.sample_sources says how), which in a cluster is the pod. rclpy
+tells them apart, and its first four bytes the host (understudy.ros.dds.host_ids says how), which in a cluster is the pod. rclpy
 drops it, so the queue is read with Understudy's reader. That is for the log alone: the robot drives as it is told by
 whoever gets through to it.
 """
@@ -15,7 +15,7 @@ from geometry_msgs.msg import Twist
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 
-from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.dds.host_ids import HOST
 from understudy.ros.runtime.sample_taking import SampleTaker
 
 DEPTH = 50

@@ -1,4 +1,4 @@
-"""``understudy fence NAME``: shuts everybody out of a robot by hand, until somebody lets them in again."""
+"""``understudy fence NAME``: closes the gate of a workload by hand, until somebody resumes the workload."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ FENCED, UNSURE, CANT = 0, 1, 2
 """Exit statuses."""
 
 HEARD_WITHIN = 30.0
-"""Seconds for which the gate is kept closed against a monitor that hasn't said that it has heard of the pause: one that is
-recovering the workload finishes that first.
+"""Seconds for which this command keeps the gate closed until the monitor reports the pause. A monitor that is recovering the workload
+finishes the recovery first.
 """
 
 LOOK = 0.3
-"""Seconds between two looks."""
+"""Seconds between two reads."""
 
 TRIES = 10
-"""Times that the gate is written to where others write to it too."""
+"""Attempts to write the gate while others write it too."""
 
 
 def main(arguments: list[str]) -> int:
@@ -41,7 +41,7 @@ def main(arguments: list[str]) -> int:
         kubectl = Kubectl(given)
         item = kubectl.get(WORKLOADS, given.name)
         confirmation.confirm(
-            f"{given.name} drives a robot, which will be told nothing from then on. Close its gate?", yes=given.yes
+            f"{given.name} drives a robot, which receives no commands once the gate is closed. Close it?", yes=given.yes
         )
         return _fence(kubectl, item, pause)
     except CommandError as error:
@@ -51,22 +51,22 @@ def main(arguments: list[str]) -> int:
 
 def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
     name, kind = item["metadata"]["name"], registry.of(item)
-    # The pause goes first: a monitor opens a gate that is closed for no reason that it knows.
+    # The pause goes first: a monitor that does not know of it would open the gate again.
     kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | {"until": None}}})
-    shut_out, epoch = _close(kubectl, name, kind)
+    fenced, epoch = _close(kubectl, name, kind)
     where = f"{item['metadata']['namespace']}/{name}"
-    _say(f"{where}: gate closed at epoch {epoch} (shut out: {', '.join(shut_out) or 'nobody was in control'}).")
+    _say(f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was in control'}).")
     heard = robot(item).health == UNWATCHED or _heard(kubectl, name, kind)
     _close(kubectl, name, kind)
     _say(
-        f"It is {pause.words}. No command is sent to the robot instead: see that it stands. understudy resume {name} lets an instance in "
-        "again, and the robot is driven on at once."
+        f"It is {pause.words}. No safe command is sent to the robot: make sure that it stands. understudy resume {name} opens the gate for "
+        "an instance, which drives the robot at once."
     )
     if heard:
         return FENCED
     print(
-        f"understudy fence: its monitor hasn't said within {HEARD_WITHIN:g} s that it leaves it alone, and may open the gate again when a "
-        f"recovery that is under way ends: see understudy explain {name}, and fence it again",
+        f"understudy fence: its monitor did not report the pause within {HEARD_WITHIN:g} s, and may open the gate again when a recovery "
+        f"under way ends: see understudy explain {name}, and fence it again",
         file=sys.stderr,
     )
     return UNSURE
@@ -77,7 +77,7 @@ def _say(text: str) -> None:
 
 
 def _close(kubectl: Kubectl, name: str, kind: GateKind) -> tuple[tuple[str, ...], int]:
-    """Close the gate where it isn't; who was let through, and its epoch then. Raises CommandError."""
+    """Close the gate unless it is closed; the instances that it let through, and its epoch then. Raises CommandError."""
     resource, what = kind.resource.qualified, f"{kind.object_kind} {names.gate(name)}"
     for _ in range(TRIES):
         gate = kubectl.find(resource, names.gate(name))
@@ -98,7 +98,7 @@ def _close(kubectl: Kubectl, name: str, kind: GateKind) -> tuple[tuple[str, ...]
 
 
 def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
-    """Wait until the monitor says that it leaves the workload alone, with the gate kept closed; whether it did."""
+    """Keep the gate closed until the monitor reports the pause; whether it did in time."""
     end = time.monotonic() + HEARD_WITHIN
     while time.monotonic() < end:
         _close(kubectl, name, kind)
@@ -112,14 +112,14 @@ def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy fence",
-        description="Closes the gate of a RobotWorkload: none of its instances' outputs reach the robot any more, as soon as the network "
-        "enforces it. And pauses the workload, so that nobody opens the gate again before understudy resume does. It is no "
-        "emergency stop: what the robot does without commands is its own affair.",
-        epilog="Exit status: 0 where the gate is closed and its monitor leaves it so, 1 where it is closed and the monitor hasn't said so, "
-        "2 where it can't be done.",
+        description="Closes the gate of a RobotWorkload: as soon as the gate is enforced, no output of its instances reaches the robot. "
+        "Also pauses the workload, so that the gate stays closed until understudy resume. This is not an emergency stop: what the robot "
+        "does without commands is up to the robot.",
+        epilog="Exit status: 0 if the gate is closed and its monitor leaves it closed, 1 if it is closed and the monitor has not reported "
+        "the pause, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    signature.add_options(parser, reason="why, for whoever finds it so")
+    signature.add_options(parser, reason="why it is fenced, for others who find it so")
     confirmation.add_option(parser)
     add_options(parser)
     return parser

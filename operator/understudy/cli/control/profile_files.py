@@ -1,4 +1,4 @@
-"""``understudy robot-profile NAME``: what a robot outside the cluster needs, where to put it, and what is still to be done; pure."""
+"""``understudy robot-profile NAME``: what a robot outside the cluster needs, where to put it, and what remains to be done. Pure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.ros.dds.profiles import gate_ports
+from understudy.ros.rmw import MIDDLEWARE
 
 ENV_FILE = "ros.env"
 PROFILES_FILE = names.PROFILES_KEY
@@ -28,8 +28,8 @@ class Profile:
 
     @property
     def variables(self) -> dict[str, str]:
-        """The environment, with the profiles where they will be."""
-        return {**self.environment, names.PROFILES_VARIABLE: f"{self.folder.rstrip('/')}/{PROFILES_FILE}"}
+        """The environment, with the path that the profiles will have."""
+        return {**self.environment, MIDDLEWARE.settings_variable: f"{self.folder.rstrip('/')}/{PROFILES_FILE}"}
 
     @property
     def env_file(self) -> str:
@@ -43,11 +43,11 @@ class Profile:
 
     @property
     def ports(self) -> dict[str, int]:
-        """The gated ports by the topics that are read there."""
-        return gate_ports(self.spec.outputs)
+        """The gated ports by the topics that are read at them."""
+        return MIDDLEWARE.gate_ports(self.spec.outputs)
 
     def lines(self) -> Iterator[str]:
-        """Both files with where they go, and what is to be done, for a person."""
+        """Both files, where they go and what is to be done, as text."""
         for name, text in self.files.items():
             yield f"# {self.folder.rstrip('/')}/{name}"
             yield from text.rstrip("\n").splitlines()
@@ -63,37 +63,41 @@ class Profile:
         yield f"  docker    --env-file {folder}/{ENV_FILE} -v {folder}:{folder}:ro --network host"
         yield f"  a shell   set -a; . {folder}/{ENV_FILE}; set +a"
         yield ""
-        yield f"Each process that reads {topics} must be started so, or a standby gets through to it. For the others the variables"
-        yield f"but {names.PROFILES_VARIABLE} suffice. One output is read by one process of the robot only."
+        yield f"Each process that reads {topics} must be started like this; otherwise it also receives what standbys send."
+        yield (
+            f"Other processes need the variables except {MIDDLEWARE.settings_variable}. Only one process of the robot may read an "
+            "output."
+        )
         first, last = names.GATE_RANGE
         ports = ", ".join(f"{name} at {port}" for name, port in self.ports.items())
-        yield f"Its firewall must let UDP in: {ports} (all gated ports: {first} to {last}), and what DDS uses from 7400 on."
+        yield f"Its firewall must accept UDP at: {ports} (all gated ports: {first} to {last}), and at the ports of DDS from 7400 on."
         yield ""
         for number, todo in enumerate(self._todo(), 1):
             yield f"{number}. {todo}"
 
     def _todo(self) -> Iterator[str]:
         if self.spec.gate.robots:
-            yield f"The robot's address must be in spec.gate.robots ({', '.join(self.spec.gate.robots)}), or no instance hears it."
+            robots = ", ".join(self.spec.gate.robots)
+            yield f"The robot's address must be in spec.gate.robots ({robots}), or instances receive nothing from it."
         else:
             patch = '{"spec":{"gate":{"robots":["ADDRESS/32"]}}}'
             yield (
-                "spec.gate.robots has no address of a robot, so no instance hears it: "
+                "spec.gate.robots has no address, so instances receive nothing from the robot: "
                 f"kubectl patch robotworkload -n {self.namespace} {self.name} --type=merge -p '{patch}'"
             )
-        server = self.environment.get("ROS_DISCOVERY_SERVER", "")
+        server = MIDDLEWARE.discovery_server(self.environment)
         match self.spec.ros.discovery.mode:
             case "Managed":
                 yield (
-                    f"The discovery server {server} has an address that only nodes of the cluster reach. Where the robot is none, run one "
-                    "that both sides reach, and name it in spec.ros.discovery (mode: External, server: HOST:PORT)."
+                    f"Only nodes of the cluster reach the discovery server {server}. If the robot is not one, run a server that both "
+                    "sides reach, and name it in spec.ros.discovery (mode: External, server: HOST:PORT)."
                 )
             case "External":
                 yield f"The robot must reach the discovery server {server}."
             case "Multicast":
-                yield "Multicast must get from the robot to the pods, which most pod networks don't do: see spec.ros.discovery."
-        yield "Pods and robot must reach each other's addresses untranslated: DDS tells the addresses that it has itself."
-        yield "When spec.outputs or spec.ros changes, do this again and start the robot's processes anew."
+                yield "Multicast must reach the pods from the robot, which most pod networks do not support: see spec.ros.discovery."
+        yield "Pods and robot must reach each other without address translation: DDS announces the addresses of its own host."
+        yield "When spec.outputs or spec.ros changes, do this again and restart the robot's processes."
 
     def to_wire(self) -> dict[str, Any]:
         """Everything, for scripts."""

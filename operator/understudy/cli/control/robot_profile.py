@@ -1,4 +1,4 @@
-"""``understudy robot-profile NAME``: the files by which a robot outside the cluster is driven through its gate."""
+"""``understudy robot-profile NAME``: prints the files with which a robot outside the cluster reads its outputs behind the gate."""
 
 from __future__ import annotations
 
@@ -43,22 +43,22 @@ def main(arguments: list[str]) -> int:
 
 
 def _profile(kubectl: Kubectl, item: Object, folder: str) -> Profile:
-    """What the operator has written down for the robot's side. Raises CommandError."""
+    """Read the ConfigMaps that the operator keeps for the robot's side. Raises CommandError."""
     name = item["metadata"]["name"]
     environment, profiles = (_data(kubectl, name, one) for one in (names.robot_env(name), names.robot_profiles(name)))
     try:
         spec = RobotWorkloadSpec.model_validate(item["spec"])
     except ValidationError as error:
-        raise CommandError(f"{name} is of another version: understudy doctor says of which") from error
+        raise CommandError(
+            f"RobotWorkload {name} is of another version of Understudy: see understudy doctor"
+        ) from error
     return Profile(name, item["metadata"]["namespace"], spec, environment, profiles[names.PROFILES_KEY], folder)
 
 
 def _data(kubectl: Kubectl, workload: str, name: str) -> dict[str, str]:
     found = kubectl.find("configmaps", name)
     if found is None:
-        raise CommandError(
-            f"ConfigMap {name} isn't there yet; what {workload} waits for says understudy explain {workload}"
-        )
+        raise CommandError(f"ConfigMap {name} does not exist yet: understudy explain {workload} says what it waits for")
     data: dict[str, str] = found["data"]
     return data
 
@@ -69,15 +69,15 @@ def _write(found: Profile, folder: Path) -> None:
         for name, text in found.files.items():
             (folder / name).write_text(text)
     except OSError as error:
-        raise CommandError(f"{folder} can't be written: {error}") from error
+        raise CommandError(f"cannot write to {folder}: {error}") from error
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy robot-profile",
-        description="Gives out the environment and the DDS profiles by which the processes of a robot outside the cluster join its ROS "
-        "graph and read its outputs at gated ports, and says where to put them and what else they need. It changes nothing.",
-        epilog="Exit status: 0 where it is given out, 2 where there is nothing to give out yet.",
+        description="Prints the environment and the middleware's settings with which the processes of a robot outside the cluster join "
+        "its ROS graph and read its outputs at gated ports, where to put them, and what else they need. It changes nothing.",
+        epilog="Exit status: 0 on success, 2 on an error, for example if the files do not exist yet.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     how = parser.add_mutually_exclusive_group()

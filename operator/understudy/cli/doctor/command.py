@@ -175,8 +175,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy doctor",
         description="Finds out whether a cluster does what Understudy needs: Kubernetes, operator and CRDs fit this version, you and the "
-        "operator have the rights, NetworkPolicies are enforced for UDP and how soon, clocks agree, and the robots' discovery servers "
-        "answer. It makes two pods and two NetworkPolicies for a while, which touch no robot, and takes them away again.",
+        "operator have the rights, gates are enforced for UDP and how soon, clocks agree, and the robots' discovery servers "
+        "answer. It creates two pods and a gate for a while, which touch no robot, and deletes them again.",
         epilog="Exit status: 0 where nothing failed (warnings are told), 1 where something did, 2 where it can't be told.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload; all where none is named")

@@ -13,6 +13,8 @@ from understudy.cli.doctor.test_pods import Pods
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.kube.client import CONFIG_MAPS, PODS, Object
+from understudy.kube.gates.registry import DEFAULT
+from understudy.ros.rmw import MIDDLEWARE
 
 WITHIN = 8.0
 """Seconds until a graph counts as empty; discovery takes less than one."""
@@ -22,8 +24,6 @@ ALTOGETHER = 150.0
 
 SILENT = 3
 """Graphs in which nobody is found after which no other is joined."""
-
-_SERVER = "ROS_DISCOVERY_SERVER"
 
 
 def check(workload: Object) -> str:
@@ -83,7 +83,7 @@ def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], No
 
 def judge(workload: Object, environment: Mapping[str, str], nodes: Sequence[str]) -> Finding:
     """What the nodes that were met in a graph say."""
-    server = environment.get(_SERVER, "")
+    server = MIDDLEWARE.discovery_server(environment)
     by = f"by {server}" if server else "without a server"
     if nodes:
         others = f", such as {nodes[0]}" if len(nodes) > 1 else f": {nodes[0]}"
@@ -92,13 +92,12 @@ def judge(workload: Object, environment: Mapping[str, str], nodes: Sequence[str]
     found = f"nobody is found {by} within {WITHIN:g} s, not even the monitor"
     if _is_managed(workload):
         cure = (
-            f"look whether the Service {names.discovery(name)} has endpoints (kubectl get endpointslices), whether a NetworkPolicy of this "
-            f"namespace keeps pods from UDP {names.DISCOVERY_PORT}, and whether the monitor runs: understudy explain {name}"
+            f"check whether the Service {names.discovery(name)} has endpoints (kubectl get endpointslices), whether a "
+            f"{DEFAULT.object_kind} of this namespace keeps pods from UDP {names.DISCOVERY_PORT}, and whether the monitor runs: "
+            f"understudy explain {name}"
         )
     elif server:
-        cure = (
-            f"look whether a Fast DDS discovery server runs at {server} and pods reach it (spec.ros.discovery.server)"
-        )
+        cure = f"look whether a {MIDDLEWARE.name} discovery server runs at {server} and pods reach it (spec.ros.discovery.server)"
     else:
         cure = "most pod networks carry no multicast: use spec.ros.discovery.mode Managed"
     return Finding(check(workload), "FAIL", found, cure)
@@ -117,4 +116,4 @@ def _environment(api: Api, namespace: str, workload: str) -> dict[str, str] | No
         if refused.status != 404:
             raise
         return None
-    return {key: value for key, value in data.items() if key != names.PROFILES_VARIABLE}
+    return {key: value for key, value in data.items() if key != MIDDLEWARE.settings_variable}

@@ -1,6 +1,6 @@
-"""Whether the network does with UDP what the gate needs, and how soon: seen from packets between two pods.
+"""Checks whether the network does with UDP what the gate needs, and how soon, by packets between two pods.
 
-The policies are the operator's own (controller/desired/gate_policies.py), so that what holds for them holds for an instance's.
+The gate is made of the same objects as the operator's (kube/gates), so what holds for it holds for an instance's gate.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.test_pods import Pods
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
+from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.gates.registry import DEFAULT as GATE
 
 CHECK = "gate"
 
@@ -27,7 +29,7 @@ OPEN_PORT = names.GATE_RANGE[1] + 1
 """A port that no gate closes."""
 
 WITHIN = 10.0
-"""Seconds that a change of a policy has to be enforced."""
+"""Seconds that a change of the gate has to be enforced."""
 
 SLOW = 1.0
 """Seconds from which on it is worth a warning: they are a part of every recovery."""
@@ -46,23 +48,23 @@ _POLICIES = "docs/how-to/network-policies.md"
 
 @dataclass
 class Seen:
-    """What came through. Times are seconds from when the API server was asked; None where that never came to be."""
+    """What came through. Times are seconds since the request to the API server; None if it did not happen."""
 
     nodes: tuple[str, str]
     before: bool = False
-    """Whether anything did before there was a policy."""
+    """Whether anything came through before there was a gate."""
     established: float | None = None
-    """Until what was being sent came no more."""
+    """Until packets of an established flow no longer came."""
     fresh: bool = True
-    """Whether what began to be sent under the policy came through."""
+    """Whether packets of a flow that began behind the closed gate came through."""
     others: bool = False
-    """Whether ports that the policy leaves open stayed so."""
+    """Whether ports that the gate leaves open stayed open."""
     opened: float | None = None
-    """Until it came again, with the gate open for the sender."""
+    """Until packets came again after the gate was opened for the sender."""
     closed: float | None = None
-    """Until it came no more, with the gate closed again."""
+    """Until packets no longer came after the gate was closed again."""
     lifted: float | None = None
-    """Until it came again, with the policies gone."""
+    """Until packets came again after the gate was deleted."""
     clocks: dict[str, Clock] = field(default_factory=dict)
     """The clocks of the nodes."""
 
@@ -92,7 +94,7 @@ class _Measuring:
         seen = self._seen
         for port in (names.PROBE_PORT, OPEN_PORT):
             self._receiver.ask("listen", port=port, host="::" if ":" in self._host else "0.0.0.0")
-        self._progress("sending packets without a policy")
+        self._progress("sending packets without a gate")
         sent = self._send(OPEN_PORT), self._send(names.PROBE_PORT, self._uid)
         seen.before = all(
             self._begins(0.0, port, uid) is not None
@@ -158,9 +160,10 @@ def judge(seen: Seen) -> list[Finding]:
             Finding(
                 CHECK,
                 "FAIL",
-                f"UDP doesn't get from one pod to another at all ({where})",
-                "look for a NetworkPolicy that denies it to all pods of this namespace (kubectl get networkpolicy), and allow UDP among "
-                "them: robots and their applications need it. Where there is none, the network between these nodes carries no UDP",
+                f"UDP packets do not get from one pod to another at all ({where})",
+                f"look for a {GATE.object_kind} that denies UDP to all pods of this namespace (kubectl get {GATE.resource.plural}), "
+                "and allow UDP between them: robots and their applications need it. If there is none, the network between these nodes "
+                "carries no UDP",
             )
         ]
     if seen.fresh:
@@ -168,9 +171,8 @@ def judge(seen: Seen) -> list[Finding]:
             Finding(
                 CHECK,
                 "FAIL",
-                f"NetworkPolicies aren't enforced for UDP ({where}): packets to a gated port got through a closed gate",
-                "two instances could drive a robot. Use a network plugin that enforces egress policies with port ranges: "
-                f"{_POLICIES}",
+                f"gates are not enforced for UDP ({where}): packets to a gated port got through a closed gate",
+                f"two instances could drive a robot. {ProbeReceiver.leak_hint} See {_POLICIES}",
             )
         ]
     return [*_ways(seen), *_times(seen, where)]
@@ -181,15 +183,16 @@ def _ways(seen: Seen) -> Iterator[Finding]:
         yield Finding(
             CHECK,
             "FAIL",
-            "a closed gate also stops UDP to other ports: the engine doesn't know ranges of ports (endPort), or peers by namespaceSelector",
-            f"a standby would hear and discover nothing. Use a network plugin that does: {_POLICIES}",
+            "a closed gate also stops UDP to other ports: the network plugin does not support ranges of ports (endPort), or peers by "
+            "namespaceSelector",
+            f"a standby would neither receive nor discover anything. Use a network plugin that supports them: {_POLICIES}",
         )
     if seen.established is None:
         yield Finding(
             CHECK,
             "WARN",
-            f"what was being sent before the gate closed still comes {rough(WITHIN)} later; what is sent anew doesn't",
-            "the network goes on with flows that it knows. A failed pod then keeps its way to the robot until it is deleted, which "
+            f"an established flow still gets through {rough(WITHIN)} after the gate was closed; new flows do not",
+            "the network keeps established flows open. A failed pod then reaches the robot until it is deleted, which "
             f"Understudy does right after the switch: {_POLICIES}",
         )
 
@@ -200,7 +203,7 @@ def _times(seen: Seen, where: str) -> Iterator[Finding]:
             yield Finding(
                 CHECK,
                 "FAIL",
-                f"packets didn't come through within {rough(WITHIN)} after the gate was {word}",
+                f"packets did not come through within {rough(WITHIN)} after the gate was {word}",
                 f"look at the logs of the network plugin on {seen.nodes[0]} and {seen.nodes[1]}: an understudy would never drive",
             )
     if seen.established is not None and seen.closed is None:
@@ -208,7 +211,7 @@ def _times(seen: Seen, where: str) -> Iterator[Finding]:
             CHECK,
             "WARN",
             f"packets still came {rough(WITHIN)} after an open gate was closed",
-            f"the network goes on with flows that it knows, and a failed pod drives on until it is deleted: {_POLICIES}",
+            f"the network keeps established flows open, and a failed pod drives the robot until it is deleted: {_POLICIES}",
         )
     told = {"closed": seen.established, "opened": seen.opened, "closed again": seen.closed, "lifted": seen.lifted}
     known = {word: took for word, took in told.items() if took is not None}
@@ -219,7 +222,7 @@ def _times(seen: Seen, where: str) -> Iterator[Finding]:
     yield Finding(
         CHECK,
         "WARN" if slow else "OK",
-        f"NetworkPolicies are enforced for UDP ({where}); after the request to the API server: {words}",
+        f"gates are enforced for UDP ({where}); after the request to the API server: {words}",
         f"they are a part of every recovery. Give the network plugin's agents more CPU, or use another one: {_POLICIES}"
         if slow
         else "",

@@ -27,6 +27,7 @@ class Inside:
     def __init__(self) -> None:
         self._senders: dict[str, ProbeSender] = {}
         self._receivers: dict[int, ProbeReceiver] = {}
+        self._robot: dict[str, str] = {}
 
     async def clock(self) -> float:
         """The time of this node, in unix seconds."""
@@ -57,8 +58,10 @@ class Inside:
         """The nodes of a ROS graph, as soon as there are others than this one's; at the latest after so long."""
         from understudy.ros.runtime.graph_node import Graph
 
-        os.environ.pop("ROS_DISCOVERY_SERVER", None)
+        for variable in self._robot.keys() - environment.keys():
+            os.environ.pop(variable, None)
         os.environ.update(environment)
+        self._robot = environment
         graph = Graph("understudy_doctor", domain_id=int(environment.get("ROS_DOMAIN_ID", "0")))
         try:
             end = time.monotonic() + seconds

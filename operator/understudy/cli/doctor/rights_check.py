@@ -1,4 +1,4 @@
-"""What may be done, by whoever asks and by the operator's account: the API server is asked for each right, and nothing is done."""
+"""Checks the rights of the user and of the operator's account, by access reviews of the API server, which change nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _REVIEWS = "/apis/authorization.k8s.io/v1"
 
 @dataclass(frozen=True)
 class Right:
-    """A verb on a resource, and what it is for."""
+    """A verb on a resource, and what needs it."""
 
     group: str
     resource: str
@@ -26,7 +26,7 @@ class Right:
     use: str = ""
 
     def attributes(self, namespace: str) -> Object:
-        """As a review asks for it."""
+        """The attributes of an access review."""
         resource, _, sub = self.resource.partition("/")
         return {
             "namespace": namespace,
@@ -38,7 +38,7 @@ class Right:
 
     @property
     def words(self) -> str:
-        """As a person would ask ``kubectl auth can-i``."""
+        """As ``kubectl auth can-i`` takes it."""
         return f"{self.verb} {self.resource}{f'.{self.group}' if self.group else ''}"
 
 
@@ -74,7 +74,7 @@ OURS = (
 
 
 def operators() -> Iterator[Right]:
-    """What the operator needs in a namespace of robots: what it makes there, and what it gives to monitors."""
+    """What the operator needs in a namespace with robots: for what it creates there, and what it grants to monitors."""
     for group, resource, verbs in (
         (names.GROUP, "robotworkloads", "get list watch"),
         (names.GROUP, "robotworkloads/status", "patch"),
@@ -102,7 +102,7 @@ def operators() -> Iterator[Right]:
 
 
 def of_this_user(api: Api, namespace: str) -> Finding:
-    """Whether whoever asks may do what this command's verbs do."""
+    """Whether the user has the rights that the verbs of this command need."""
     check = "your rights"
     missing = [
         right
@@ -110,14 +110,14 @@ def of_this_user(api: Api, namespace: str) -> Finding:
         if not _allowed(api, "selfsubjectaccessreviews", {"resourceAttributes": right.attributes(namespace)})
     ]
     if not missing:
-        return Finding(check, "OK", f"all that the verbs of this command need in {namespace}")
+        return Finding(check, "OK", f"you have all rights that the verbs of this command need in {namespace}")
     told = ", ".join(f"{right.words} (for {right.use})" for right in missing)
     return Finding(
         check,
         "WARN",
-        f"you may not in {namespace}: {told}",
-        "where you need these verbs, ask an administrator for the ClusterRole edit (the chart's *-edit adds to it) in this namespace; "
-        "pods/ephemeralcontainers isn't in it and takes a Role",
+        f"you lack rights in {namespace}: {told}",
+        "if you need these verbs, ask an administrator for the ClusterRole edit (the chart's *-edit adds to it) in this namespace; "
+        "pods/ephemeralcontainers is not in it and needs a Role",
     )
 
 
@@ -138,14 +138,14 @@ def of_the_operator(api: Api, namespace: str, found: Installed) -> Finding:
     except Refused as refused:
         if refused.status != 403:
             raise
-        cure = "have somebody run this who may create subjectaccessreviews, such as a cluster administrator"
-        return Finding(check, "WARN", "it can't be told: you may not ask for another account's rights", cure)
+        cure = "run this as a user who may create subjectaccessreviews, such as a cluster administrator"
+        return Finding(check, "WARN", "unknown: you are not allowed to review another account's rights", cure)
     if not missing:
-        return Finding(check, "OK", f"{found.account} may do its work in {namespace}")
+        return Finding(check, "OK", f"{found.account} has all rights that it needs in {namespace}")
     return Finding(
         check,
         "FAIL",
-        f"{found.account} may not in {namespace}: {_listed(missing)}",
+        f"{found.account} lacks rights in {namespace}: {_listed(missing)}",
         "helm upgrade the chart with rbac.create=true, or give the account what the chart's ClusterRole has; an "
         "operator for some namespaces only needs it in this one too",
     )

@@ -31,6 +31,7 @@ from understudy.controller.pods.instance_pod import HARDENED
 from understudy.controller.pods.pod_placement import away_from
 from understudy.kube.client import MERGE, PODS, Object, Resource
 from understudy.kube.gates import registry
+from understudy.ros.rmw import MIDDLEWARE
 
 LABEL = f"{names.GROUP}/doctor"
 """On everything that is made, with the name of the run. Not the labels of instances, which operator and monitors would look after."""
@@ -138,7 +139,7 @@ def pod(run: str, role: str, images: Images) -> Object:
         "image": images.monitor,
         "imagePullPolicy": images.pull_policy,
         "command": ["sleep", str(LIFETIME)],
-        "env": [{"name": "HOME", "value": "/tmp"}, {"name": "RMW_IMPLEMENTATION", "value": "rmw_fastrtps_cpp"}],
+        "env": [{"name": "HOME", "value": "/tmp"}, {"name": "RMW_IMPLEMENTATION", "value": MIDDLEWARE.implementation}],
         "resources": {"requests": {"cpu": "20m", "memory": "64Mi"}, "limits": {"cpu": "1", "memory": "256Mi"}},
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [{"name": "tmp", "mountPath": "/tmp"}],

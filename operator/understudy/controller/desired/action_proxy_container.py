@@ -9,7 +9,7 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.pods import instance_pod
 from understudy.kube.client import Object
-from understudy.ros.dds.profiles import instance_profiles_xml
+from understudy.ros.rmw import MIDDLEWARE
 
 
 def proxied(spec: RobotWorkloadSpec) -> bool:
@@ -19,7 +19,7 @@ def proxied(spec: RobotWorkloadSpec) -> bool:
 
 def instance_profiles(spec: RobotWorkloadSpec) -> str:
     """The DDS profiles of the instances; empty where they need none."""
-    return instance_profiles_xml(spec.tasks if proxied(spec) else [], spec.outputs, spec.gate.reflex)
+    return MIDDLEWARE.instance_settings(spec.tasks if proxied(spec) else [], spec.outputs, spec.gate.reflex)
 
 
 def profiles_map(workload: str, profiles: str) -> Object:
@@ -41,7 +41,7 @@ def problem(workload: str, spec: RobotWorkloadSpec, template: Mapping[str, Any])
         )
     if proxied(spec) and (own := instance_pod.own_profiles(template)):
         return (
-            f"spec.template: container {', '.join(own)} sets {names.PROFILES_VARIABLE} itself, so clients reach "
+            f"spec.template: container {', '.join(own)} sets {MIDDLEWARE.settings_variable} itself, so clients reach "
             f"{_actions(spec)} without the proxy, and their goals end with the instance. Remove the variable, or put the "
             f"profiles of ConfigMap {names.instance_profiles(workload)} into its own file"
         )

@@ -6,6 +6,7 @@ from understudy.api import names
 from understudy.controller.plan import Images, priority, pull_secrets
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.kube.client import Object
+from understudy.ros.rmw import MIDDLEWARE
 
 _REQUESTS = {"cpu": "10m", "memory": "32Mi"}
 
@@ -45,12 +46,13 @@ def service(workload: str, address: str | None = None) -> Object:
 
 def deployment(workload: str, images: Images, address: str) -> Object:
     """The server, with the Service's address: it tells it as its own, which stays when its pod is another."""
+    command = MIDDLEWARE.discovery_command(address, names.DISCOVERY_PORT)
     container = {
         "name": "discovery",
         "image": images.monitor,
         "imagePullPolicy": images.pull_policy,
-        "command": ["understudy-discovery-server"],
-        "args": [address, str(names.DISCOVERY_PORT)],
+        "command": command[:1],
+        "args": command[1:],
         "env": [{"name": "HOME", "value": "/tmp"}],
         "ports": [{"name": "discovery", "containerPort": names.DISCOVERY_PORT, "protocol": "UDP"}],
         "resources": {"requests": dict(_REQUESTS)},

@@ -17,6 +17,7 @@ from understudy.kube.apply import digest
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind
+from understudy.ros.rmw import MIDDLEWARE
 
 STATE_DIR = "/var/lib/understudy"
 # Of a busy node's processors it gets its share by this, and in a recovery it needs more at once than what it uses (15m).
@@ -67,8 +68,8 @@ def deployment(
         names.MONITOR_IMAGE_VARIABLE: settings.image or images.monitor,
         "HOME": STATE_DIR,
         "ROS_LOG_DIR": f"{STATE_DIR}/log",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": ros_environment.PROFILES_FILE,
-        **ros_environment.introspecting(environment),
+        MIDDLEWARE.settings_variable: ros_environment.PROFILES_FILE,
+        **MIDDLEWARE.introspecting(environment),
     }
     container: Object = {
         "name": "monitor",

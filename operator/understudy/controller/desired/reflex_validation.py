@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.controller.pods import instance_pod
+from understudy.ros.rmw import MIDDLEWARE
 
 
 def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
@@ -23,7 +23,7 @@ def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
         )
     if own := instance_pod.own_profiles(template):
         return (
-            f"spec.gate.reflex: container {', '.join(own)} of spec.template sets {names.PROFILES_VARIABLE} itself, so its "
+            f"spec.gate.reflex: container {', '.join(own)} of spec.template sets {MIDDLEWARE.settings_variable} itself, so its "
             "writers have no strength and the robot would hear none of them. Leave the variable out, or leave reflex out"
         )
     topics = [output.name for output in spec.outputs if output.topic]

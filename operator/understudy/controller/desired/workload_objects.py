@@ -39,6 +39,7 @@ from understudy.kube.client import (
     Resource,
 )
 from understudy.kube.gates import registry
+from understudy.ros.rmw import MIDDLEWARE
 
 _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
 
@@ -107,7 +108,7 @@ def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: I
 def _remembered_address(observed: Observed) -> str | None:
     """The address of a Service that somebody deleted: the robot's processes have it still."""
     found = observed.owned.get(("configmaps", names.robot_env(kube_objects.name(observed.workload))))
-    server = ((found or {}).get("data") or {}).get("ROS_DISCOVERY_SERVER", "")
+    server = MIDDLEWARE.discovery_server((found or {}).get("data") or {})
     host, colon, port = server.rpartition(":")
     return host.strip("[]") if colon and port == str(names.DISCOVERY_PORT) else None
 

@@ -18,6 +18,7 @@ from understudy.controller.plan import Images, Problem
 from understudy.controller.pods import instance_pod, ros_environment
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.trees.languages.procedure_notations import composed
 
 
@@ -75,7 +76,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
     address = discovery_server.address(service)
     if spec.ros.discovery.mode == "Managed" and address is None:
         return Understanding(spec=spec, policy_problem=policy, template=template)
-    environment = ros_environment.ros_environment(spec.ros, address)
+    environment = MIDDLEWARE.environment(spec.ros, address)
     own_images = replace(images, monitor=spec.monitor.image or images.monitor)
     profiles = action_proxy_container.instance_profiles(spec)
 

@@ -15,12 +15,13 @@ from understudy.api import names
 from understudy.api.protocol import freeze_script, hold_script
 from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Images, pull_secrets
-from understudy.controller.pods import pod_placement, ros_environment, template_shape
+from understudy.controller.pods import pod_placement, template_shape
 from understudy.kube import claims
 from understudy.kube.apply import digest
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind
+from understudy.ros.rmw import MIDDLEWARE
 
 AGENT_REQUESTS = {"cpu": "20m", "memory": "64Mi"}
 
@@ -82,8 +83,8 @@ class Recipe:
     @property
     def variables(self) -> dict[str, str]:
         """The literal environment of the pod's processes."""
-        profiles = {names.PROFILES_VARIABLE: self.profiles_file} if self.profiles else {}
-        return {**(self.environment or ros_environment.COMMON), **profiles}
+        profiles = {MIDDLEWARE.settings_variable: self.profiles_file} if self.profiles else {}
+        return {**(self.environment or MIDDLEWARE.common), **profiles}
 
 
 def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKind = registry.DEFAULT) -> str | None:
@@ -122,7 +123,7 @@ def own_profiles(template: Mapping[str, Any]) -> list[str]:
     return [
         container["name"]
         for container in (template.get("spec") or {}).get("containers") or []
-        if any(entry.get("name") == names.PROFILES_VARIABLE for entry in container.get("env") or [])
+        if any(entry.get("name") == MIDDLEWARE.settings_variable for entry in container.get("env") or [])
     ]
 
 
@@ -347,7 +348,7 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
         "UNDERSTUDY_HELD_CONTAINERS": " ".join(held),
         "HOME": names.AGENT_DIR,
         "ROS_LOG_DIR": f"{names.AGENT_DIR}/log",
-        **ros_environment.introspecting(recipe.variables),
+        **MIDDLEWARE.introspecting(recipe.variables),
     }
     profiles = [_profiles_mount(recipe)] if recipe.profiles and not recipe.prepared else []
     return {

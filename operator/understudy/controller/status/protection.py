@@ -53,9 +53,7 @@ def protected(observed: Observed, understanding: Understanding) -> Condition:
         problem = understanding.problem or understanding.policy_problem
         if problem is not None:
             return no(problem.reason, problem.message, f"{unwatched}: nothing was created yet.")
-        return no(
-            "GateMissing", f"NetworkPolicy {names.gate(name)} does not exist", f"{unwatched}: it is being created."
-        )
+        return no("GateMissing", f"the gate {names.gate(name)} does not exist", f"{unwatched}: it is being created.")
     if (refused := understanding.policy_problem) is not None:
         return no(refused.reason, refused.message, "What was created before stays as it is.")
     if not any(kube_objects.ready(pod) for pod in observed.monitors):

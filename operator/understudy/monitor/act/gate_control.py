@@ -27,7 +27,7 @@ _logger = logging.getLogger(__name__)
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
 
 WAKING = 15.0
-"""Seconds after its return for which a refusal of an API server isn't final: it may not know the roles again yet."""
+"""Seconds after the API server's return for which a 401 or 403 is not final: it may not have loaded the roles yet."""
 
 
 class GateControl:
@@ -40,22 +40,22 @@ class GateControl:
         self._crash_points, self._kind, self._notices = crash_points, view.gate_kind, notices
         self._cached: tuple[int, GateState] = (-1, GateState())
         self._own: tuple[str, int, str] = ("", 0, "")
-        """The recovery that committed last from here: its id, the epoch of that, and the text that was sent along."""
+        """The recovery that this monitor committed last: its id, the epoch of the commit, and the record that was sent with it."""
 
     @property
     def record(self) -> GateRecord | None:
-        """What it says, as last seen or committed; None where there is none."""
-        policy = self._view.gates.items.get(names.gate(self._view.workload))
-        return GateRecord.of(policy) if policy else None
+        """Its record, as last seen or committed; None if there is no gate object."""
+        gate = self._view.gates.items.get(names.gate(self._view.workload))
+        return GateRecord.of(gate) if gate else None
 
     @property
     def exists(self) -> bool:
-        """Whether the operator has made it (and nobody has deleted it)."""
+        """Whether it is there: the operator has created it, and nobody has deleted it."""
         return self.record is not None
 
     @property
     def state(self) -> GateState:
-        """As last seen or committed."""
+        """Its state, as last seen or committed."""
         if self._cached[0] != self._view.gates.revision:
             self._cached = (self._view.gates.revision, self._read())
         return self._cached[1]
@@ -69,7 +69,7 @@ class GateControl:
             try:
                 recovery = Progress.model_validate_json(record.recovery)
             except ValidationError as error:
-                _logger.warning("the gate's recovery annotation can't be read: %s", error)
+                _logger.warning("cannot read the recovery in the gate's annotations: %s", error)
         return GateState(
             epoch=record.epoch,
             active=record.active,
@@ -80,12 +80,13 @@ class GateControl:
         )
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
-        """Open it for one instance, or close it, at the next epoch. Raises Superseded, also where somebody else has committed since the
-        recovery did, or names another pod than the recovery is about.
+        """Open it for one instance, or close it, at the next epoch.
+
+        Raises Superseded, also if another writer has committed since the recovery did, or names a pod that the recovery is not about.
         """
         begun = self.record
         if begun is None:
-            raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} is gone")
+            raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} does not exist")
         self._still_ours(begun, progress)
         if (instance := target) is not None:
             await claims.answered(lambda: self._fleet.label(instance))
@@ -99,7 +100,7 @@ class GateControl:
         asked = time.monotonic()
         while True:
             try:
-                policy = await self._kind.commit(
+                gate = await self._kind.commit(
                     self._client,
                     self._view.namespace,
                     self._view.workload,
@@ -118,7 +119,7 @@ class GateControl:
                 if waking:
                     await asyncio.sleep(RETRY_FIRST)
             except (aiohttp.ClientError, TimeoutError, OSError) as error:
-                _logger.warning("committing the gate, the API server is away: %r", error)
+                _logger.warning("committing the gate: the API server does not answer: %r", error)
                 away = time.monotonic()
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
@@ -127,34 +128,34 @@ class GateControl:
                 self._own = (self._own[0], record.epoch, recovery)
                 return self.state
         self._notices.add(GateCommitted(time.monotonic() - asked))
-        self._view.gates.put(policy)
+        self._view.gates.put(gate)
         self._own = (self._own[0], begun.epoch + 1, recovery)
         self._crash_points.step("after commit")
         return self.state
 
     def _still_ours(self, begun: GateRecord, progress: Progress | None) -> None:
-        """Raise Superseded where a recovery under way would undo what somebody else has done: another monitor, or who fences by hand.
+        """Raise Superseded if a recovery under way would undo another writer's commit, by a second monitor or ``understudy fence``.
 
-        Of what isn't gone on with, only the record is kept: whoever opens the gate then does so over anything.
+        A commit of a recovery that is not under way is written over any other.
         """
         if progress is None or progress.result != "Running":
             return
         id_, epoch, sent = self._own
         if id_ == progress.id:
-            # A commit that nobody answered may have been carried out. What was sent stands beside the gate too where somebody has closed it
-            # since, and left the rest as it was.
+            # A commit without an answer may have been carried out. The record that was sent is also there if another writer has closed the
+            # gate since and left the rest as it was.
             carried_out = begun.recovery == sent and (tells := beside(sent)) is not None and begun.epoch == tells.epoch
             if begun.epoch != epoch and not carried_out:
                 raise Superseded(f"the gate is at epoch {begun.epoch} by another writer, this recovery knew {epoch}")
             return
         about = [*progress.failed, progress.target, progress.former, progress.taken_over]
         if begun.active_uid and begun.active_uid not in {pod.uid for pod in about if pod is not None}:
-            raise Superseded(f"the gate names {begun.active} by another writer, which this recovery isn't about")
+            raise Superseded(f"the gate names {begun.active} by another writer, which this recovery is not about")
 
     async def admit(self, standby: Instance | None) -> bool:
         """Let a standby through beside the pod in control, or none; whether that was written.
 
-        It is tried once: a commit matters more and may be waiting, and what is wanted is looked at again anyway.
+        Tried once: a commit matters more and may be waiting, and the caller decides again soon anyway.
         """
         record = self.record
         if record is None or not record.active:
@@ -163,7 +164,7 @@ class GateControl:
         try:
             if standby is not None:
                 await self._fleet.label(standby)
-            policy = await self._kind.admit(
+            gate = await self._kind.admit(
                 self._client,
                 self._view.namespace,
                 self._view.workload,
@@ -172,13 +173,13 @@ class GateControl:
                 admitted_uid=uid,
             )
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("letting %s through the gate: %r", name or "no standby", error)
+            _logger.warning("admitting %s at the gate: %r", name or "no standby", error)
             return False
-        self._view.gates.put(policy)
+        self._view.gates.put(gate)
         return True
 
     def left_by(self, recovery: str) -> GivenUp | None:
-        """What may stand beside it, now or later, of a recovery (its id) that isn't gone on with from here; None for nothing."""
+        """The record that a recovery (its id) that this monitor abandoned has left at the gate, or may still leave; None for none."""
         id_, epoch, sent = self._own
         if id_ == recovery:
             return GivenUp(id=id_, epoch=epoch, sent=sent)
@@ -189,15 +190,15 @@ class GateControl:
         return GivenUp(id=recovery, epoch=record.epoch, sent=record.recovery)
 
     async def end_recovery(self, over: GateRecord) -> None:
-        """Say that nobody goes on with the recovery that this record tells of, if that is still what it says.
+        """Mark the recovery in this record as ended, if the gate still has this record.
 
-        It is tried once, as :meth:`admit` is, and for the same reason.
+        Tried once, as :meth:`admit` is, and for the same reason.
         """
         found = beside(over.recovery)
         if found is None:
             return
         try:
-            policy = await self._kind.end_recovery(
+            gate = await self._kind.end_recovery(
                 self._client,
                 self._view.namespace,
                 self._view.workload,
@@ -205,35 +206,35 @@ class GateControl:
                 recovery=ended(found).model_dump_json(),
             )
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
-            _logger.warning("saying beside the gate that recovery %s isn't gone on with: %r", found.id, error)
+            _logger.warning("marking recovery %s as abandoned at the gate: %r", found.id, error)
             return
-        _logger.info("beside the gate it is said that recovery %s isn't gone on with", found.id)
-        self._view.gates.put(policy)
+        _logger.info("marked recovery %s as abandoned at the gate", found.id)
+        self._view.gates.put(gate)
 
     async def _reread(self, begun: GateRecord, uid: str, recovery: str) -> GateRecord | None:
-        """The gate as it is, after a refused or unanswered commit; our own commit may have been carried out."""
+        """Read the gate after a refused or unanswered commit, which may have been carried out; None if it cannot be read."""
         try:
-            policy = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
+            gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
             return None
-        record = GateRecord.of(policy)
+        record = GateRecord.of(gate)
         ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery
         if record.epoch != begun.epoch and not ours:
-            self._view.gates.put(policy)
+            self._view.gates.put(gate)
             raise Superseded(f"the gate is at epoch {record.epoch} by another writer, this monitor knew {begun.epoch}")
-        self._view.gates.put(policy)
+        self._view.gates.put(gate)
         return record
 
     async def lets_through(self, instance: Instance) -> bool:
-        """Whether it lets an instance through as the API server has it now. Raises what a request raises."""
-        policy = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
-        record = GateRecord.of(policy)
+        """Whether it names an instance at this moment, read from the API server. Raises what a request raises."""
+        gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
+        record = GateRecord.of(gate)
         return instance.uid in (record.active_uid, record.admitted_uid)
 
     async def enforced(self, target: Instance, *, since: float) -> float:
-        """Wait until a probe of the instance gets through; when the first one did, in unix seconds."""
+        """Wait until a packet of the instance gets through; when the first one did, in Unix seconds."""
         return await self._probes.wait(target.uid, since)
 
     def last_packet(self, uid: str) -> float | None:
-        """When a probe of a pod last got through, in unix seconds."""
+        """When a packet of a pod last got through, in Unix seconds; None if none did."""
         return self._probes.last(uid)

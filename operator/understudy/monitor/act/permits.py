@@ -29,7 +29,7 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.wakeups import Wakeups
-from understudy.ros.dds.sample_sources import HOST, VENDOR, host_id
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.graph_node import Graph
 
 _logger = logging.getLogger(__name__)
@@ -110,7 +110,7 @@ def _node(pod: Object) -> str:
 
 def _host(ip: str) -> bytes:
     try:
-        return VENDOR + host_id(ip)
+        return MIDDLEWARE.host_at(ip)
     except ValueError:
         return b""
 
@@ -169,7 +169,7 @@ class Permits:
             self._refresh_at = time.monotonic() + REFRESH
             topics = [output.topic for output in spec.outputs if output.topic]
             found = [endpoint for topic in topics for endpoint in self._graph.subscribers(topic)]
-            self._readers = frozenset(endpoint.gid[HOST] for endpoint in found)
+            self._readers = frozenset(MIDDLEWARE.host_of(endpoint.gid) for endpoint in found)
             self._witnesses.clear()
 
         self._refreshing = asyncio.create_task(refresh())

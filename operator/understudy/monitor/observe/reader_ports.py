@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from understudy.api import names
 from understudy.monitor.judge.gate_enforcement import UNGATED, Judgement
-from understudy.ros.dds.rtps import Locator
+from understudy.ros.middleware import Locator
 
 TOOLS = ("_", "rosbag2_recorder", "understudy_watch_")
 """How the names of nodes begin that only look: hidden ones, as those of ROS's command line, rosbag2's, and those of understudy watch."""

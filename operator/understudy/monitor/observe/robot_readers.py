@@ -1,7 +1,7 @@
 """Who reads the outputs besides the monitor and the instances, and whether the gate can keep standbys from them.
 
 The gate closes ports. A process of the robot that was started without its profile listens at others, where every instance that
-executes is heard: nothing else would tell of that. ROS's graph says who reads, DDS's announcements say where (ros/dds/reader_locators.py).
+executes is heard: nothing else would tell of that. ROS's graph says who reads, the middleware's discovery says where.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
 from understudy.monitor.observe.reader_ports import Reading, judge
-from understudy.ros.dds import reader_locators
-from understudy.ros.dds.rtps import Locator
+from understudy.ros.middleware import Locator
+from understudy.ros.rmw import MIDDLEWARE
 
 _logger = logging.getLogger(__name__)
 
@@ -97,8 +97,7 @@ class Readership:
             return
         self._asked |= unknown
         try:
-            discovery = reader_locators.Discovery.of(os.environ)
-            found = await reader_locators.locators(unknown, self._address, discovery, within=WITHIN)
+            found = await MIDDLEWARE.reader_locators(unknown, self._address, os.environ, within=WITHIN)
         except (OSError, ValueError) as error:
             _logger.warning("discovery can't be asked where the outputs are read: %s", error)
             found = {}

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.interface_types import interface_class
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class GraphLocation:
     context: Any
     """The rclpy context of its graph; another would be another participant, that has to be discovered anew."""
     host: bytes | None = None
-    """The HOST part of the GIDs of this host's endpoints (sample_sources.py); None where anyone's count."""
+    """The host part of the GIDs of this host's endpoints (Middleware.host_of); None where anyone's count."""
 
 
 class CallingNode:
@@ -90,7 +90,7 @@ class CallingNode:
         return {e.topic_type for e in self.node.get_publishers_info_by_topic(topic) if self._here(e)}
 
     def _here(self, endpoint: Any) -> bool:
-        return self.host is None or bytes(endpoint.endpoint_gid)[HOST] == self.host
+        return self.host is None or MIDDLEWARE.host_of(bytes(endpoint.endpoint_gid)) == self.host
 
     # -- entities ---------------------------------------------------------------------------------------------------
 

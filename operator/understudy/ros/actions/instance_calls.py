@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from understudy.ros.actions.calling_node import CallingNode, GraphLocation
-from understudy.ros.dds.sample_sources import HOST
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_class
 from understudy.ros.runtime.lean_imports import rclpy_imported
 from understudy.ros.runtime.message_values import MessageError, to_mapping, to_message
@@ -266,7 +266,7 @@ class InstanceCaller:
                     for subscription in subscriptions:
                         with subscription.handle:
                             while (sample := taker.take(subscription.handle.pointer)) is not None:
-                                known = host is None or sample.gid[HOST] == host
+                                known = host is None or MIDDLEWARE.host_of(sample.gid) == host
                                 if known and (since is None or sample.sent >= since):
                                     return sample
                     await asyncio.sleep(LOOK)

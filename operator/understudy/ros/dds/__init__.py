@@ -1,4 +1,4 @@
-"""What is specific to DDS and to Fast DDS: profiles, locators, discovery, ownership.
+"""The middleware Fast DDS: XML profiles, discovery by RTPS, host ids in GUIDs, and exclusive ownership.
 
-No other room names a profile or a locator.
+fast_dds.py implements the interface in ros/middleware.py. No other room imports from here.
 """

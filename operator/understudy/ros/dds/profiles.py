@@ -1,18 +1,16 @@
 """The XML profiles of the robot's side and of the instances.
 
-On the robot's side each gated reader has a UDP port of its own.
+On the robot's side each gated reader has its own UDP port. A gate can tell ports apart: closing them closes exactly the outputs of a
+standby, and leaves discovery, acknowledgements and everything that it receives open.
 
-A reader's port is what a NetworkPolicy can tell apart: with a fixed port per reader, all on the robot's side, a
-policy closes exactly the outputs of a standby and leaves discovery, acknowledgements and everything it receives open.
+In an instance, the endpoints of tasks are in a DDS partition of the pod. Clients of the instance see only the server of the task proxy, and
+only the agent in the pod reaches what the instance serves.
 
-In an instance the endpoints of its tasks are in a DDS partition of its pod's own: its clients see the task proxy's server
-only, and its own agent alone reaches what it serves.
+With the reflex, the readers of outputs on the robot's side choose among the writers of the instances (see exclusive_ownership.py).
 
-With the reflex, the readers of outputs on the robot's side choose among the instances' writers (see exclusive_ownership.py).
+Fast DDS selects the profile of an endpoint by the name of its DDS topic, so the application's source does not change.
 
-Fast DDS picks an endpoint's profile by the name of its DDS topic, so no source is changed.
-
-Imports no ROS: the operator writes these profiles too.
+Imports no ROS, because the operator writes these profiles.
 """
 
 from __future__ import annotations
@@ -29,7 +27,7 @@ _ACTION_SERVICES = ("send_goal", "get_result", "cancel_goal")
 _ACTION_TOPICS = ("feedback", "status")
 
 PARTITION = f"understudy-${{{names.POD_VARIABLE}}}"
-"""The partition of a pod's tasks. Fast DDS puts in the variable of the process that reads the file."""
+"""The partition of a pod's tasks. Fast DDS replaces the variable from the environment of the process that reads the file."""
 
 
 def reader_profiles(output: Output) -> list[str]:
@@ -58,10 +56,9 @@ def gate_ports(outputs: Iterable[Output]) -> dict[str, int]:
     """The UDP port of each gated reader by profile name, in the order of the outputs.
 
     One port for each, never a shared one: of two readers in one network namespace with the same port, the second
-    receives nothing. The operator, the robot and the monitor must come to the same ports, so they follow from the
-    outputs alone.
+    receives nothing. The operator, the robot and the monitor must compute the same ports, so they depend on the outputs only.
 
-    Raises ValueError, naming the output, where the gated range (:data:`names.GATE_PORTS`) is used up.
+    Raises ValueError, naming the output, if the gated range (:data:`names.GATE_PORTS`) is exhausted.
     """
     ports: dict[str, int] = {}
     free = iter(names.GATE_PORTS)
@@ -101,7 +98,7 @@ def profiles_xml(outputs: Iterable[Output], reflex: Reflex | None = None) -> str
 
 
 def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None) -> str:
-    """The profile file for the processes of an instance and its agent; empty where nothing needs one.
+    """The profile file for the processes of an instance and its agent; empty if they need none.
 
     rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership too. What differs
     from pod to pod is left as variables (see api/protocol/profile_placeholders.py).

@@ -1,7 +1,7 @@
-"""Asks DDS discovery where readers listen: joins the robot's graph for a moment as a bare participant, and leaves it again.
+"""Asks DDS discovery where readers listen: joins the robot's graph briefly as a bare participant, and leaves it again.
 
-It has no endpoints besides discovery's own, so nobody sends data to it and no node appears. A discovery server tells it of all
-readers, as it does a super client; without one, every participant tells it of its own.
+The participant has only discovery's own endpoints, so nobody sends data to it and no node appears. A discovery server announces all
+readers to it, as to a super client. Without a server, every participant announces its own.
 """
 
 from __future__ import annotations
@@ -16,27 +16,28 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
 from understudy.ros.dds import rtps
-from understudy.ros.dds.rtps import Gap, Heartbeat, Locator, Participant, Reader, Sample
-from understudy.ros.dds.sample_sources import VENDOR
+from understudy.ros.dds.host_ids import VENDOR
+from understudy.ros.dds.rtps import Gap, Heartbeat, Participant, Reader, Sample
+from understudy.ros.middleware import Locator
 
 _logger = logging.getLogger(__name__)
 
 AGAIN = 0.5
-"""Seconds between two announcements of its own while it stays: one may be lost."""
+"""Seconds between two announcements of the participant while it stays: one may be lost."""
 
 LEASE = 10.0
-"""Seconds after which others forget it where its farewell is lost."""
+"""Seconds after which others forget the participant if its farewell is lost."""
 
 RESPONSE = 0.005
-"""Seconds from a heartbeat to the answer: what it tells of is mostly on its way already."""
+"""Seconds from a heartbeat to the answer: the samples that it announces are mostly on their way already."""
 
 _PORTS, _OURS = 250, 50
-"""Ports of DDS that a ROS domain has, and how many of them, the last ones, are tried: those that participants take last. Firewalls
-that let a domain's ports through let these through.
+"""Number of DDS ports of a ROS domain, and how many of them are tried: the last ones, which other participants take last. A firewall that
+accepts the ports of a domain accepts these.
 """
 
 _SERVER = bytes.fromhex("4453005f4550524f53494d41")
-"""The prefix of the first discovery server of a list, which is the only one that a robot has."""
+"""GUID prefix of the first discovery server of a list. A robot has no other."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Discovery:
 
     @classmethod
     def of(cls, environment: Mapping[str, str]) -> Discovery:
-        """By the variables that ROS goes by. Raises ValueError where they can't be read."""
+        """Read from the environment variables of ROS. Raises ValueError if they are invalid."""
         server, domain = environment.get("ROS_DISCOVERY_SERVER", ""), int(environment.get("ROS_DOMAIN_ID") or 0)
         if server:
             host, _, port = server.rpartition(":")
@@ -62,10 +63,10 @@ class Discovery:
 async def locators(
     wanted: Collection[bytes], address: str, discovery: Discovery, *, within: float
 ) -> dict[bytes, tuple[Locator, ...]]:
-    """Where the readers with these GUIDs listen; without those of which nothing was heard within so many seconds.
+    """Where the readers with these GUIDs listen. Those that are not announced within so many seconds are left out.
 
-    It leaves as soon as it knows: the discovery server of a small graph has told everything after half a second. ``address`` is this
-    host's own, at which it can be answered. Raises OSError.
+    Returns as soon as all are known: the discovery server of a small graph has announced everything after half a second. ``address`` is
+    this host's own, to which answers are sent. Raises OSError.
     """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(discovery.host, discovery.port, family=socket.AF_INET, type=socket.SOCK_DGRAM)
@@ -93,7 +94,7 @@ def _first_port(domain: int) -> int:
 
 
 def _bind(listener: socket.socket, domain: int) -> None:
-    """Take a free port of the domain. Raises OSError where there is none."""
+    """Bind a free port of the domain. Raises OSError if there is none."""
     end = _first_port(domain) + _PORTS
     for port in range(end - 1, end - _OURS, -1):
         with contextlib.suppress(OSError):
@@ -106,11 +107,11 @@ class _Visit(asyncio.DatagramProtocol):
 
     def __init__(self, wanted: Collection[bytes], at: Locator, to: tuple[str, int], server: bytes) -> None:
         self.over = asyncio.Event()
-        """Set once all that was wanted is known."""
+        """Set once all wanted readers are known."""
         self._wanted, self._at, self._to, self._server = wanted, at, to, server
         self._prefix = VENDOR + secrets.token_bytes(10)
         self.transport: asyncio.DatagramTransport | None = None
-        """How it speaks, while it is there."""
+        """The socket, while the participant is in the graph."""
         self._participants: dict[bytes, Participant] = {}
         self._readers: dict[bytes, tuple[Locator, ...]] = {}
         self._had: dict[bytes, set[int]] = {}
@@ -119,7 +120,7 @@ class _Visit(asyncio.DatagramProtocol):
 
     @property
     def found(self) -> dict[bytes, tuple[Locator, ...]]:
-        """Where those listen that are wanted, and known."""
+        """Where the wanted readers listen, as far as known."""
         places: dict[bytes, tuple[Locator, ...]] = {}
         for guid in self._wanted:
             if (own := self._readers.get(guid)) is None:
@@ -131,12 +132,12 @@ class _Visit(asyncio.DatagramProtocol):
         return places
 
     def announce(self) -> None:
-        """Say that it is there."""
+        """Announce the participant."""
         kind = "SUPER_CLIENT" if self._server else "SIMPLE"
         self._send(rtps.announcement(self._prefix, self._at, lease=LEASE, kind=kind, to=self._server))
 
     def leave(self) -> None:
-        """Say that it is gone."""
+        """Announce that the participant leaves, and close the socket."""
         self._send(rtps.farewell(self._prefix, to=self._server))
         if self.transport is not None:
             self.transport.close()

@@ -11,7 +11,8 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from understudy.ros.dds.sample_sources import VENDOR
+from understudy.ros.dds.host_ids import VENDOR
+from understudy.ros.middleware import Locator
 
 PARTICIPANT = bytes([0x00, 0x00, 0x01, 0xC1])
 """The entity that is the participant itself. Those that follow are writer and reader of what each tells the others."""
@@ -44,14 +45,6 @@ _RELATED_OF_EPROSIMA = 0x800F
 
 _GONE = 3  # of a status: disposed, unregistered
 _UDPV4, _UDPV6 = 1, 2
-
-
-@dataclass(frozen=True)
-class Locator:
-    """Where something listens for UDP."""
-
-    address: str
-    port: int
 
 
 @dataclass(frozen=True)

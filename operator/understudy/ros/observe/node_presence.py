@@ -1,7 +1,7 @@
 """Looks now and then at which nodes the active instance has, by the ROS graph.
 
 The graph's list of nodes does not say where a node is, and instances of one workload have nodes of the same names. Its
-endpoints do: each has a GID that tells its host (sample_sources.py), and the name of its node. Every node of rclcpp and rclpy
+endpoints do: each has a GID that tells its host (Middleware.host_of), and the name of its node. Every node of rclcpp and rclpy
 has a publisher of ``/parameter_events``, unless it was told not to; then another of its endpoints is looked for.
 """
 

@@ -14,7 +14,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
-from understudy.ros.dds.sample_sources import HOST, Sources
+from understudy.ros.observe.sample_sources import Sources
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.graph_node import Graph, NotReceivable
 from understudy.ros.runtime.interface_types import TypeNotInstalled
 from understudy.ros.runtime.sample_taking import SampleTaker
@@ -190,7 +191,7 @@ class Capturing:
                 if sample is None:
                     break
                 received, sent, gid, _, _ = sample
-                host = gid[HOST]
+                host = MIDDLEWARE.host_of(gid)
                 counts = self._counts(host)
                 if not counts and not topic.latched:
                     continue

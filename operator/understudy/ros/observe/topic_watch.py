@@ -16,13 +16,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from understudy.ros.dds.sample_sources import HOST, Sources
 from understudy.ros.observe.lifecycle_states import LifecycleStates
 from understudy.ros.observe.message_contents import HEAD, OURS, Received, begins_with_header, ours
 from understudy.ros.observe.node_presence import NodePresenceWatch
 from understudy.ros.observe.parameter_values import ParameterValues
 from understudy.ros.observe.publisher_presence import PublisherPresence
 from understudy.ros.observe.sample_rings import SampleRing, SampleTrack
+from understudy.ros.observe.sample_sources import Sources
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 from understudy.ros.runtime.graph_node import Graph, NotReceivable
 from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class
@@ -319,7 +320,7 @@ class TopicWatch:
     def _in_control(self, gid: bytes) -> bool:
         """Whether an endpoint is (or may be) of the active instance; if no address tells that one, whether it is of no other."""
         if self._own is not None:
-            return gid[HOST] == self._own
+            return MIDDLEWARE.host_of(gid) == self._own
         candidates = self._sources.candidates(gid)
         told = self._active in self._sources.instances and self._active not in self._sources.unknown
         return self._active in candidates if told else not candidates
@@ -377,7 +378,7 @@ class TopicWatch:
                 received = min(max(stamped, low), high) if bounded else stamped
                 if track is not None and track.wanted:
                     track.add(received, sent, sequence, data or self._taker.data())
-                source = sources.get(gid[HOST]) or self._new_source(topic, gid[HOST])
+                source = sources.get(MIDDLEWARE.host_of(gid)) or self._new_source(topic, MIDDLEWARE.host_of(gid))
                 source.add(received)
                 source.number(gid, sequence)
                 if source.accepted and topic.counted is not source:
@@ -454,7 +455,7 @@ class TopicWatch:
         topic = self._topics.get(name)
         if topic is None:
             return None
-        times = [since for gid, since in topic.active.items() if self._accepted(gid[HOST])]
+        times = [since for gid, since in topic.active.items() if self._accepted(MIDDLEWARE.host_of(gid))]
         return min(times, default=None)
 
     def publishers(self, name: str) -> Publishers | None:
@@ -478,7 +479,7 @@ class TopicWatch:
         return self.pod_state
 
     def records(self, name: str) -> dict[bytes, SourceRecord]:
-        """What was received on a topic, by the HOST part of the senders' GIDs."""
+        """What was received on a topic, by the host part of the senders' GIDs."""
         topic = self._topics.get(name)
         return topic.sources if topic is not None else {}
 

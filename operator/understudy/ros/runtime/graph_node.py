@@ -14,6 +14,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import NodeNameNonExistentError
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.interface_types import message_class
 from understudy.ros.runtime.node_options import own_context, plain_node
 
@@ -55,8 +56,8 @@ class Graph:
 
     def __init__(self, name: str, *, domain_id: int | None = None) -> None:
         """Join the graph as node ``name``; ``domain_id`` is ROS_DOMAIN_ID where it is not given."""
-        # A client of a discovery server is reported matching endpoints only: it could never learn a topic's type.
-        os.environ.setdefault("ROS_SUPER_CLIENT", "TRUE")
+        for variable, value in MIDDLEWARE.introspection.items():
+            os.environ.setdefault(variable, value)
         self._context = own_context(domain_id=domain_id)
         self.node = plain_node(name, self._context)
 

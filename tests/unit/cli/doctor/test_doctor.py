@@ -39,6 +39,7 @@ from understudy.controller.plan import Images
 from understudy.failover.progress import rfc3339
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
+from understudy.ros.rmw import MIDDLEWARE
 
 ENFORCED = Seen(
     ("n1", "n2"), before=True, established=0.03, fresh=False, others=True, opened=0.02, closed=0.01, lifted=0.04
@@ -111,8 +112,10 @@ def shown() -> list[Finding]:
             Finding(f"CRD {kind}", "OK", f"v1alpha1 of version {__version__}")
             for kind in ("robotworkloads", "failurepolicies", "fallbackpools")
         ),
-        Finding("your rights", "OK", "all that the verbs of this command need in fleet"),
-        Finding("operator's rights", "OK", "system:serviceaccount:system:account may do its work in fleet"),
+        Finding("your rights", "OK", "you have all rights that the verbs of this command need in fleet"),
+        Finding(
+            "operator's rights", "OK", "system:serviceaccount:system:account has all rights that it needs in fleet"
+        ),
         *packet_check.judge(replace(ENFORCED, closed=0.034)),
         discovery_check.judge(
             fleet.well(),
@@ -238,7 +241,7 @@ def test_rights_that_are_missing_are_named_with_what_they_are_for() -> None:
     server = Server({"*": review})
     found = rights_check.of_this_user(server, "fleet")  # type: ignore[arg-type]
     assert found.level == "WARN"
-    assert found.found == "you may not in fleet: create pods/exec (for inject, doctor)"
+    assert found.found == "you lack rights in fleet: create pods/exec (for inject, doctor)"
     assert all(body["spec"]["resourceAttributes"]["namespace"] == "fleet" for _, body in server.asked)
 
 
@@ -270,15 +273,15 @@ def test_the_operator_s_rights_are_asked_for_in_its_name() -> None:
         ),
         (replace(ENFORCED, nodes=("n1", "n1")), "OK", "(on n1 only)"),
         (replace(ENFORCED, opened=2.5), "WARN", "opened 2.5 s"),
-        (replace(ENFORCED, before=False), "FAIL", "UDP doesn't get from one pod to another at all"),
-        (replace(ENFORCED, fresh=True), "FAIL", "NetworkPolicies aren't enforced for UDP"),
+        (replace(ENFORCED, before=False), "FAIL", "UDP packets do not get from one pod to another at all"),
+        (replace(ENFORCED, fresh=True), "FAIL", "gates are not enforced for UDP"),
         (replace(ENFORCED, others=False), "FAIL", "also stops UDP to other ports"),
         (
             replace(ENFORCED, established=None),
             "WARN",
-            "what was being sent before the gate closed still comes 10.0 s later",
+            "an established flow still gets through 10.0 s after the gate was closed",
         ),
-        (replace(ENFORCED, opened=None), "FAIL", "didn't come through within 10.0 s after the gate was opened"),
+        (replace(ENFORCED, opened=None), "FAIL", "did not come through within 10.0 s after the gate was opened"),
         (replace(ENFORCED, closed=None), "WARN", "still came 10.0 s after an open gate was closed"),
     ],
 )
@@ -374,7 +377,7 @@ def test_a_graph_in_which_somebody_is_found_has_a_server() -> None:
 @pytest.mark.parametrize(
     ("discovery", "server", "cure"),
     [
-        ({}, "10.0.0.7:11811", "look whether the Service robot-17-navigation-discovery has endpoints"),
+        ({}, "10.0.0.7:11811", "check whether the Service robot-17-navigation-discovery has endpoints"),
         (
             {"mode": "External", "server": "ds:11811"},
             "ds:11811",
@@ -393,7 +396,10 @@ def test_an_empty_graph_is_told_with_what_to_look_at(discovery: Any, server: str
 
 def test_a_fleet_that_finds_nobody_is_not_waited_for_to_its_last_robot() -> None:
     class Pods:
-        receiver, api = None, Server({"*": {"data": {"ROS_DOMAIN_ID": "1", names.PROFILES_VARIABLE: "/etc/p.xml"}}})
+        receiver, api = (
+            None,
+            Server({"*": {"data": {"ROS_DOMAIN_ID": "1", MIDDLEWARE.settings_variable: "/etc/p.xml"}}}),
+        )
         kubectl = SimpleNamespace(namespace="fleet")
 
         @contextlib.contextmanager

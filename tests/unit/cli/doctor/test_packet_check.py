@@ -75,7 +75,7 @@ def test_a_network_that_enforces_nothing_is_found_out(monkeypatch: pytest.Monkey
     assert [(one.level, one.check) for one in packet_check.judge(seen)] == [("FAIL", "gate")]
     assert said == [
         "asking their nodes for the time",
-        "sending packets without a policy",
+        "sending packets without a gate",
         "sending packets to a closed gate",
     ]
 

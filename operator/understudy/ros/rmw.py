@@ -1,0 +1,8 @@
+"""The middleware that this version of Understudy runs with."""
+
+from __future__ import annotations
+
+from understudy.ros.dds.fast_dds import FastDds
+from understudy.ros.middleware import Middleware
+
+MIDDLEWARE: Middleware = FastDds()
