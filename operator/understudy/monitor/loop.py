@@ -255,7 +255,7 @@ class Supervisor:
         else:
             self._notices.add(FailureDetected(time.time() - failure.detected))
         _logger.warning("%s of %s: %s", what, self._gate.state.active, failure.reason)
-        progress = self.act.start.begin(failure, reflex_deadline=self.act.reflexes.deadline)
+        progress = self.act.start.begin(failure)
         if progress is None:
             self.decide.postponing.told_to_wait()
             return

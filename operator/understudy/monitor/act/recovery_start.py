@@ -7,6 +7,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.garbage_collection import Leftovers
 from understudy.monitor.act.planned_switchover import Switching
+from understudy.monitor.act.reflex_guard import Reflexes
 from understudy.monitor.decide.retry_backoff import Retries
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.observe import dependencies
@@ -15,20 +16,20 @@ from understudy.monitor.observe import dependencies
 class RecoveryStart:
     """Begins the recoveries of one workload."""
 
-    def __init__(self, cluster: Cluster, switchovers: Switching, leftovers: Leftovers, retries: Retries) -> None:
+    def __init__(
+        self, cluster: Cluster, switchovers: Switching, leftovers: Leftovers, retries: Retries, reflexes: Reflexes
+    ) -> None:
         self._view, self._gate = cluster.view, cluster.gate
         self._switchovers, self._leftovers, self._retries = switchovers, leftovers, retries
+        self._reflexes = reflexes
 
-    def begin(self, failure: Failure, *, reflex_deadline: float) -> Progress | None:
-        """Return the record of the recovery that begins; None if none may begin yet, since every strategy's instance failed at once.
-
-        ``reflex_deadline`` is the silence in seconds after which the robot follows a standby by itself.
-        """
+    def begin(self, failure: Failure) -> Progress | None:
+        """Return the record of the recovery that begins; None if none may begin yet, since every strategy's instance failed at once."""
         prepared = self._switchovers.failed(failure.reason)
         state = self._gate.state
         failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
         if failure.taken is not None:
-            return reflex.begin(failure.taken, failed[0], reflex_deadline)
+            return reflex.begin(failure.taken, failed[0], self._reflexes.deadline)
         if failure.follows and failed:
             if prepared is not None:
                 self._leftovers.add(prepared)

@@ -44,10 +44,10 @@ class ActStage:
         self.leftovers = Leftovers(cluster.pods, cluster.gate, notices)
         self.abandonment = Abandonment(cluster.gate, journal, notices)
         self.switchovers = Switching(cluster, repertoire, keeping, current, self.leftovers, notices)
-        self.start = RecoveryStart(cluster, self.switchovers, self.leftovers, limits.retries)
+        self.reflexes = Reflexes(cluster, senses, notices)
+        self.start = RecoveryStart(cluster, self.switchovers, self.leftovers, limits.retries, self.reflexes)
         self.deferral = Deferral(cluster, limits, current, journal, notices)
         self.recoveries = Recoveries(cluster.view, repertoire, keeping, current, self.abandonment, notices)
-        self.reflexes = Reflexes(cluster, senses, notices)
         self._labels = Labels(cluster.pods)
         self._standbys = Standbys(cluster, senses.sidecars, senses.roles, current, keeping, notices)
 
