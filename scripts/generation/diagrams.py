@@ -174,7 +174,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "monitor/act/recovery_start", "monitor/act/deferred_recovery", "monitor/act/recovery_runner", "failover/protocol",
         "failover/strategies/executing", "monitor/act/gate_control", "kube/gates/network_policy", "kube/client",
     ),
-    "report": ("monitor/outcome", "monitor/report/recovery_report", "monitor/report/reporter"),
+    "report": ("monitor/report/recovery_report", "monitor/notices", "monitor/report/status_writer"),
 }  # fmt: skip
 """The modules that a failure passes, by stage, in this order. What comes after the patch of the gate is `report`."""
 
