@@ -67,7 +67,7 @@ class World:
         }
         cluster = Cluster(parts["view"], parts["fleet"], parts["gate"])
         senses = Senses(parts["sight"], parts["sidecars"], parts["probes"], *[cast(Any, None)] * 3)
-        self.reflexes = Reflexes(cluster, senses, parts["reporter"])
+        self.reflexes = Reflexes(cluster, senses, parts["notices"])
 
     def add(self, name: str, strength: int | None) -> None:
         self.pods[name] = Instance(name=name, uid=f"uid-{name}", running=True, pool="" if name == "w-1" else "hot")
