@@ -22,7 +22,7 @@ from bench.roles import answer, end_with_parent, tell
 from bench.scaling.fleets import POOL, Robot
 from bench.scaling.senses import Application, Probes, Sidecars, Sight
 from bench.scaling.watches import Borrowed, Drain
-from tests.unit.interleavings.blanks import BlackBox, Keeping
+from tests.unit.interleavings.blanks import BlackBox, Keeping, Readership
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.failover.journal import Journal
@@ -38,12 +38,14 @@ from understudy.monitor import loop
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.status_writer import StatusWriter
 
@@ -118,19 +120,16 @@ class Monitor:
             probes = Probes(self.application)
             self.gate = probes.gate = GateControl(client, view, self.fleet, probes, crash_points, self.notices)
             recorder = Recorder(client, "understudy-monitor", "bench")
+            roles = InstanceRoles(view, self.gate, self.current)
+            sidecars, sight = cast(Any, Sidecars(self.application)), cast(Any, Sight(self.application))
+            readers = cast(Any, Readership())
             parts = Parts(
-                wakeups=self.wakeups,
                 cluster=Cluster(view, self.fleet, self.gate),
-                current=self.current,
-                roles=InstanceRoles(view, self.gate, self.current),
-                sidecars=cast(Any, Sidecars(self.application)),
-                sight=cast(Any, Sight(self.application)),
-                probes=probes,
-                notices=self.notices,
-                journal=Journal(self._state / "recovery.json"),
-                crash_points=crash_points,
+                senses=Senses(sight, sidecars, cast(Any, probes), readers, roles, self.wakeups),
                 keeping=cast(Any, Keeping()),
+                journal=RecoveryJournal(Journal(self._state / "recovery.json"), crash_points),
                 black_box=cast(Any, BlackBox()),
+                notices=self.notices,
             )
             self.supervisor = Supervisor(parts)
             group.create_task(keep_warm(client))
@@ -167,7 +166,7 @@ class Monitor:
         begun = time.time()
         strategy = UninitializedFallback(POOL)
         progress = Progress.begin("claim", last_healthy=begun, detected=begun)
-        means = self.supervisor._means()
+        means = self.supervisor.decide.repertoire.means()
         found: Instance | None = None
         error = "no pod was free"
         while found is None and time.time() < begun + CLAIM_WITHIN:

@@ -55,6 +55,7 @@ def outputs(root: Path) -> dict[Path, str]:
     result[REFERENCE / "metrics.md"] = metrics.page()
     result[IMAGES / "architecture.svg"] = diagrams.architecture()
     result[IMAGES / "failover-steps.svg"] = diagrams.failover()
+    result[IMAGES / "pipeline.svg"] = diagrams.pipeline()
     result[LIBRARY] = scenarios.library()
     readme = CHART / "README.md"
     table = values.table((root / CHART / "values.yaml").read_text())

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, get_args
 
+import understudy
 from scripts.generation.drawing import AMBER, BLUE, INK, PALE, PURPLE, RED, Diagram
 from understudy.api.kinds.fallback_pool import Readiness
 from understudy.cli.common.time_bars import NAMES
@@ -161,4 +163,56 @@ def failover() -> str:
         drawn.text((at + 24, 377), f"t {name}", anchor="start")
         at += 132
     drawn.text((at, 377), "not to scale: a patch takes some ms", PALE, anchor="start")
+    return drawn.svg()
+
+
+MODULES: dict[str, tuple[str, ...]] = {
+    "observe": ("ros/observe/topic_watch", "monitor/observe/health_observer", "monitor/loop"),
+    "judge": ("trees/core/health_tree", "monitor/judge/failure_detection"),
+    "decide": ("monitor/decide/deferred_failures", "failover/decide"),
+    "act": (
+        "monitor/act/recovery_start", "monitor/act/deferred_recovery", "monitor/act/recovery_runner", "failover/protocol",
+        "failover/strategies/executing", "monitor/act/gate_control", "kube/gates/network_policy", "kube/client",
+    ),
+    "report": ("monitor/report/recovery_report", "monitor/notices", "monitor/report/status_writer"),
+}  # fmt: skip
+"""The modules that a failure passes, by stage, in this order. What comes after the patch of the gate is `report`."""
+
+HANDED = {"observe": "samples", "judge": "verdict", "decide": "failure", "act": "outcome"}
+"""What each stage hands on to the next."""
+
+
+def pipeline() -> str:
+    """The monitor's stages, and the modules that a failure passes from the reader to the patch of the gate."""
+    folder = Path(understudy.__file__).parent
+    if missing := [
+        module for modules in MODULES.values() for module in modules if not (folder / f"{module}.py").is_file()
+    ]:
+        raise ValueError(f"the diagram shows modules that do not exist: {', '.join(missing)}")
+    drawn = Diagram(
+        1180,
+        330,
+        "The monitor as a pipeline",
+        "Five stages from left to right: observe, judge, decide, act and report. Each hands one value on to the next: samples, a verdict, "
+        "a failure, an outcome. Under each stage are the modules that a failure passes.",
+    )
+    colours = {"observe": BLUE, "judge": PURPLE, "decide": AMBER, "act": RED, "report": PALE}
+    fills = {"observe": "#e9f2f9", "judge": "#f1ecf7", "decide": "#fff8e6", "act": "#fdf1ef", "report": "#f6f6f6"}
+    number, left, width = 0, 20.0, 204.0
+    for stage, modules in MODULES.items():
+        drawn.part(stage)
+        drawn.box((left, 40), (width, 44), colours[stage], fills[stage], title=stage, titled=INK)
+        for row, module in enumerate(modules):
+            number += stage != "report"
+            label = f"{number}  {module}" if stage != "report" else module
+            drawn.text((left + 2, 112 + 22 * row), label, INK, anchor="start", size=11)
+        if stage in HANDED:
+            drawn.line([(left + width, 62), (left + width + 28, 62)], INK, 2.2, head=True)
+            drawn.text((left + width + 14, 30), HANDED[stage], INK)
+        left += width + 32
+    drawn.part("the outcome")
+    drawn.text(
+        (20, 316), "Nothing calls back to the left. What a stage must remember of an outcome, the loop hands to it before the next look.",
+        PALE, anchor="start",
+    )  # fmt: skip
     return drawn.svg()

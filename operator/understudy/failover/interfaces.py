@@ -129,6 +129,9 @@ class Instances(Protocol):
     def of_workload(self) -> Sequence[Instance]:
         """Every instance of this workload, terminating ones included."""
 
+    def find(self, uid: str) -> Instance | None:
+        """The instance of this workload with a UID."""
+
     async def look(self, pool: str, *, part: bool = False) -> None:
         """Look which pods of a shared pool are unclaimed. Waits while the API server is away.
 

@@ -28,6 +28,7 @@ from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.permits import Permits
 from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
@@ -39,6 +40,7 @@ from understudy.monitor.observe.health_observer import Sight
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.resource_meter import Meter
 from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report import monitor_metrics
 from understudy.monitor.report.black_box import BlackBox
@@ -111,25 +113,18 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
         readership = Readership(view, sight, notices, address)
         parts = Parts(
-            wakeups=wakeups,
             cluster=cluster,
-            current=current,
-            roles=roles,
-            sidecars=sidecars,
-            sight=sight,
-            probes=proof,
-            notices=notices,
-            journal=Journal(state / "recovery.json"),
-            crash_points=crash_points,
+            senses=Senses(sight, sidecars, proof, readership, roles, wakeups),
             keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, notices),
+            journal=RecoveryJournal(Journal(state / "recovery.json"), crash_points),
             black_box=black_box,
-            ungated=lambda: readership.ungated,
+            notices=notices,
         )
         telling = Telling(view, sight, notices, lambda: parts.keeping.taken)
         showing = Showing(view, sight, notices, lambda: telling.problems)
         pages |= {"/": showing.page, "/tree": showing.tree}
         supervisor = Supervisor(parts)
-        looks = supervisor.looks
+        looks = supervisor.observe.looks
         REGISTRY.register(
             monitor_metrics.ObservationMetrics(lambda: sight.heard, lambda: (looks.count, looks.overruns))
         )

@@ -11,7 +11,11 @@ from scripts.generation import diagrams
 from tests.support.pages import PAGES
 
 SVG = "{http://www.w3.org/2000/svg}"
-DRAWN = {"architecture.svg": diagrams.architecture, "failover-steps.svg": diagrams.failover}
+DRAWN = {
+    "architecture.svg": diagrams.architecture,
+    "failover-steps.svg": diagrams.failover,
+    "pipeline.svg": diagrams.pipeline,
+}
 
 
 @pytest.mark.parametrize("draw", DRAWN.values(), ids=DRAWN)
@@ -41,6 +45,16 @@ def test_an_arrow_s_head_is_there() -> None:
         root = ElementTree.fromstring(draw())
         there = {f"url(#{head.attrib['id']})" for head in root.iter(f"{SVG}marker")}
         assert {line.attrib["marker-end"] for line in root.iter(f"{SVG}path") if "marker-end" in line.attrib} == there
+
+
+def test_a_module_that_is_gone_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(diagrams.MODULES, "judge", ("monitor/judge/gone",))
+    with pytest.raises(ValueError, match="monitor/judge/gone"):
+        diagrams.pipeline()
+
+
+def test_a_failure_passes_at_most_fifteen_modules() -> None:
+    assert sum(len(modules) for stage, modules in diagrams.MODULES.items() if stage != "report") <= 15
 
 
 def test_a_strategy_that_the_diagram_lacks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

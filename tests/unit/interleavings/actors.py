@@ -12,7 +12,7 @@ from typing import Any, cast
 import aiohttp
 
 from tests.unit.interleavings.apiserver import ApiServer
-from tests.unit.interleavings.blanks import BlackBox, Keeping
+from tests.unit.interleavings.blanks import BlackBox, Keeping, Readership
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
@@ -39,12 +39,14 @@ from understudy.kube.leader_election import LeadershipLost, Lease, Timing
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import Parts, Supervisor
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.status_writer import StatusWriter
 
@@ -135,19 +137,15 @@ class Monitor:
             fleet = Fleet(client, view, self.fuse, notices)
             probes = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse, notices)
+            roles = InstanceRoles(view, gate, self.current)
+            sidecars, sight = cast(Any, self.sidecars), cast(Any, self._make_sight())
             parts = Parts(
-                wakeups=self.wakeups,
                 cluster=Cluster(view, fleet, gate),
-                current=self.current,
-                roles=InstanceRoles(view, gate, self.current),
-                sidecars=cast(Any, self.sidecars),
-                sight=cast(Any, self._make_sight()),
-                probes=probes,
-                notices=notices,
-                journal=Journal(self._journal),
-                crash_points=self.fuse,
+                senses=Senses(sight, sidecars, probes, cast(Any, Readership()), roles, self.wakeups),
                 keeping=cast(Any, Keeping()),
+                journal=RecoveryJournal(Journal(self._journal), self.fuse),
                 black_box=cast(Any, BlackBox()),
+                notices=notices,
             )
             self._beside(parts, group)
             group.create_task(StatusWriter(client, view, Silent(), notices).run())

@@ -18,6 +18,12 @@ class BlackBox:
     end = begin
 
 
+class Readership:
+    """Every reader of the robot is behind the gate."""
+
+    ungated = ""
+
+
 class Keeping:
     """Nothing is kept."""
 

@@ -159,7 +159,7 @@ class ReflexMonitor(Monitor):
 
     def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
         graph: Any = SimpleNamespace(subscribers=lambda topic: ())  # the robot is known by its address
-        permits = Permits(parts.cluster, parts.sidecars, graph, self.current, self.wakeups, parts.notices)
+        permits = Permits(parts.cluster, parts.senses.sidecars, graph, self.current, self.wakeups, parts.notices)
 
         def believed(uid: str) -> bool:
             state, recovering = parts.cluster.gate.state, self.current.progress

@@ -26,7 +26,7 @@ from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
 from understudy.kube.leader_election import Lease
-from understudy.monitor.act.abandonment import GivingUp
+from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.garbage_collection import Leftovers
 from understudy.monitor.report.status_writer import StatusWriter
 
@@ -169,7 +169,7 @@ def test_a_status_that_a_dead_monitor_overwrites_for_good_is_found() -> None:
 
 
 def test_a_recovery_that_stands_beside_its_gate_for_ever_is_found() -> None:
-    with mock.patch.object(GivingUp, "look"):
+    with mock.patch.object(Abandonment, "look"):
         assert found("as though it were under way", EXECUTING, "second_monitor", "all_fail")
 
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.notices import RecordedNotices
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.blank_parts import blank_parts
+from tests.unit.monitor.blank_parts import blank_parts, sight
 from tests.unit.monitor.gates import gate
 from tests.unit.monitor.test_waiting import view
 from understudy.api import names
@@ -28,7 +28,7 @@ from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.monitor.act.recovery_messages import describe
 from understudy.monitor.loop import Supervisor
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.observe.dependencies import Dependencies, following
+from understudy.monitor.observe.dependencies import Dependencies, begin, following
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.status_writer import QUIET, StatusWriter
 from understudy.trees.core.health_tree import Verdict
@@ -319,7 +319,7 @@ class TestWhatIsCarriedOut:
         world = Watching({"name": "localization", "onRecovery": "Restart"}, adopted="r0")
         found = [DependencyRecovery(name="localization", recovery="r1")]
         pod = PodIdentity(name="planning-1", uid="uid-1")
-        progress = world.dependencies.begin(found, pod, NOW - 1, NOW)
+        progress = begin(found, pod, world.spec, onset=NOW - 1, detected=NOW)
         assert (progress.failed, progress.target) == ([pod], None)
         assert progress.reason == "localization, on which it depends, was recovered"
 
@@ -371,48 +371,43 @@ class Held:
 
 def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None = None) -> Supervisor:
     verdict = Verdict(cast(Any, state), "no /plan for 500 ms", "plan", NOW)
-    sight = SimpleNamespace(
-        graph=None,
-        coming=None,
+    seen = sight(
         verdict=lambda now, since: verdict,
         wellness=lambda now, since: verdict,
         deadline=lambda now, since: None,
-        last_from=lambda pod: None,
-        last_well=lambda pod: None,
     )
     parts = blank_parts(
         view=SimpleNamespace(policy=POLICY, settings=settings(), spec=spec(), object=None),
         pods=SimpleNamespace(find=lambda uid: pod),
         gate=SimpleNamespace(state=GateState(epoch=3, active="planning-1", active_uid="uid-1"), exists=True),
-        sight=sight,
+        sight=seen,
         notices=RecordedNotices(),
     )
     watching = Supervisor(parts)
-    watching._reflexes = cast(Any, SimpleNamespace(taken_over=lambda now: None))
-    watching._dependencies = watching._occasions._dependencies = cast(Any, dependencies)
-    watching._detector._debounce = cast(Any, SimpleNamespace(failed=lambda at, debounce: at, clear=lambda: None))
+    for name in ("due", "well", "notice", "hold"):
+        setattr(watching.observe.dependencies, name, getattr(dependencies, name))
     return watching
 
 
 class TestInTheMonitorsLoop:
     async def test_a_failure_that_is_held_is_none_yet_and_is_looked_at_again_in_time(self) -> None:
         held, now = Held(time.time() + 5), time.time()
-        failure, again = await supervising(held, pod=active())._look(POLICY, now)
+        failure, again = await supervising(held, pod=active()).look(POLICY, now)
         assert (failure, again) == (None, held.until)
         assert held.noticed == [NOW]
 
     async def test_one_that_is_not_held_is_acted_on_in_the_same_look(self) -> None:
-        failure, _ = await supervising(Held(None), pod=active())._look(POLICY, time.time())
+        failure, _ = await supervising(Held(None), pod=active()).look(POLICY, time.time())
         assert failure is not None
         assert failure.onset == NOW
 
     async def test_what_is_critical_to_safety_is_never_held(self) -> None:
         critical = POLICY.model_copy(update={"priority": "Safety"})
-        failure, _ = await supervising(Held(time.time() + 5), pod=active())._look(critical, time.time())
+        failure, _ = await supervising(Held(time.time() + 5), pod=active()).look(critical, time.time())
         assert failure is not None
 
     async def test_a_pod_that_is_gone_is_acted_on_whatever_has_failed_besides(self) -> None:
-        failure, _ = await supervising(Held(time.time() + 5))._look(POLICY, time.time())
+        failure, _ = await supervising(Held(time.time() + 5)).look(POLICY, time.time())
         assert failure is not None
         assert failure.reason == "pod planning-1 is gone"
 
@@ -420,17 +415,17 @@ class TestInTheMonitorsLoop:
     async def test_what_is_due_after_another_was_recovered_comes_first(self, state: str) -> None:
         follows = [DependencyRecovery(name="localization", recovery="r1")]
         watching = supervising(Held(time.time() + 5, Due(follows, NOW)), state, active())
-        failure, _ = await watching._look(POLICY, time.time())
+        failure, _ = await watching.look(POLICY, time.time())
         assert failure is not None
         assert list(failure.follows) == follows
 
     async def test_but_not_while_it_starts_nor_within_the_pause_after_a_recovery(self) -> None:
         due = Due([DependencyRecovery(name="localization", recovery="r1")], NOW)
-        failure, _ = await supervising(Held(None, due), "Starting", active())._look(POLICY, time.time())
+        failure, _ = await supervising(Held(None, due), "Starting", active()).look(POLICY, time.time())
         assert failure is None
         watching = supervising(Held(None, due), "Healthy", active())
-        watching._limits.retries.after(10.0)
-        failure, _ = await watching._look(POLICY, time.time())
+        watching.decide.limits.retries.after(10.0)
+        failure, _ = await watching.look(POLICY, time.time())
         assert failure is None
 
 

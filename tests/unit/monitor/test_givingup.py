@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import errno
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 import aiohttp
 import pytest
 
-from tests.unit.interleavings.blanks import BlackBox, Keeping
+from tests.unit.interleavings.blanks import Keeping
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
@@ -31,12 +30,14 @@ from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
 from understudy.monitor.act import abandonment
-from understudy.monitor.act.abandonment import GivingUp
+from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.gate_control import GateControl
+from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.act.recovery_runner import Recoveries
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe import interrupted_recovery
 from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.wakeups import Wakeups
 
 FAILED = Instance(name="w-1", uid="u1")
@@ -75,42 +76,20 @@ class Monitor:
         self.journal = Journal(folder / "recovery.json")
         self.recoveries: list[Recovery] = []
         self.notices = Notices()
-        self.giving_up = GivingUp(gate, self.journal, self.notices)
+        crash_points: Any = SimpleNamespace(step=lambda _: None)
+        self.abandonment = Abandonment(gate, RecoveryJournal(self.journal, crash_points), self.notices)
         self.ended: list[str] = []
 
     async def recover(self, *steps: Instance | Exception | None, progress: Progress | None = None) -> Progress:
         """Carry a recovery out, which an error ends."""
         recovery = progress or begun()
-        nothing: Any = SimpleNamespace(
-            during=lambda _: contextlib.nullcontext(),
-            superseded=lambda *_: self.ended.append("superseded"),
-            stopped=lambda *_: self.ended.append("stopped"),
-            choices=lambda: [Choice(Does(steps), 5.0)],
-            means=self._means,
-            step=lambda _: None,
-        )
-        view: Any = SimpleNamespace(policy=SimpleNamespace(), settings=SimpleNamespace(), retired=False, spec=None)
+        repertoire: Any = SimpleNamespace(choices=lambda: [Choice(Does(steps), 5.0)], means=self._means)
+        view: Any = SimpleNamespace(spec=None)
         keeping: Any = Keeping()
-        black_box: Any = BlackBox()
-        await Recoveries(
-            view,
-            self.notices,
-            keeping,
-            black_box,
-            nothing,
-            nothing,
-            nothing,
-            nothing,
-            nothing,
-            nothing,
-            lambda _: None,
-            self._give_up,
-        ).carry_out(recovery)
+        policy: Any = None
+        recoveries = Recoveries(view, repertoire, keeping, CurrentRecovery(), self.abandonment, self.notices)
+        self.ended.append((await recoveries.carry_out(recovery, policy)).kind)
         return recovery
-
-    def _give_up(self, progress: Progress) -> None:
-        self.giving_up.note(progress)
-        self.journal.clear()
 
     def _means(self) -> Means:
         no: Any = None
@@ -128,13 +107,13 @@ class Monitor:
 
     async def look(self) -> None:
         """As in the housekeeping, and wait for what that has begun."""
-        self.giving_up.look()
-        if self.giving_up._saying is not None:
-            await self.giving_up._saying
+        self.abandonment.look()
+        if self.abandonment._saying is not None:
+            await self.abandonment._saying
 
     def interrupted(self) -> Progress | None:
         """What a monitor that starts now would go on with."""
-        return interrupted_recovery.interrupted(self.journal, self.gate, self.notices.status, self.giving_up.ids)
+        return interrupted_recovery.interrupted(self.journal, self.gate, self.notices.status, self.abandonment.ids)
 
     def seen(self) -> Seen:
         """What those that depend on it make of its gate and of its status, once that says that it is well."""
@@ -195,7 +174,7 @@ async def test_one_that_an_error_stops_after_its_commit_is_under_way_for_nobody_
     monitor: Monitor, last: Instance | None
 ) -> None:
     progress = await monitor.recover(None, last, DENIED)
-    assert monitor.ended == ["stopped"]
+    assert monitor.ended == ["Stopped"]
     assert monitor.seen().failing, "as long as nobody has said otherwise"
     epoch, selector = GateRecord.of(monitor.policy).epoch, monitor.policy["spec"]
     await monitor.look()
@@ -212,7 +191,7 @@ async def test_one_that_a_refusal_of_its_next_commit_stops_is_under_way_for_nobo
     await monitor.gate.commit(None, progress)
     monitor.fail("PATCH", DENIED)
     await monitor.recover(STANDBY, progress=progress)
-    assert monitor.ended == ["stopped"]
+    assert monitor.ended == ["Stopped"]
     monitor.fail("PATCH", None)
     await monitor.look()
     assert not monitor.seen().failing
@@ -270,7 +249,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
 
     monkeypatch.setattr(GATE, "end_recovery", slow)
     for _ in range(3):
-        monitor.giving_up.look()
+        monitor.abandonment.look()
         await asyncio.sleep(0)
     assert asked == 1
     next_one = begun(STANDBY)
@@ -310,7 +289,7 @@ async def test_the_record_of_a_newer_recovery_is_not_written_over(
     assert (found.id, found.result) == (newer.id, "Running")
     put(monitor)
     await monitor.look()
-    assert (monitor.giving_up.ids, monitor.journal.given_up()) == (set(), []), (
+    assert (monitor.abandonment.ids, monitor.journal.given_up()) == (set(), []), (
         "the gate can't come to tell of it any more"
     )
 
@@ -388,8 +367,8 @@ async def test_an_earlier_one_that_stands_there_still_is_not_forgotten_for_the_n
     for _ in range(5):
         await monitor.recover(None, progress=begun(STANDBY))
         await monitor.look()
-    assert monitor.ended == ["stopped"] * 6
-    assert first.id in monitor.giving_up.ids
+    assert monitor.ended == ["Stopped"] * 6
+    assert first.id in monitor.abandonment.ids
     assert len(monitor.journal.given_up()) == 2, "however often it is tried"
     monitor.fail("PATCH", None)
     later = await successor(monitor, tmp_path)
@@ -419,7 +398,7 @@ async def test_on_a_volume_that_is_full_it_is_said_all_the_same(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(monitor.journal, "give_up", full)
-    monitor.giving_up.note(progress)
+    monitor.abandonment.abandon(progress)
     await monitor.look()
     assert not monitor.seen().failing
 
@@ -520,7 +499,7 @@ async def test_one_that_is_superseded_leaves_what_the_other_monitor_has_committe
     await other.gate.commit(STANDBY, theirs.model_copy(update={"result": "Failed"}))
     with pytest.raises(Superseded):
         await monitor.gate.commit(THIRD, mine)
-    monitor.giving_up.note(mine)
+    monitor.abandonment.abandon(mine)
     await monitor.look()
     assert GateRecord.of(monitor.policy).active == STANDBY.name
-    assert monitor.giving_up.ids == set()
+    assert monitor.abandonment.ids == set()

@@ -191,7 +191,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and Shelf(tmp_path).load())
     onset = time.time()
     later = Monitor(graph, tmp_path)
-    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(), spec=None, retired=False)
+    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(uid="u"), spec=None, retired=False)
     supervisor = Supervisor(blank_parts(view=view, notices=later.told, keeping=later.keeping))
     found: list[KeptState] = []
 
@@ -203,7 +203,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
         patch.setattr(Recoveries, "_recovered", recovered)
         patch.setattr(strategy_options, "choices", lambda *_: [])
         begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[])
-        await supervisor._recoveries.carry_out(begun)
+        await supervisor.carry_out(begun)
     assert [sample.topic for sample in found[0].samples] == ["/amcl_pose"]
 
 

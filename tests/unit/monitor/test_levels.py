@@ -11,7 +11,7 @@ from typing import Any, cast
 import pytest
 
 from tests.support.notices import RecordedNotices
-from tests.unit.monitor.blank_parts import blank_parts
+from tests.unit.monitor.blank_parts import blank_parts, nothing, sight
 from understudy.api.conditions import condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
@@ -20,6 +20,7 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.limits import pause
 from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.failover.progress import Progress
+from understudy.failover.strategies.base import Means
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.decide.planned_triggers import Occasions
 from understudy.monitor.judge import degradation_level
@@ -205,27 +206,22 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
     health: Verdict, well: Verdict, level: str
 ) -> None:
     notices, kept = RecordedNotices(), []
-    sight = SimpleNamespace(
-        graph=None,
-        coming=None,
+    seen = sight(
         verdict=lambda now, since: health,
         wellness=lambda now, since: well,
         deadline=lambda now, since: None,
-        last_from=lambda pod: None,
-        last_well=lambda pod: None,
     )
     at_once = policy(monitoring={**WELL, "debounce": "0s"})
     parts = blank_parts(
         view=SimpleNamespace(policy=at_once, settings=SimpleNamespace(drain=None), spec=None, object=None),
         pods=SimpleNamespace(find=lambda uid: ACTIVE),
         gate=SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True),
-        sight=sight,
+        sight=seen,
         notices=notices,
-        keeping=SimpleNamespace(judge=lambda state, now: kept.append(state)),
+        keeping=SimpleNamespace(judge=lambda state, now: kept.append(state), select=nothing),
     )
     watching = Supervisor(parts)
-    watching._reflexes = SimpleNamespace(taken_over=lambda now: None)  # type: ignore[assignment]
-    failure, _ = await watching._look(at_once, time.time())
+    failure, _ = await watching.look(at_once, time.time())
     assert (failure is not None) == (health is FAILED)
     assert notices.status.health == level
     assert kept[0] == health.state, "state is kept of what is healthy, well or not"
@@ -348,18 +344,12 @@ def occasions(
     """Of a workload whose policy has one strategy."""
     strategy = SimpleNamespace(standing=False, **first)
     monkeypatch.setattr(strategy_options, "choices", lambda *_: [SimpleNamespace(strategy=strategy)])
-    view: Any = SimpleNamespace(policy=HANDED, settings=object(), spec=None)
-    parts: dict[str, Any] = {
-        "view": view,
-        "gate": SimpleNamespace(),
-        "detector": SimpleNamespace(onset=lambda pod, now: now - 0.05),
-        "levels": SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words)),
-        "switching": SimpleNamespace(),
-        "dependencies": SimpleNamespace(),
-        "repertoire": strategy_options.Repertoire(view, limits.storms if limits else None, cast(Any, object)),
-        "limits": limits,
-    }
-    return Occasions(**parts)
+    view: Any = SimpleNamespace(policy=HANDED, settings=SimpleNamespace(uid="uid-w"), spec=None)
+    levels: Any = SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words))
+    dependencies: Any = SimpleNamespace()
+    means = Means(*[cast(Any, None)] * 7, workload_uid="")
+    repertoire = strategy_options.Repertoire(view, limits.storms if limits else None, means)
+    return Occasions(view, levels, dependencies, repertoire, limits)
 
 
 @pytest.mark.parametrize(
@@ -393,10 +383,9 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
         budget=InForce(until=spent) if spent else None,
     )
     limits = SimpleNamespace(in_force=lambda now: in_force, storms=SimpleNamespace(on=lambda now: in_force.storm))
-    found = occasions(monkeypatch, waits, due, limits, outlook=lambda means: available).hand_over(ACTIVE, now)
+    found = occasions(monkeypatch, waits, due, limits, outlook=lambda means: available).hand_over(now)
     assert (found is not None) == planned
-    if found is not None:
-        assert (found.reason, found.onset, found.planned) == ("degraded: slow", now - 0.05, True)
+    assert found == ("degraded: slow" if planned else None)
     assert len(waits) == (1 if due and not planned else 0)
     assert all(available in words for words in waits if available)
 

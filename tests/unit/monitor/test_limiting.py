@@ -22,9 +22,13 @@ from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.kube.client import ApiError
 from understudy.monitor import loop
-from understudy.monitor.act import held_recovery as holding
+from understudy.monitor.act import deferred_recovery as holding
+from understudy.monitor.act.planned_switchover import Switching
+from understudy.monitor.act.recovery_runner import Recoveries
+from understudy.monitor.act.stage import ActStage
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.loop import Supervisor
+from understudy.monitor.outcome import Outcome
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 PAUSE = Pause(reason="a new gripper", owner="ann")
@@ -66,7 +70,7 @@ class World:
         self.spec = SimpleNamespace(pause=None)
         self.view = SimpleNamespace(
             policy=FailurePolicySpec.model_validate(spec),
-            settings=SimpleNamespace(),
+            settings=SimpleNamespace(uid="uid-w"),
             spec=self.spec,
             object=self.item,
             retired=False,
@@ -79,17 +83,18 @@ class World:
         pods = SimpleNamespace(of_workload=lambda: [ACTIVE])
         self.parts = blank_parts(view=self.view, pods=pods, gate=self.gate, notices=self.told, journal=journal)
         self.watching = Supervisor(self.parts)
-        self.watching._housekeeping = lambda: None  # type: ignore[method-assign]
-        self.watching._follow_safety = lambda policy: None  # type: ignore[method-assign]
+        monkeypatch.setattr(Supervisor, "_housekeeping", lambda self: None)
+        monkeypatch.setattr(ActStage, "get_ready", lambda self, policy: None)
+        monkeypatch.setattr(ActStage, "follow_safety", lambda self, policy: None)
+        monkeypatch.setattr(Recoveries, "carry_out", self._carry_out)
         self.carried_out: list[Progress] = []
-        self.watching._recoveries.carry_out = self._carry_out  # type: ignore[method-assign]
 
-    async def _carry_out(self, progress: Progress) -> None:
+    async def _carry_out(self, progress: Progress, policy: FailurePolicySpec) -> None:
         self.carried_out.append(progress)
 
     async def allowed(self, progress: Progress) -> bool:
         """Whether a recovery is carried out, in the end."""
-        await self.watching._recoveries.recover(progress)
+        await self.watching.carry_out(progress)
         return progress in self.carried_out
 
     def spend(self) -> None:
@@ -133,7 +138,7 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
     assert "held" in world.kept[0].moments
     assert world.told.conditions["Recovering"][:2] == ("False", "BudgetSpent")
     assert world.told.status.health == "Failed"
-    assert world.watching._waited_since() == progress.moments["fenced"]
+    assert world.watching.act.unattended.since == progress.moments["fenced"]
     await asyncio.sleep(0.05)
     assert not holding.done()
     world.resume()
@@ -141,21 +146,21 @@ async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe
         assert await holding
     assert progress.cursor == progress.moments["released"] > progress.moments["held"]
     assert ("Normal", "RecoveryReleased") in [event[:2] for event in world.told.events]
-    assert world.parts.current.progress is None
+    assert world.parts.senses.current.progress is None
 
 
 async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left_alone(world: World) -> None:
     world.spend()
-    assert world.parts.roles.driver == "uid-1"
+    assert world.parts.senses.roles.driver == "uid-1"
     holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.told.events)
     assert world.gate.state.active_uid == ""
-    assert world.parts.roles.driver == "uid-1", "or a pod of its own controller would be brought up to drive"
+    assert world.parts.senses.roles.driver == "uid-1", "or a pod of its own controller would be brought up to drive"
     assert world.told.conditions["Healthy"] == ("False", "Failed", "no /cmd_vel")
     world.resume()
     async with asyncio.timeout(5):
         await holding
-    assert world.parts.roles.driver == ""
+    assert world.parts.senses.roles.driver == ""
 
 
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
@@ -210,10 +215,10 @@ async def test_a_fence_that_fails_is_tried_again_as_another_recovery(
 ) -> None:
     world.spend()
     world.gate.refuses = error
-    world.watching._journal = Journal(tmp_path / "recovery.json")
+    world.parts.journal.journal = Journal(tmp_path / "recovery.json")
     assert not await world.allowed(failure())
     assert world.told.conditions["Recovering"][1] == reason
-    assert world.watching._journal.load() is None, "a new monitor would fence who may be well by then"
+    assert world.parts.journal.journal.load() is None, "a new monitor would fence who may be well by then"
 
 
 async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_the_budget(world: World) -> None:
@@ -221,8 +226,8 @@ async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_th
     holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.gate.committed)
     world.spec.pause = PAUSE
-    await world.until(lambda: world.watching._limits.pauses.on is not None)
-    assert world.watching._waited_since() is None
+    await world.until(lambda: world.watching.decide.limits.pauses.on is not None)
+    assert world.watching.act.unattended.since is None
     world.resume()
     await asyncio.sleep(0.05)
     assert not holding.done()
@@ -234,27 +239,27 @@ async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_th
 def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> None:
     world.spec.pause = PAUSE
     now = time.time()
-    world.watching._limits.pauses.look(now)
+    world.watching.decide.limits.pauses.look(now)
     for _ in range(2):
-        assert world.watching._counted(Failure("no /cmd_vel", now - 1, now), now) is None
+        assert world.watching.admit(Failure("no /cmd_vel", now - 1, now), now) is None
     told = [message for kind, reason, message in world.told.events if reason == "RecoveryPostponed"]
     assert len(told) == 1
     assert PAUSE.words in told[0]
     assert world.told.status.health == "Failed"
-    world.watching._unattended.nothing_verified(now)
-    assert world.watching._waited_since() is None, "no safe command: somebody may have hands on it"
+    world.watching.act.unattended.conclude(Outcome("NothingVerified", failure()))
+    assert world.watching.act.unattended.since is None, "no safe command: somebody may have hands on it"
 
 
 def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     world.spec.pause = PAUSE
     now = time.time()
-    world.watching._limits.pauses.look(now)
+    world.watching.decide.limits.pauses.look(now)
     world.spec.pause = None
-    world.watching._limits.pauses.look(now + 0.1)
-    found = world.watching._counted(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
+    world.watching.decide.limits.pauses.look(now + 0.1)
+    found = world.watching.admit(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
     assert found is not None
     assert found.onset == now
-    found = world.watching._counted(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
+    found = world.watching.admit(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
     assert found is not None
     assert found.onset == now + 50
 
@@ -266,7 +271,7 @@ async def test_a_volume_that_is_full_costs_no_recovery_and_leaves_nothing_old(wo
 
     before = Journal(tmp_path / "recovery.json")
     before.save(failure())
-    world.watching._journal = Full(tmp_path / "recovery.json")
+    world.parts.journal.journal = Full(tmp_path / "recovery.json")
     world.spend()
     held = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.gate.committed)
@@ -275,7 +280,9 @@ async def test_a_volume_that_is_full_costs_no_recovery_and_leaves_nothing_old(wo
     assert before.load() is None, "what is beside the gate is newer"
 
 
-async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_older_one_knows(world: World) -> None:
+async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_older_one_knows(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Else a warm standby, to whose agent it has no connection yet, would be passed over for a restart."""
     heard: list[list[str]] = []
 
@@ -284,20 +291,21 @@ async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_
         assert not world.carried_out
         heard.append([instance.name for instance in instances])
 
-    async def no_watch() -> None:
+    async def no_watch(self: Supervisor) -> None:
         raise asyncio.CancelledError
 
     standby = Instance(name="w-2", uid="uid-2", ip="10.0.0.2", running=True, ready=True)
     watching, now = world.watching, time.time()
-    watching._sidecars.settle = settle  # type: ignore[method-assign]
-    watching._fleet.of_workload = lambda: [ACTIVE, standby]  # type: ignore[method-assign]
-    watching._fleet.find = lambda uid: ACTIVE  # type: ignore[method-assign]
-    watching._switching.failed = lambda reason: None  # type: ignore[method-assign]
-    watching._resume = no_watch  # type: ignore[method-assign]
+    sidecars, pods = cast(Any, world.parts.senses.sidecars), cast(Any, world.parts.cluster.pods)
+    sidecars.settle, pods.of_workload = settle, lambda: [ACTIVE, standby]
+    monkeypatch.setattr(Supervisor, "resume", no_watch)
+    monkeypatch.setattr(Switching, "failed", lambda self, reason: None)
     with pytest.raises(asyncio.CancelledError):
         await watching.run()
-    await watching._act_on(Failure("no /cmd_vel", now - 0.5, now))
+    await watching.recover(Failure("no /cmd_vel", now - 0.5, now))
     assert (heard, len(world.carried_out)) == ([["w-2"]], 1)
-    watching._new_until = time.monotonic()
-    await watching._act_on(Failure("no /cmd_vel", now - 0.5, now))
+    monkeypatch.setattr(loop, "SETTLE", 0.0)
+    with pytest.raises(asyncio.CancelledError):
+        await watching.run()
+    await watching.recover(Failure("no /cmd_vel", now - 0.5, now))
     assert (heard, len(world.carried_out)) == ([["w-2"]], 2)

@@ -14,7 +14,7 @@ from tests.unit.interleavings import simulation
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
-from understudy.monitor.act.held_recovery import Holding
+from understudy.monitor.act.deferred_recovery import Deferral
 from understudy.monitor.observe.storm_condition import Storms
 
 BUDGET = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
@@ -26,7 +26,7 @@ RUNS = 20
 def test_robots_whose_failures_are_held_are_driven_in_the_end(
     monkeypatch: pytest.MonkeyPatch, limits: Object, first: int
 ) -> None:
-    made, hold, on = world.policy, Holding._hold, Storms.on
+    made, hold, on = world.policy, Deferral._fence, Storms.on
     held: list[str] = []
 
     def policy(*arguments: Any, **more: Any) -> Object:
@@ -34,9 +34,10 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
         found["spec"]["limits"] = limits
         return found
 
-    async def holding(self: Holding, progress: Progress) -> None:
-        await hold(self, progress)
+    async def holding(self: Deferral, progress: Progress) -> int:
+        epoch = await hold(self, progress)
         held.append(progress.reason)
+        return epoch
 
     def storm(self: Storms, now: float) -> InForce | None:
         if (said := on(self, now)) is not None:
@@ -46,7 +47,7 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
     monkeypatch.setattr(world, "policy", policy)
     # What other tests of this process have prepared has another policy, and the other way round.
     monkeypatch.setattr(simulation, "_prepared", functools.cache(simulation._prepared.__wrapped__))
-    monkeypatch.setattr(Holding, "_hold", holding)
+    monkeypatch.setattr(Deferral, "_fence", holding)
     monkeypatch.setattr(Storms, "on", storm)
     for seed in range(first, first + RUNS):
         outcome = simulation.run(seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -13,8 +13,10 @@ from tests.unit.monitor.gates import Packets
 from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.reflex_guard import LOOK, TOO_STRONG_FOR, Reflexes
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
+from understudy.monitor.observe.senses import Senses
 
 NOW = 1000.0
 TOPIC = "/cmd_vel"
@@ -63,7 +65,9 @@ class World:
             "probes": Packets(self.probes),
             "notices": SimpleNamespace(condition=self._condition, event=lambda *_: None),
         }
-        self.reflexes = Reflexes(**parts)
+        cluster = Cluster(parts["view"], parts["fleet"], parts["gate"])
+        senses = Senses(parts["sight"], parts["sidecars"], parts["probes"], *[cast(Any, None)] * 3)
+        self.reflexes = Reflexes(cluster, senses, parts["notices"])
 
     def add(self, name: str, strength: int | None) -> None:
         self.pods[name] = Instance(name=name, uid=f"uid-{name}", running=True, pool="" if name == "w-1" else "hot")

@@ -20,6 +20,8 @@ from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.outcome import Kind, Outcome
 
 TWIST = "geometry_msgs/msg/Twist"
 
@@ -30,43 +32,68 @@ def progress(**moments: float) -> Progress:
     return found
 
 
+class Waits:
+    """Since when a robot waits, by the recovery in progress."""
+
+    def __init__(self) -> None:
+        view, pauses = SimpleNamespace(retired=False), SimpleNamespace(on=None)
+        self.current = CurrentRecovery()
+        self.unattended = Unattended(cast(Any, view), cast(Any, pauses), self.current)
+
+    def during(self, progress: Progress) -> float | None:
+        with self.current.during(progress):
+            return self.unattended.since
+
+    def conclude(self, kind: Kind) -> None:
+        self.unattended.conclude(Outcome(kind, progress()))
+
+    @property
+    def after(self) -> float | None:
+        return self.unattended.since
+
+
 class TestUnattended:
     def test_nobody_is_told_anything_before_the_failed_instance_is_fenced(self) -> None:
-        assert Unattended().recovering(progress(decided=100.0)) is None
+        assert Waits().during(progress(decided=100.0)) is None
 
     def test_it_begins_with_the_closed_gate_and_again_with_the_opened_one(self) -> None:
-        found = Unattended()
-        assert found.recovering(progress(fenced=101.0)) == 101.0
-        assert found.recovering(progress(fenced=101.0, committing=105.0)) == 105.0, "whom it names has its time too"
+        found = Waits()
+        assert found.during(progress(fenced=101.0)) == 101.0
+        assert found.during(progress(fenced=101.0, committing=105.0)) == 105.0, "whom it names has its time too"
 
     def test_the_first_output_ends_it(self) -> None:
-        found = Unattended()
-        found.recovering(progress(fenced=101.0))
-        assert found.recovering(progress(fenced=101.0, committing=105.0, first_output=105.1)) is None
-        assert found.since is None
+        found = Waits()
+        found.during(progress(fenced=101.0))
+        assert found.during(progress(fenced=101.0, committing=105.0, first_output=105.1)) is None
+        assert found.after is None
 
     def test_the_next_attempt_begins_where_the_last_one_left_the_robot(self) -> None:
-        found, under_way = Unattended(), progress(fenced=101.0, committing=105.0)
-        found.recovering(under_way)
+        found, under_way = Waits(), progress(fenced=101.0, committing=105.0)
+        found.during(under_way)
         under_way.attempts.append(Attempt(strategy="Fallback/Executing", result="NotVerified"))
         under_way.forget_attempt()
-        assert found.recovering(under_way) == 105.0
-        assert Unattended().recovering(under_way) == 100.0, "a new monitor goes by the failure"
+        assert found.during(under_way) == 105.0
+        assert Waits().during(under_way) == 100.0, "a new monitor goes by the failure"
 
     def test_a_robot_that_follows_the_standby_already_is_told_nothing(self) -> None:
         under_way = progress(fenced=101.0)
         under_way.taken_over = PodIdentity(name="p", uid="u")
-        assert Unattended().recovering(under_way) is None
+        assert Waits().during(under_way) is None
 
-    def test_it_goes_on_after_nothing_verified_until_an_instance_is_healthy(self) -> None:
-        found = Unattended()
-        found.recovering(progress(fenced=101.0))
-        found.nothing_verified(130.0)
-        assert found.since == 101.0
-        found.driven()
-        assert found.since is None
-        found.nothing_verified(200.0)
-        assert found.since == 200.0
+    @pytest.mark.parametrize("kind", ["Recovered", "Superseded", "SwitchedOver", "NotSwitchedOver"])
+    def test_it_goes_on_after_nothing_verified_until_an_instance_drives(self, kind: Kind) -> None:
+        found = Waits()
+        found.during(progress(fenced=101.0))
+        found.conclude("NothingVerified")
+        assert found.after == 101.0
+        found.conclude("Stopped")
+        assert found.after == 101.0
+        found.conclude(kind)
+        assert found.after is None
+        begun = time.time()
+        found.conclude("NothingVerified")
+        assert found.after is not None
+        assert found.after >= begun
 
     @given(
         st.lists(
@@ -75,11 +102,11 @@ class TestUnattended:
         )
     )
     def test_whatever_happens_a_robot_that_is_driven_is_told_nothing(self, steps: list[str]) -> None:
-        found, under_way = Unattended(), progress()
+        found, under_way = Waits(), progress()
         for number, step in enumerate(steps):
             if step == "driven":
-                found.driven()
-                assert found.since is None
+                found.unattended.driven()
+                assert found.after is None
                 under_way = progress()
             elif step == "fail":
                 under_way.attempts.append(Attempt(strategy="Restart", result="NotVerified"))
@@ -87,7 +114,7 @@ class TestUnattended:
                 under_way.forget_attempt()
             else:
                 under_way.moments[step] = 100.0 + number
-            since = found.recovering(under_way)
+            since = found.during(under_way)
             if "first_output" in under_way.moments or "verified" in under_way.moments:
                 assert since is None
 
@@ -127,8 +154,8 @@ def received(subscription: Any) -> list[Any]:
 async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives(graphs: tuple[Any, Any]) -> None:
     monitor, robot = graphs
     subscription = robot.subscribe("/cmd_vel", TWIST, depth=100)
-    waited: list[float | None] = [None]
-    safe = SafeCommands(monitor, lambda: waited[0])
+    waited: Any = SimpleNamespace(since=None)
+    safe = SafeCommands(monitor, waited)
     command = {"topic": "/cmd_vel", "every": "20ms", "message": {"linear": {"x": -0.1}}}
     safe.follow(safety(command, after="200ms"), spec())
     assert safe.problems == []
@@ -136,7 +163,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
         await asyncio.sleep(0.02)
     await asyncio.sleep(0.3)
     assert safe.sent == 0, "somebody drives"
-    waited[0] = begun = time.time()
+    waited.since = begun = time.time()
     heard: list[Any] = []
     while len(heard) < 5:
         assert time.time() < begun + 20
@@ -144,7 +171,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
         heard += received(subscription)
         assert not safe.sent or time.time() >= begun + 0.2, "not before its time"
     assert {message.linear.x for message in heard} == {-0.1}
-    waited[0] = None
+    waited.since = None
     await asyncio.sleep(0.1)
     sent = safe.sent
     await asyncio.sleep(0.3)
@@ -165,7 +192,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
 async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
     graphs: tuple[Any, Any], command: dict[str, Any], reflex: bool, words: str
 ) -> None:
-    safe = SafeCommands(graphs[0], lambda: 1.0)
+    safe = SafeCommands(graphs[0], cast(Any, SimpleNamespace(since=1.0)))
     safe.follow(safety(command), spec(reflex=reflex))
     (problem,) = safe.problems
     assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
@@ -178,7 +205,7 @@ async def test_a_topic_that_is_watched_as_another_type_is_a_problem_and_the_moni
     graphs: tuple[Any, Any],
 ) -> None:
     watched = graphs[0].subscribe("/cmd_vel", "geometry_msgs/msg/TwistStamped", depth=1)
-    safe = SafeCommands(graphs[0], lambda: 1.0)
+    safe = SafeCommands(graphs[0], cast(Any, SimpleNamespace(since=1.0)))
     safe.follow(safety({"topic": "/cmd_vel"}), spec())
     (problem,) = safe.problems
     assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
@@ -199,10 +226,10 @@ class Publisher:
 
 
 @contextlib.asynccontextmanager
-async def repeated(waited: list[float | None]) -> AsyncIterator[Publisher]:
+async def repeated(since: float) -> AsyncIterator[Publisher]:
     """A command of every 10 ms from 50 ms on, for as long as nobody drives."""
     publisher, nothing = cast(Any, Publisher()), cast(Any, None)
-    safe = SafeCommands(nothing, lambda: waited[0])
+    safe = SafeCommands(nothing, cast(Any, SimpleNamespace(since=since)))
     safe._after = 0.05
     task = asyncio.create_task(safe._repeat(publisher, 0.01))
     yield publisher
@@ -210,15 +237,15 @@ async def repeated(waited: list[float | None]) -> AsyncIterator[Publisher]:
 
 
 async def test_a_command_that_fails_is_followed_by_the_next() -> None:
-    async with repeated([time.time() - 1]) as publisher, asyncio.timeout(20):
+    async with repeated(time.time() - 1) as publisher, asyncio.timeout(20):
         publisher.failures = 3
         while publisher.sent < 3:
             await asyncio.sleep(0.01)
 
 
 async def test_a_clock_that_is_set_back_does_not_end_what_the_robot_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, waited = time.time, cast("list[float | None]", [time.time()])
-    async with repeated(waited) as publisher, asyncio.timeout(20):
+    clock = time.time
+    async with repeated(time.time()) as publisher, asyncio.timeout(20):
         while not publisher.sent:
             await asyncio.sleep(0.01)
         monkeypatch.setattr(time, "time", lambda: clock() - 3600)
@@ -228,7 +255,7 @@ async def test_a_clock_that_is_set_back_does_not_end_what_the_robot_is_told(monk
 
 
 async def test_what_another_node_told_by_a_clock_that_is_ahead_does_not_keep_the_robot_waiting() -> None:
-    async with repeated([time.time() + 3600]) as publisher, asyncio.timeout(20):
+    async with repeated(time.time() + 3600) as publisher, asyncio.timeout(20):
         begun = time.monotonic()
         while not publisher.sent:
             await asyncio.sleep(0.005)

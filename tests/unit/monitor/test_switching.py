@@ -11,6 +11,7 @@ import pytest
 
 from tests.support.notices import RecordedNotices
 from tests.unit.failover.world import Store, World
+from tests.unit.interleavings.blanks import Keeping
 from understudy.api import names
 from understudy.api.kinds.switchover_spec import Drain, request
 from understudy.failover import switchover
@@ -18,12 +19,14 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies.base import Strategy
+from understudy.failover.strategies.base import Means, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act import planned_switchover
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.planned_switchover import Switching
+from understudy.monitor.observe.current_recovery import CurrentRecovery
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
 
@@ -54,11 +57,12 @@ class Scene:
         self.left: list[str] = []
         self.strategies = strategies or (ExecutingFallback("hot"),)
         self.switching = Switching(
-            cast(Any, self.view),
-            cast(Any, SimpleNamespace(find=self._find)),
+            Cluster(cast(Any, self.view), cast(Any, SimpleNamespace(find=self._find)), cast(Any, self)),
             cast(Any, self),
-            self.told,
+            cast(Any, Keeping()),
+            CurrentRecovery(),
             cast(Any, SimpleNamespace(add=lambda pod: self.left.append(pod.name))),
+            cast(Any, self.told),
         )
 
     @property
@@ -75,8 +79,13 @@ class Scene:
         self.view.settings.drain = Drain(uid=uid, node="node-1", since=time.time(), cordoned=["node-1", *cordoned])
 
     def look(self, lacking: str = "") -> Prepared | None:
-        choices = [Choice(strategy, 0.3) for strategy in self.strategies]
-        return self.switching.look(lacking, lambda: choices, self.world.means)
+        return self.switching.look(lacking)
+
+    def choices(self) -> list[Choice]:
+        return [Choice(strategy, 0.3) for strategy in self.strategies]
+
+    def means(self) -> Means:
+        return self.world.means()
 
     async def looked(self, within: float = 1.0) -> Prepared | None:
         """What comes of it within a while, in which the loop looks again and again."""
@@ -89,10 +98,10 @@ class Scene:
 
     async def switch(self, prepared: Prepared) -> Progress:
         """As the supervisor does it."""
-        self.switching.switching(prepared.progress)
-        done = await switchover.switch(prepared, self.world.means())
-        self.switching.done(done, "it took over.")
-        return done
+        outcome = await self.switching.carry_out(prepared)
+        assert outcome is not None
+        self.switching.done(outcome.progress, "it took over.")
+        return outcome.progress
 
 
 @pytest.fixture(autouse=True)
@@ -308,13 +317,17 @@ async def test_home_is_started_where_the_policy_has_no_strategy_for_it() -> None
     assert scene.state.active == "w-2"
 
 
-async def test_a_commit_that_was_carried_out_late_is_settled() -> None:
+async def test_a_commit_that_was_carried_out_late_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene()
     scene.ask(request("failover", time.time()))
     found = await scene.looked()
     assert found is not None
-    scene.switching.switching(found.progress)
-    scene.switching.given_up(found.progress, "the API server didn't answer")
+
+    async def unanswered(prepared: Prepared, means: Means) -> Progress:
+        raise TimeoutError
+
+    monkeypatch.setattr(switchover, "switch", unanswered)
+    assert await scene.switching.carry_out(found) is None
     assert (scene.told.phase, scene.left) == ("NotDone", []), "an executing standby stays one"
     assert scene.switching.unsettled() is None
     progress = found.progress.model_copy(update={"target": PodIdentity(name="w-2", uid="uid-w-2")})

@@ -16,18 +16,18 @@ import logging
 import time
 
 from understudy.failover.abandoned import GivenUp
-from understudy.failover.journal import Journal
 from understudy.failover.progress import LASTS, Committed, Progress, beside, under_way
 from understudy.monitor.act.gate_control import GateControl
+from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)
 
 
-class GivingUp:
-    """The recoveries of one workload that were given up, for as long as its gate may tell of them."""
+class Abandonment:
+    """The recoveries of one workload that were abandoned, for as long as the record at its gate may say otherwise."""
 
-    def __init__(self, gate: GateControl, journal: Journal, notices: Notices) -> None:
+    def __init__(self, gate: GateControl, journal: RecoveryJournal, notices: Notices) -> None:
         self._gate, self._journal, self._notices = gate, journal, notices
         self._kept: list[GivenUp] | None = None
         """None until what an earlier monitor had given up was taken over."""
@@ -41,8 +41,12 @@ class GivingUp:
         self._forget_past_ones()
         return {one.id for one in self._known}
 
-    def note(self, progress: Progress) -> None:
-        """This one isn't gone on with from here."""
+    def abandon(self, progress: Progress) -> None:
+        """Mark a recovery as one that nobody finishes, here or in the next container."""
+        self._note(progress)
+        self._journal.forget()
+
+    def _note(self, progress: Progress) -> None:
         left = self._gate.left_by(progress.id)
         if left is None:
             return  # it hadn't come to the gate
@@ -80,7 +84,7 @@ class GivingUp:
     @property
     def _known(self) -> list[GivenUp]:
         if self._kept is None:
-            self._kept = self._journal.given_up()
+            self._kept = self._journal.journal.given_up()
         return self._kept
 
     def _forget_past_ones(self) -> None:
@@ -101,6 +105,6 @@ class GivingUp:
     def _keep(self, given_up: list[GivenUp]) -> None:
         self._kept = given_up
         try:
-            self._journal.give_up(given_up)
+            self._journal.journal.give_up(given_up)
         except OSError as error:
             _logger.error("what was given up would not outlast a restart: %s", error)

@@ -10,24 +10,29 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import aiohttp
 
 from understudy.api import names
 from understudy.api.conditions import now as moment
 from understudy.api.kinds.switchover_spec import ENDED, Drain, Kind, Phase, Request, SwitchoverStatus, parse
 from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
-from understudy.failover.interfaces import Gate, Instance
+from understudy.failover.interfaces import Instance, NotAvailable, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice
-from understudy.failover.strategies.base import Means
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.switchover import Prepared
+from understudy.kube.client import ApiError
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.decide.strategy_options import Repertoire
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.outcome import Outcome
 
 _logger = logging.getLogger(__name__)
 
@@ -73,9 +78,18 @@ class Wanted:
 class Switching:
     """The planned switchovers of one workload."""
 
-    def __init__(self, view: View, fleet: Fleet, gate: Gate, notices: Notices, leftovers: Leftovers) -> None:
-        self._view, self._fleet, self._gate = view, fleet, gate
-        self._notices, self._leftovers = notices, leftovers
+    def __init__(
+        self,
+        cluster: Cluster,
+        repertoire: Repertoire,
+        keeping: StateKeeping,
+        current: CurrentRecovery,
+        leftovers: Leftovers,
+        notices: Notices,
+    ) -> None:
+        self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
+        self._repertoire, self._keeping, self._current = repertoire, keeping, current
+        self._leftovers, self._notices = leftovers, notices
         self._task: asyncio.Task[Prepared] | None = None
         self._wanted: Wanted | None = None
         self._progress: Progress | None = None
@@ -91,9 +105,7 @@ class Switching:
         target = self._progress.target if self._progress is not None else None
         return target.uid if target is not None else ""
 
-    def look(
-        self, lacking: str, choices: Callable[[], Sequence[Choice]], means: Callable[[], Means]
-    ) -> Prepared | None:
+    def look(self, lacking: str) -> Prepared | None:
         """The understudy that can drive instead of the instance in control, once there is one that should.
 
         ``lacking`` is why none can be prepared now, if so. Called with every look while nothing has failed, and returns at once.
@@ -117,7 +129,7 @@ class Switching:
         if lacking:
             self._wait(wanted, lacking, now)
         else:
-            self._begin(wanted, choices(), means())
+            self._begin(wanted)
         return None
 
     def failed(self, reason: str) -> PodIdentity | None:
@@ -134,14 +146,37 @@ class Switching:
         self._leave(progress, progress.target)
         return None
 
-    def switching(self, progress: Progress) -> None:
-        """The gate is about to be switched."""
+    async def carry_out(self, prepared: Prepared) -> Outcome | None:
+        """Switch the gate to an understudy that can drive; or see what came of a switch that an earlier monitor began.
+
+        None if the gate was not switched.
+        """
+        progress, means = prepared.progress, self._repertoire.means()
+        self._say_switching(progress)
+        _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
+        try:
+            with self._current.during(progress):
+                async with self._keeping.recovering():
+                    if progress.former is None:
+                        await switchover.switch(prepared, means)
+                    else:
+                        await switchover.settle(progress, means)
+        except (NotAvailable, Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            if progress.result == "Running":
+                reason = str(error) or f"the API server did not answer within {switchover.COMMIT_WITHIN:g} s"
+                _logger.warning("switchover %s given up: %s", progress.id, reason)
+                self._give_up(progress, reason)
+                return None
+            _logger.warning("the former pod is not deleted yet: %r", error)
+        return Outcome("SwitchedOver" if progress.result == "Recovered" else "NotSwitchedOver", progress)
+
+    def _say_switching(self, progress: Progress) -> None:
         self._task = None
         target = progress.target.name if progress.target is not None else ""
         self._say(progress, "Switching", f"The gate is being switched to {target}.")
 
-    def given_up(self, progress: Progress, reason: str) -> None:
-        """The gate couldn't be switched. What was prepared isn't needed; should it drive after all, that will be seen."""
+    def _give_up(self, progress: Progress, reason: str) -> None:
+        # Nobody needs what was prepared. Should it drive after all, that will be seen.
         self._leave(progress, self._touched)
         self._stop()
         self._rest(progress.switchover)
@@ -210,7 +245,8 @@ class Switching:
 
     # -- preparing --------------------------------------------------------------------------------------------------
 
-    def _begin(self, wanted: Wanted, choices: Sequence[Choice], means: Means) -> None:
+    def _begin(self, wanted: Wanted) -> None:
+        choices, means = self._repertoire.choices(), self._repertoire.means()
         begun = time.time()
         progress = Progress.begin(wanted.reason, last_healthy=begun, detected=begun, planned=True)
         progress.switchover, progress.request = wanted.kind, wanted.request

@@ -22,14 +22,10 @@ from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity
 from understudy.failover.reflex import TakenOver, longest_gap, measured, switched
 from understudy.kube.client import ApiError
-from understudy.kube.gates.base import Proof
-from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.senses import Senses
 
 LOOK = 0.005
 """Seconds between looks while the pod in control is silent."""
@@ -54,18 +50,10 @@ PAUSED: Said = ("False", "Paused", "Nobody is let through beside the pod in cont
 class Reflexes:
     """The reflex of one workload; harmless where it has none."""
 
-    def __init__(
-        self,
-        view: View,
-        fleet: Fleet,
-        gate: GateControl,
-        sidecars: Sidecars,
-        sight: Sight,
-        probes: Proof,
-        notices: Notices,
-    ) -> None:
-        self._view, self._fleet, self._gate = view, fleet, gate
-        self._sidecars, self._sight, self._probes, self._notices = sidecars, sight, probes, notices
+    def __init__(self, cluster: Cluster, senses: Senses, notices: Notices) -> None:
+        self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
+        self._sidecars, self._sight, self._probes = senses.sidecars, senses.sight, senses.probes
+        self._notices = notices
         self._writing: asyncio.Task[None] | None = None
         self._write_after = 0.0
         self._admitted: tuple[str, float] = ("", 0.0)

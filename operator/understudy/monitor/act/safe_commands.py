@@ -10,12 +10,16 @@ from __future__ import annotations
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.progress import Progress
+from understudy.monitor.decide.pause_state import Pauses
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.outcome import Outcome
 from understudy.ros.actions.repeated_publisher import Commander
 from understudy.ros.runtime.graph_node import Graph
 from understudy.ros.runtime.interface_types import TypeNotInstalled
@@ -28,13 +32,21 @@ CLOSED, OPENED, DRIVEN = "fenced", "committing", ("first_output", "verified")
 
 
 class Unattended:
-    """Since when nobody has been able to drive the robot, by what became of the recoveries; pure."""
+    """Since when no instance has been able to drive the robot, by what became of the recoveries."""
 
-    def __init__(self) -> None:
+    def __init__(self, view: View, pauses: Pauses, current: CurrentRecovery) -> None:
+        self._view, self._pauses, self._current = view, pauses, current
         self._since: float | None = None
 
-    def recovering(self, progress: Progress) -> float | None:
-        """While a recovery is under way: since when (unix seconds) the robot has waited, None while it may be driven."""
+    @property
+    def since(self) -> float | None:
+        """Since when (unix seconds) the robot has waited for safe commands; None while it is driven, or left alone."""
+        progress, held = self._current.progress, self._current.held
+        if self._view.retired or (self._pauses.on is not None and (held or progress is None)):
+            return None
+        return self._recovering(progress) if progress is not None else self._since
+
+    def _recovering(self, progress: Progress) -> float | None:
         moments = progress.moments
         if any(moment in moments for moment in DRIVEN) or progress.taken_over is not None:
             self._since = None
@@ -46,26 +58,23 @@ class Unattended:
             self._since = moments.get("detected")
         return self._since
 
-    def nothing_verified(self, now: float) -> None:
-        """No strategy brought an instance into control."""
-        self._since = self._since if self._since is not None else now
+    def conclude(self, outcome: Outcome) -> None:
+        """Take in what became of a recovery or a switchover."""
+        if outcome.driven:
+            self._since = None
+        elif outcome.kind == "NothingVerified" and self._since is None:
+            self._since = time.time()
 
     def driven(self) -> None:
         """An instance is in control and healthy."""
         self._since = None
 
-    @property
-    def since(self) -> float | None:
-        """Between recoveries: since when nobody drives, None where somebody does."""
-        return self._since
-
 
 class SafeCommands:
     """The publishers of a policy's safe commands."""
 
-    def __init__(self, graph: Graph, waited_since: Callable[[], float | None]) -> None:
-        """``waited_since`` is asked before each message: since when (unix seconds) the robot has waited, or None."""
-        self._graph, self._waited_since = graph, waited_since
+    def __init__(self, graph: Graph, unattended: Unattended) -> None:
+        self._graph, self._unattended = graph, unattended
         self._followed: tuple[Safety | None, list[tuple[str, str]], bool] = (None, [], False)
         self._commanders: list[Commander] = []
         self._tasks: list[asyncio.Task[None]] = []
@@ -105,7 +114,7 @@ class SafeCommands:
         known: float | None = None
         begins, failing = 0.0, False
         while True:
-            since = self._waited_since()
+            since = self._unattended.since
             if since is not None and since != known:
                 # From here on by the clock that isn't set. What is of later was told by another node's clock, or before a step back.
                 begins = loop.time() + min(since + self._after - time.time(), self._after)

@@ -19,7 +19,7 @@ class Postponing:
         self._reported = ""
         """The reason that was reported for deferring the present failure."""
 
-    def begin_anew(self) -> None:
+    def conclude(self) -> None:
         """Note that the next failure is a new one."""
         self._reported = ""
 

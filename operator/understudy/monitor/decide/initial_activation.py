@@ -14,10 +14,9 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import GateStatus
 from understudy.failover.abandoned import ended
 from understudy.failover.decide import Activate, Facts, Occurrence, Requirement, Trigger, decide
-from understudy.failover.interfaces import Gate, Instance, Superseded
+from understudy.failover.interfaces import Gate, Instance, Instances, Superseded
 from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.kube.client import ApiError
-from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.decide.pause_state import Pauses
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
@@ -31,7 +30,7 @@ ASK_AGAIN = 2.0
 class Opening:
     """Opens the gate of one workload while it is closed. Times are unix seconds."""
 
-    def __init__(self, fleet: Fleet, gate: Gate, sidecars: Sidecars, notices: Notices, pauses: Pauses) -> None:
+    def __init__(self, fleet: Instances, gate: Gate, sidecars: Sidecars, notices: Notices, pauses: Pauses) -> None:
         self._fleet, self._gate, self._sidecars = fleet, gate, sidecars
         self._notices, self._pauses = notices, pauses
         self._started = time.time()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.monitor.decide.budget_spending import Spending
 from understudy.monitor.decide.pause_state import Pauses
@@ -9,6 +11,7 @@ from understudy.monitor.decide.retry_backoff import Retries
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.storm_condition import Storms
+from understudy.monitor.outcome import Outcome
 
 
 class Limits:
@@ -19,6 +22,21 @@ class Limits:
         self.spending = Spending(view, notices)
         self.storms = Storms(view)
         self.retries = Retries(view, notices)
+
+    def conclude(self, outcome: Outcome) -> None:
+        """Count a recovery that is over, and defer the next one. A planned switchover defers nothing."""
+        progress, policy = outcome.progress, outcome.policy
+        if outcome.kind == "Superseded":
+            self.retries.after(0.0)
+        elif outcome.kind == "Stopped":
+            self.retries.after_error()
+        elif policy is not None:
+            self.retries.note(progress)
+            self.spending.count(progress, time.time())
+            if outcome.kind == "Recovered":
+                self.retries.after_recovery(policy)
+            else:
+                self.retries.after_nothing_verified(policy)
 
     def in_force(self, now: float) -> LimitsInForce:
         """Return the limits that are in force at a time (unix seconds). The pause is the one of the last look."""

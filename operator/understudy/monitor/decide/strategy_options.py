@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 
+from understudy.api.base import seconds
 from understudy.failover.protocol import Choice
 from understudy.failover.strategies.base import Means, Strategy
 from understudy.failover.strategies.registry import choices
@@ -20,9 +22,16 @@ LOOK_WITHIN = 0.5
 class Repertoire:
     """The strategies of one workload's policy, and what is there for them."""
 
-    def __init__(self, view: View, storms: Storms, means: Callable[[], Means]) -> None:
-        """``means`` are asked for once the workload's settings are known."""
-        self._view, self._storms, self.means = view, storms, means
+    def __init__(self, view: View, storms: Storms, means: Means) -> None:
+        """``means`` are those of every workload; the workload's settings and policy are added when they are asked for."""
+        self._view, self._storms, self._means = view, storms, means
+
+    def means(self) -> Means:
+        """Return what strategies work with, by the present settings and policy."""
+        policy, settings = self._view.policy, self._view.settings
+        assert settings is not None, "the view waits for the settings"
+        restore_within = seconds(policy.state.within) if policy is not None else self._means.restore_within
+        return replace(self._means, workload_uid=settings.uid, restore_within=restore_within, holds=self.holds)
 
     def choices(self) -> Sequence[Choice]:
         """In order, each with the time it has; none where it isn't known yet which there are."""

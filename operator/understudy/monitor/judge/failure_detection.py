@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.kinds.robot_workload import DependencyRecovery
-from understudy.failover.interfaces import Gate, Instance
+from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.failover.reflex import TakenOver
 from understudy.failover.switchover import Prepared
-from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.health_observer import Sight
 from understudy.trees.core.debounce import Debounce
@@ -45,16 +44,20 @@ class Failure:
 class Detector:
     """Judges the instance in control. Times are unix seconds."""
 
-    def __init__(self, fleet: Fleet, gate: Gate, sidecars: Sidecars, sight: Sight) -> None:
+    def __init__(self, fleet: Instances, gate: Gate, sidecars: Sidecars, sight: Sight) -> None:
         self._fleet, self._gate = fleet, gate
         self._sidecars, self._sight = sidecars, sight
         self._debounce = Debounce()
         self.since = time.time()
         """From when on it is watched: what was received before isn't its own."""
 
-    def restart(self) -> None:
-        """Watch whatever is in control from now on."""
+    def watch(self) -> None:
+        """Watch an instance that was just put in control: what was received before is not its own."""
         self.since = time.time()
+
+    def restart(self, since: float | None = None) -> None:
+        """Watch whatever is in control, by what was received from a time on (unix seconds); from now on without one."""
+        self.since = since if since is not None else time.time()
         self._debounce.clear()
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:

@@ -242,16 +242,6 @@ class Dependencies:
             return None
         return found
 
-    def begin(self, found: Sequence[DependencyRecovery], active: PodIdentity, onset: float, now: float) -> Progress:
-        """What is done to the instance in control, as a recovery like every other."""
-        progress = Progress.begin(told(found), last_healthy=onset, detected=now)
-        progress.follows = list(found)
-        if (spec := self._view.spec) is not None and restarts(found, spec):
-            progress.failed = [active]
-        else:
-            progress.target = active
-        return progress
-
     def note(self, found: Sequence[DependencyRecovery]) -> None:
         """What is done after these recoveries was done."""
         if found:
@@ -261,6 +251,24 @@ class Dependencies:
     def _tell(self) -> None:
         followed = self._known()
         self._notices.follow([DependencyRecovery(name=name, recovery=followed[name]) for name in sorted(followed)])
+
+
+def begin(
+    found: Sequence[DependencyRecovery],
+    active: PodIdentity,
+    spec: RobotWorkloadSpec | None,
+    *,
+    onset: float,
+    detected: float,
+) -> Progress:
+    """Return the record of what is done to the instance in control after these recoveries. Times are unix seconds."""
+    progress = Progress.begin(told(found), last_healthy=onset, detected=detected)
+    progress.follows = list(found)
+    if spec is not None and restarts(found, spec):
+        progress.failed = [active]
+    else:
+        progress.target = active
+    return progress
 
 
 def told(found: Sequence[DependencyRecovery]) -> str:

@@ -10,8 +10,7 @@ from dataclasses import replace
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
 from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
-from understudy.failover.interfaces import Gate, Instance
-from understudy.monitor.act.pod_control import Fleet
+from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.monitor.judge.degraded_tree import Busy, Wellness
 from understudy.monitor.observe.context_detection import Seen, Situating
 from understudy.monitor.observe.resource_meter import Meter
@@ -248,7 +247,7 @@ class Sight:
         """Whether a pod's samples can't be told from those of another instance."""
         return any(pod in names for names in self._watching.sources.ambiguous)
 
-    def outputs(self, fleet: Fleet, gate: Gate) -> GatedReaders:
+    def outputs(self, fleet: Instances, gate: Gate) -> GatedReaders:
         """The gated readers as the failover protocol sees them."""
         return GatedReaders(self, self._watching, fleet, gate)
 
@@ -256,7 +255,7 @@ class Sight:
 class GatedReaders:
     """Implements :class:`understudy.failover.interfaces.Outputs`."""
 
-    def __init__(self, sight: Sight, watching: TopicWatch, fleet: Fleet, gate: Gate) -> None:
+    def __init__(self, sight: Sight, watching: TopicWatch, fleet: Instances, gate: Gate) -> None:
         self._sight, self._watching, self._fleet, self._gate = sight, watching, fleet, gate
 
     @property

@@ -124,13 +124,13 @@ class InstanceRoles:
     """The roles of one workload's instances, and which standbys were ready before."""
 
     def __init__(self, view: View, gate: Gate, current: CurrentRecovery) -> None:
-        self._view, self._gate, self._current = view, gate, current
+        self._view, self._gate, self.current = view, gate, current
         self._were_ready: set[str] = set()
 
     @property
     def driver(self) -> str:
         """UID of the pod whose standbys the others are. While a recovery is deferred, nobody takes the failed pod's place."""
-        held = self._current.held
+        held = self.current.held
         return held.failed[0].uid if held is not None and held.failed else self._gate.state.active_uid
 
     def was_ready(self, instance: Instance) -> bool:

@@ -1,0 +1,30 @@
+"""What the monitor observes of a robot beside its objects in the cluster, as one value."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from understudy.kube.gates.base import Proof
+from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.observe.wakeups import Wakeups
+
+
+@dataclass(frozen=True)
+class Senses:
+    """The sources of observations of one workload."""
+
+    sight: Sight
+    sidecars: Sidecars
+    probes: Proof
+    readership: Readership
+    roles: InstanceRoles
+    wakeups: Wakeups
+
+    @property
+    def current(self) -> CurrentRecovery:
+        """The recovery in progress."""
+        return self.roles.current

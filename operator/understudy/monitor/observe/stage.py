@@ -1,0 +1,18 @@
+"""The observe stage of one workload: its parts, put together."""
+
+from __future__ import annotations
+
+from understudy.monitor.notices import Notices
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.dependencies import Dependencies
+from understudy.monitor.observe.senses import Senses
+from understudy.monitor.observe.wakeups import Looks
+
+
+class ObserveStage:
+    """When the monitor looks, and at what."""
+
+    def __init__(self, view: View, senses: Senses, notices: Notices) -> None:
+        self.looks = Looks(senses.wakeups, senses.sight.coming)
+        self.dependencies = Dependencies(view, notices, senses.wakeups)
+        self.senses = senses

@@ -1,0 +1,23 @@
+"""The report stage of one workload: its parts, put together."""
+
+from __future__ import annotations
+
+from understudy.failover.interfaces import Gate
+from understudy.monitor.act.stage import ActStage
+from understudy.monitor.decide.stage import DecideStage
+from understudy.monitor.notices import Notices
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.report.recovery_report import RecoveryReport
+from understudy.monitor.report.status_conditions import Saying
+
+
+class ReportStage:
+    """What the status, Events and recordings say of the other stages."""
+
+    def __init__(
+        self, view: View, gate: Gate, sight: Sight, decide: DecideStage, act: ActStage, notices: Notices
+    ) -> None:
+        self.notices = notices
+        self.recovery = RecoveryReport(gate, notices)
+        self.saying = Saying(view, gate, sight, act.safety, decide.repertoire, notices)
