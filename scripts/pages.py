@@ -88,7 +88,7 @@ def _with_pages(base: Path, text: str) -> str:
 
 
 def _with_bars(text: str) -> str:
-    """The text with the bars of code in tables as they are meant: MkDocs shows the backslash that keeps other renderers from ending a cell there."""
+    """Return the text without the backslash before a bar in code in tables: other renderers need it, MkDocs shows it."""
     return "\n".join(
         CODE.sub(lambda code: code[0].replace(r"\|", "|"), line) if line.startswith("|") else line
         for line in text.split("\n")
