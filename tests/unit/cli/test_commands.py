@@ -69,7 +69,7 @@ def test_a_robot_is_explained_by_what_is_around_it(
     stand.tell([*fleet.around(item), fleet.event(9, "GateBlocked", "Packets of w-2")])
     assert explain.main(["robot-17-navigation"]) == 0
     told = capsys.readouterr().out
-    assert "✓ 1. Fallback from pool navigation-hot would be carried out" in told
+    assert "✓ 1. Fallback from pool navigation-hot would run" in told
     assert "9s ago  GateBlocked" in told
     assert "involvedObject.kind=RobotWorkload,involvedObject.name=robot-17-navigation" in stand.asked[-1]
     assert not any("configmaps" in line for line in stand.asked), "the policy has its tree in it"

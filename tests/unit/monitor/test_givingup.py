@@ -19,13 +19,13 @@ from tests.unit.monitor.gates import gate as open_gate
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.failover.abandoned import GivenUp
+from understudy.failover.availability import Availability
 from understudy.failover.dependency import Seen
 from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.journal import Journal
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import LASTS, PodIdentity, Progress, beside, told_in
 from understudy.failover.protocol import Choice
-from understudy.failover.availability import Availability
 from understudy.failover.strategies.base import Means, Strategy
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
