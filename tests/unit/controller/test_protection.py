@@ -74,7 +74,12 @@ def test_after_a_failover_the_replacement_is_the_standby() -> None:
     ("type_", "status", "reason", "outlook"),
     [
         ("Paused", "True", "Paused", "If it failed now, nothing would be done."),
-        ("WithinBudget", "False", "BudgetSpent", "If it failed now, it would only be fenced."),
+        (
+            "WithinBudget",
+            "False",
+            "BudgetSpent",
+            "If it failed now, the failed instance would be fenced, and nothing else would be done.",
+        ),
     ],
 )
 def test_not_protected_while_the_monitor_would_recover_nothing(
@@ -115,7 +120,7 @@ def test_without_a_discovery_server_only_what_runs_already_could_take_over() -> 
     protected = found.condition("Protected")
     assert (protected["status"], protected["reason"]) == ("False", "DiscoveryNotReady")
     assert "w-discovery-1" in protected["message"]
-    assert "no strategy of its policy could be carried out" in protected["message"]
+    assert "no strategy of its policy could run" in protected["message"]
     found.workload["spec"]["ros"] = {"discovery": {"mode": "Multicast"}}
     assert "If it failed now, Restart would be used" in found.condition("Protected")["message"]
 
@@ -209,4 +214,4 @@ def test_a_pool_that_does_not_serve_it_is_told_with_what_to_do() -> None:
     found = world(policy("spare"), spare(workloadSelector={"matchLabels": {"a": "b"}}))
     protected = found.condition("Protected")
     assert protected["reason"] == "PoolDoesNotServe"
-    assert "no strategy of its policy could be carried out" in protected["message"]
+    assert "no strategy of its policy could run" in protected["message"]

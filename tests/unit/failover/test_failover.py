@@ -87,7 +87,7 @@ async def test_an_empty_pool_leaves_the_gate_alone_and_the_next_strategy_is_trie
         ("Fallback/Uninitialized", "NotAvailable"),
         ("Restart", "Verified"),
     ]
-    assert "pool spare has no unclaimed pod" in done.attempts[0].message
+    assert "no pod of FallbackPool spare is ready" in done.attempts[0].message
     assert store.commits == ["", "w-new1"]
 
 

@@ -119,7 +119,7 @@ async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is
     assert found.target is None
     assert found.passing
     assert "Fallback/Executing: w-2: no /cmd_vel for 500 ms" in found.reason
-    assert "Fallback/Uninitialized: pool spare has no unclaimed pod" in found.reason
+    assert "Fallback/Uninitialized: no pod of FallbackPool spare is ready" in found.reason
     assert "Restart: its own controller runs one pod" in found.reason
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
 

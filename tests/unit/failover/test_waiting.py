@@ -225,7 +225,7 @@ async def test_who_has_waited_for_its_time_goes_on_with_the_next_strategy() -> N
         ("Fallback/Uninitialized", "NotAvailable"),
         ("Restart", "Verified"),
     ]
-    assert done.attempts[0].message == "pool spare has no unclaimed pod that is ready; it got none in 0.2 s"
+    assert done.attempts[0].message == "no pod of FallbackPool spare is ready; it got none in 0.2 s"
     assert store.told == ["1 of 1", "gave up"]
     assert done.waiting is None
     assert waiter(store.gate.recovery.model_dump_json()) is None  # type: ignore[union-attr]
@@ -244,7 +244,7 @@ async def test_a_pod_that_the_workload_s_own_controller_has_up_first_is_taken_an
     assert done.strategy == "Restart"
     assert done.target is not None
     assert done.target.name == "a-2"
-    assert done.attempts[0].message == "pool spare has no unclaimed pod that is ready; a-2 is up already"
+    assert done.attempts[0].message == "no pod of FallbackPool spare is ready; a-2 is up already"
 
 
 async def test_pools_in_order_are_each_waited_for() -> None:
@@ -336,7 +336,8 @@ async def test_a_planned_hand_over_takes_no_pod_that_others_wait_for() -> None:
     world = World(degraded)
     strategy = UninitializedFallback(POOL, wait_for=10.0)
     await strategy.look(world.means())
-    assert strategy.available(world.means()) == "pool spare has 1 ready, for which others wait: other"
+    assert strategy.availability(world.means()).reason == "PodsAwaited"
+    assert "other" in strategy.availability(world.means()).message
     planned = failure(world, "degraded-1").model_copy(update={"planned": True})
     done = await recover(planned, choices(strategy), world.means())
     assert (done.result, done.attempts[0].result) == ("Failed", "NotAvailable")
@@ -353,9 +354,8 @@ async def test_the_last_pods_are_kept_for_others_where_the_pool_says_so(pods: in
         refill(fleet, f"p{number + 1}")
     world = World(store)
     strategy = UninitializedFallback(POOL, reserved=1)
-    told = None if taken else "pool spare keeps its last 1 ready for workloads with a higher poolPriority"
     await strategy.look(world.means())
-    assert strategy.available(world.means()) == told
+    assert strategy.availability(world.means()).reason == ("" if taken else "PodsReserved")
     done = await recover(failure(world, "a-1"), choices(strategy, Restart()), world.means())
     assert list(store.claims) == taken
     assert done.strategy == ("Fallback/Uninitialized" if taken else "Restart")

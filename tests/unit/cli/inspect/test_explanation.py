@@ -57,7 +57,7 @@ def test_a_robot_whose_protection_is_complete() -> None:
     ]
     first, second, third, *_ = text["If it failed now"]
     assert first == (
-        "✓ 1. Fallback from pool navigation-hot would be carried out: pod robot-17-navigation-w7h5k (Executing). It took 509 ms, the "
+        "✓ 1. Fallback from pool navigation-hot would run: pod robot-17-navigation-w7h5k (Executing). It took 509 ms, the "
         "median of the last 2 times."
     )
     assert second.startswith(
@@ -99,14 +99,12 @@ def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_w
     text = told(found)
     assert not found.is_well
     first, second, *_ = text["If it failed now"]
-    assert first.startswith(
-        "✗ 1. Fallback from pool navigation-hot can't be carried out (ImagePullBackOff): pod robot-19"
-    )
-    assert first.endswith("Check the image name, the registry's availability and imagePullSecrets.")
-    assert second.startswith("✓ 2. Fallback from pool navigation-spare would be carried out: it has pods ready")
+    assert first.startswith("✗ 1. Fallback from pool navigation-hot cannot run (ImagePullBackOff): pod robot-19")
+    assert first.endswith("Check the image's name, that its registry can be reached, and imagePullSecrets.")
+    assert second.startswith("✓ 2. Fallback from pool navigation-spare would run: it has pods ready")
     assert "robot-19-navigation-w7h5k on node-2: not ready (ImagePullBackOff)" in text["Pools"]
     assert text["Missing"] == [
-        "✗ not protected (ImagePullBackOff, 3m12s): the first strategy of its policy can't be carried out, see above."
+        "✗ not protected (ImagePullBackOff, 3m12s): the first strategy of its policy cannot run, see above."
     ]
 
 
@@ -134,7 +132,7 @@ def test_the_cluster_is_believed_where_the_status_is_of_another_time() -> None:
     found = known(item, items)
     assert not found.is_well
     assert told(found)["Missing"] == [
-        "✗ not protected (StandbyNotReady): the first strategy of its policy can't be carried out, see above. Its status says that it "
+        "✗ not protected (StandbyNotReady): the first strategy of its policy cannot run, see above. Its status says that it "
         "is: that is a moment old, or the operator isn't running."
     ]
 
@@ -198,7 +196,7 @@ def test_what_the_budget_has_left(spent: list[float], resumed: float | None, exp
 
 def test_a_storm_by_which_it_would_be_held() -> None:
     item, policy = fleet.well(), fleet.policy(limits={"stormGuard": {}})
-    policy["status"] = {"conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.").to_wire()]}
+    policy["status"] = {"conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.", since=20).to_wire()]}
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
     first = told(known(item, [*others, policy]))["If it failed now"][0]
     assert first == "Only a standby that is ready could take over: 12 of 20 workloads fail.", "there is one"
@@ -240,7 +238,7 @@ def test_a_pool_that_does_not_serve_it() -> None:
     item["metadata"]["labels"] = {"app": "navigation"}
     text = told(known(item))
     assert text["If it failed now"][0].startswith(
-        "✗ 1. Fallback from pool navigation-hot can't be carried out (PoolDoesNotServe): FallbackPool navigation-hot doesn't serve it"
+        "✗ 1. Fallback from pool navigation-hot cannot run (PoolDoesNotServe): FallbackPool navigation-hot does not serve it"
     )
     assert not any(line.startswith("navigation-hot") for line in text["Pools"])
 
@@ -258,8 +256,7 @@ def test_no_strategy_could_be_carried_out() -> None:
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
     text = told(known(item, [*others, policy]))
     assert (
-        "✗ No strategy of its policy could be carried out: the robot would be left without commands."
-        in text["If it failed now"]
+        "✗ No strategy of its policy could run: the robot would be left without commands." in text["If it failed now"]
     )
     assert any("The policy has one strategy" in line for line in text["Not covered"])
 
@@ -313,7 +310,7 @@ def test_a_pool_that_has_standbys_only_while_degraded_is_left_out_and_told() -> 
         i for i in fleet.around(item) if i["kind"] != "FailurePolicy" and i["metadata"]["name"] != "navigation-hot"
     ]
     text = told(known(item, [*others, fleet.policy(**warm), cold]))
-    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-spare would be carried out")
+    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-spare would run")
     assert "Left out: navigation-hot, which has standbys only while the robot is degraded." in text["If it failed now"]
 
 
@@ -327,7 +324,7 @@ def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
     item["status"]["conditions"].append(fleet.said("SituationCovered", "True", "InForce", words).to_wire())
     text = told(known(item, [*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), asked]))
     assert f"Situation: carrying for 1m30s (a goal of /carry is active). {words}" in text[""]
-    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-hot would be carried out")
+    assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-hot would run")
 
 
 def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() -> None:
