@@ -51,7 +51,7 @@ def test_a_cluster_that_does_what_it_should_is_told_so(kubectl: Kubectl) -> None
 
     missing = understudy(kubectl, "doctor", "--image", "localhost/nowhere:1")
     assert missing.returncode == 1
-    assert "container doctor (image localhost/nowhere:1) can't start, ImagePullBackOff" in " ".join(
+    assert "container doctor (image localhost/nowhere:1) cannot start, ImagePullBackOff" in " ".join(
         missing.stdout.split()
     )
     assert left(kubectl) == []

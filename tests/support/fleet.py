@@ -223,8 +223,8 @@ def degraded() -> Object:
 
 
 IMAGE = (
-    "pod robot-19-navigation-w7h5k: container app (image registry.lab/nav2:2.1) can't start, ImagePullBackOff: manifest unknown. "
-    "Check the image's name, that its registry can be reached, and imagePullSecrets."
+    "pod robot-19-navigation-w7h5k: container app (image registry.lab/nav2:2.1) cannot start, ImagePullBackOff: manifest unknown. "
+    "Check the image name, the registry's availability and imagePullSecrets."
 )
 
 
@@ -274,7 +274,7 @@ def gate(
 
 def short_of_one() -> Object:
     conditions = [
-        said("Accepted", "True", "Accepted", "It can be kept."),
+        said("Accepted", "True", "Accepted", "The spec is valid."),
         said("Ready", "False", "ImagePullBackOff", f"2 of 3 are ready; {IMAGE}", since=192),
     ]
     return hot(claimed=0, conditions=conditions)
@@ -282,7 +282,7 @@ def short_of_one() -> Object:
 
 def short_of_another() -> Object:
     conditions = [
-        said("Accepted", "True", "Accepted", "It can be kept."),
+        said("Accepted", "True", "Accepted", "The spec is valid."),
         said("Ready", "False", "PodsNotReady", "3 of 4 are ready.", since=4),
     ]
     return spare(conditions=conditions)

@@ -84,10 +84,10 @@ class TestCondition:
         status, reason, message = told(CIRCLE, name)
         assert (status, reason) == ("False", "DependencyCycle")
         assert "a -> b -> c -> a" in message
-        assert "protected as though it depended on none" in message
+        assert "protected as if it had no dependency" in message
 
     def test_who_depends_on_a_circle_is_told_so(self) -> None:
-        assert "d depends on a circle: a -> b -> c -> a" in told(CIRCLE, "d")[2]
+        assert "d depends on a cycle: a -> b -> c -> a" in told(CIRCLE, "d")[2]
 
     def test_one_that_depends_on_itself(self) -> None:
         assert "a depends on itself (a -> a)" in told({"a": ["a"]}, "a")[2]

@@ -111,8 +111,8 @@ def test_the_monitor_is_told_of_the_node_and_of_all_that_are_no_better() -> None
     assert found is not None
     assert (found["status"], found["reason"]) == ("True", "Held")
     assert found["message"] == (
-        "Node node-1, from which w-1 drives the robot, is to be emptied (it is cordoned). Evictions of it wait for an understudy on "
-        "another node to take over, until 22:18:20 UTC at the latest."
+        "Node node-1, where the active instance w-1 runs, is cordoned. Evictions of this instance are refused until an understudy on "
+        "another node takes over, at the latest until 22:18:20 UTC."
     )
 
 

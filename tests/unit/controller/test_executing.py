@@ -161,7 +161,7 @@ async def test_who_changes_an_object_back_each_time_is_told_of_and_not_fought_fo
     assert client.applies == 1 + AT_ONCE
     assert told[: 1 + AT_ONCE] == [[]] * (1 + AT_ONCE)
     (message,) = told[-1]
-    assert "ConfigMap w-robot-env is changed again and again by somebody else (" in message
+    assert "ConfigMap w-robot-env is changed repeatedly by another client (" in message
     assert "data.A" in message
 
 

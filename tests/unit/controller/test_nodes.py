@@ -182,7 +182,7 @@ class TestASharedPool:
         told = condition(observed, "Moving")
         assert (told["status"], told["reason"]) == ("True", "NodeLeaves")
         assert told["message"] == (
-            "1 of 2 waiting pods is on a node that is to be emptied or was lost (n), and goes once there are others elsewhere."
+            "1 of 2 waiting pods is on a node that is being drained or was lost (n), and goes once there are others elsewhere."
         )
         assert "Moving" not in {c["type"] for c in status(observe(pool, held(pool, "n", "m")))["conditions"]}
 
@@ -328,7 +328,7 @@ class TestStandbysOfARobot:
         client: Any = None
         observed = await Observer(client, store, Expectations()).pool(pool)
         assert condition(observed, "Moving")["message"].startswith(
-            "1 of 1 waiting pods is on a node that is to be emptied"
+            "1 of 1 waiting pods is on a node that is being drained"
         )
 
     def test_a_stand_in_stays_where_only_others_on_such_nodes_are_ready_and_in_a_recovery(self) -> None:

@@ -532,7 +532,7 @@ class TestAPoolThatHasRunDry:
         told = condition(found, "Available")
         assert (told["status"], told["reason"]) == ("False", "Dry")
         assert told["message"] == (
-            "0 of 1 could be claimed now; these wait for one, in this order: b (poolPriority 100, since 22:13:18 UTC), "
+            "0 of 1 can be claimed now; workloads that wait, in this order: b (poolPriority 100, since 22:13:18 UTC), "
             "a (poolPriority 0, since 22:13:18 UTC)."
         )
         assert status(found)["waiting"] == 2
@@ -547,7 +547,7 @@ class TestAPoolThatHasRunDry:
         pool = spare(replicas=2, reserve={"poolPriority": 100})
         pod = held_pod("spare-a", of=pool, template_hash=present(pool))
         told = condition(observe(pool, [pod]), "Available")["message"]
-        assert told == "1 of 2 could be claimed now, the last 1 from poolPriority 100 upwards."
+        assert told == "1 of 2 can be claimed now, the last 1 only with poolPriority 100 or higher."
 
     def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
         found = status(observe(hot(), workloads=[workload()]))

@@ -156,7 +156,10 @@ def test_a_new_template_that_waits_for_a_standby_says_why_there_is_none() -> Non
     world, _ = standing({"initialization": BROKEN})
     world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
     told = world.condition("Reconciled")["message"]
-    assert "gets the new template when a standby of it is ready, and FallbackPool warm, which is not accepted" in told
+    assert (
+        "gets the new template after a standby of that template is ready, and FallbackPool warm, which is not accepted"
+        in told
+    )
 
 
 def in_xml(*leaves: str) -> Object:

@@ -120,7 +120,7 @@ def test_a_container_that_would_be_restarted_is_left_as_it_is() -> None:
         (
             {"type": "PodResizePending", "reason": "Deferred", "message": "Node didn't have enough resource: cpu"},
             "Deferred",
-            "is to have cpu 1500m, but not now: Node didn't have enough resource: cpu. It is done as soon as the node has room",
+            "is to have cpu 1500m, but not now: Node didn't have enough resource: cpu. The kubelet retries when the node has room",
         ),
         (
             {"type": "PodResizePending", "reason": "Infeasible", "message": "Node didn't have enough capacity: cpu."},

@@ -37,7 +37,7 @@ def test_an_operator_whose_replicas_are_there_and_of_which_one_leads_is_at_work(
         (deployment(observed=0), lease(), "2 of 2 replicas are available"),
         (deployment(), None, "Lease understudy-operator has no holder"),
         (deployment(), lease(holder=""), "has no holder"),
-        (deployment(), lease(age=90), "one leads, and hasn't renewed Lease understudy-operator for 90 s"),
+        (deployment(), lease(age=90), "one is the leader, but has not renewed Lease understudy-operator for 90 s"),
     ],
 )
 def test_what_is_missing_of_an_operator_is_told(found: Object, held: Object | None, words: str) -> None:
@@ -59,5 +59,5 @@ def test_definitions_of_another_version_are_told() -> None:
     gone["spec"]["versions"][0]["name"] = "v1"
     fresh["status"] = {}
     assert "another version of Understudy" in (definition_problem(older, WANTED) or "")
-    assert definition_problem(gone, WANTED) == "v1alpha1 isn't served, but v1"
-    assert definition_problem(fresh, WANTED) == "it isn't established"
+    assert definition_problem(gone, WANTED) == "v1alpha1 is not served, but v1"
+    assert definition_problem(fresh, WANTED) == "it is not established"

@@ -37,12 +37,12 @@ def problem(workload: str, spec: RobotWorkloadSpec, template: Mapping[str, Any])
     if spec.tasks and spec.workload_ref is not None:
         return (
             f"spec.tasks: the pods of {spec.workload_ref.kind} {spec.workload_ref.name} serve {_actions(spec)} "
-            f"themselves, so no proxy keeps goals over a failover: give the pods as spec.template instead of workloadRef"
+            f"directly, so no proxy keeps goals over a failover. Use spec.template instead of workloadRef"
         )
     if proxied(spec) and (own := instance_pod.own_profiles(template)):
         return (
             f"spec.template: container {', '.join(own)} sets {names.PROFILES_VARIABLE} itself, so clients reach "
-            f"{_actions(spec)} past the proxy and goals there end with the instance: leave the variable out, or put the "
+            f"{_actions(spec)} without the proxy, and their goals end with the instance. Remove the variable, or put the "
             f"profiles of ConfigMap {names.instance_profiles(workload)} into its own file"
         )
     return ""

@@ -124,10 +124,10 @@ def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strateg
 def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
     """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
     if observed.told_recovering:
-        return "a recovery is under way"
+        return "a recovery is in progress"
     asked = _of_situation(observed, policy, name)
     if asked is None:
-        return "its policy can't be followed"
+        return "the policy is invalid"
     served = observed.serving
     sizes = {pool: pool_size.size(item) or item["spec"].get("perWorkload") for pool, item in served.items()}
     first = situation_strategies.first_kept(asked, sizes)

@@ -50,26 +50,28 @@ def hold(observed: Observed, understanding: Understanding) -> Hold:
     assert understanding.spec is not None
     active, asked = observed.active, understanding.spec.draining
     if active is None:
-        return Hold("NoneInControl", "no instance is in control")
+        return Hold("NoneInControl", "there is no active instance")
     length = seconds(asked.hold_for)
     if not length:
         return Hold("NotAskedFor", "spec.draining.holdFor is 0s")
     if not _falls_back(observed, understanding):
         return Hold(
-            "NoFallback", "its policy has no Fallback whose pool serves it, so nothing could take over before it goes"
+            "NoFallback",
+            "the policy has no Fallback with a pool that serves this workload, so no standby can take over first",
         )
     if other := next(
         (kube_objects.name(b) for b in observed.budgets if pool_evictions.selects(b, kube_objects.labels(active))), None
     ):
         # With two of them Kubernetes refuses every eviction, for good.
         return Hold(
-            "OtherBudget", f"PodDisruptionBudget {other}, which isn't of Understudy, selects it and decides alone"
+            "OtherBudget",
+            f"PodDisruptionBudget {other}, which Understudy does not manage, selects the instance and decides alone",
         )
     if (drain := seen(observed)) is None:
         return Hold("Held", "", holds=True)
     until = drain.since + length
     if observed.now >= until:
-        words = f"no understudy on another node took over within {asked.hold_for}; see status.switchover for what it waited for"
+        words = f"no understudy on another node took over within {asked.hold_for}; see status.switchover for the reason"
         return Hold("HoldEnded", words)
     return Hold("Held", "", holds=True, until=until)
 
@@ -97,10 +99,10 @@ def conditions(observed: Observed, understanding: Understanding) -> list[Conditi
     if understanding.spec is None or drain is None or active is None:
         return []
     found, generation = hold(observed, understanding), kube_objects.generation(observed.workload)
-    told = f"Node {drain.node}, from which {kube_objects.name(active)} drives the robot, is to be emptied (it is cordoned)."
+    told = f"Node {drain.node}, where the active instance {kube_objects.name(active)} runs, is cordoned."
     if not found.holds:
-        then = f"Evictions of it don't wait: {found.message}."
+        then = f"Evictions of this instance are not delayed: {found.message}."
         return [condition(CONDITION, False, found.reason, f"{told} {then}", generation=generation)]
     clock = datetime.fromtimestamp(found.until or 0.0, UTC).strftime("%H:%M:%S UTC")
-    then = f"Evictions of it wait for an understudy on another node to take over, until {clock} at the latest."
+    then = f"Evictions of this instance are refused until an understudy on another node takes over, at the latest until {clock}."
     return [condition(CONDITION, True, found.reason, f"{told} {then}", generation=generation)]

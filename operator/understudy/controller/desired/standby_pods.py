@@ -202,7 +202,7 @@ def awaited(observed: Observed, understanding: Understanding) -> str | None:
         for pod in observed.pods
     ):
         return None
-    told = f"ReplicaSet {kube_objects.name(observed.workload)} gets the new template when a standby of it is ready"
+    told = f"ReplicaSet {kube_objects.name(observed.workload)} gets the new template after a standby of that template is ready"
     unmade = [name for name in sorted(pools_first) if observed.refused(name) is not None]
     return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
 

@@ -95,15 +95,15 @@ def problem(known: Graph, name: str, namespace: str) -> Problem | None:
     """Why a workload's dependencies, or some of them, aren't followed."""
     found = first_circle(known, name)
     if found is not None:
-        where = "" if name in found else f"{name} depends on a circle: "
+        where = "" if name in found else f"{name} depends on a cycle: "
         if len(found) == 2:
             what = f"{found[0]} depends on itself ({drawn(found)})"
         else:
-            what = f"{drawn(found)} is a circle, in which none can be recovered first"
+            what = f"{drawn(found)} is a cycle, so no workload in it can be recovered first"
         return Problem(
             "DependencyCycle",
-            f"spec.dependsOn: {where}{what}. Take one of these dependencies out; until then each of them is protected as though it "
-            f"depended on none",
+            f"spec.dependsOn: {where}{what}. Remove one of these dependencies. Until then each of them is protected as if it "
+            f"had no dependency",
         )
     missing = [one for one in known.get(name, ()) if one not in known]
     if missing:
@@ -111,7 +111,7 @@ def problem(known: Graph, name: str, namespace: str) -> Problem | None:
         return Problem(
             "DependencyNotFound",
             f'spec.dependsOn: no RobotWorkload "{missing[0]}" in namespace {namespace} ({kube_objects.hint(missing[0], others)}). '
-            f"Create it or correct the name; until then {name} is protected as though it didn't depend on it",
+            f"Create it or correct the name; until then {name} is protected as if it did not depend on it",
         )
     return None
 
@@ -125,5 +125,5 @@ def resolved(known: Graph, workload: Object) -> list[Condition]:
     if found is not None:
         return [condition(RESOLVED, False, found.reason, f"{found.message}.", generation=generation)]
     order = ", ".join(one.name for one in upstream(known, name))
-    told = f"It depends on {order}; what has to be done after a recovery of theirs is done in this order."
+    told = f"It depends on {order}. The procedures after a recovery of these workloads run in this order."
     return [condition(RESOLVED, True, "Resolved", told, generation=generation)]

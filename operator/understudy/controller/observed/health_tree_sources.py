@@ -53,7 +53,7 @@ def _text(referred: TreeReference, config_maps: Mapping[str, Object], namespace:
         return Problem(
             "TreeNotFound",
             f'{FIELD}.name: no ConfigMap "{referred.name}" with the label {label} in namespace {namespace} '
-            f"({kube_objects.hint(referred.name, known)}). Create it, or, where it is there, let policies read it: "
+            f"({kube_objects.hint(referred.name, known)}). Create it, or, if it exists, let policies read it: "
             f"kubectl label configmap -n {namespace} {referred.name} {label}",
         )
     data = found.get("data") or {}
@@ -62,7 +62,7 @@ def _text(referred: TreeReference, config_maps: Mapping[str, Object], namespace:
         there = kube_objects.hint(referred.key, data) if data else "it has none"
         return Problem(
             "TreeNotFound",
-            f'{FIELD}.key: ConfigMap {referred.name} has no "{referred.key}" in its data ({there}). Correct one of the two',
+            f'{FIELD}.key: ConfigMap {referred.name} has no "{referred.key}" in its data ({there}). Correct the ConfigMap or the key',
         )
     return str(text)
 

@@ -9,15 +9,15 @@ from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 
 _ADVICE = {
-    "ImagePullBackOff": "Check the image's name, that its registry can be reached, and imagePullSecrets",
-    "ErrImageNeverPull": "The image isn't on the node and imagePullPolicy is Never: load it there or allow pulling",
+    "ImagePullBackOff": "Check the image name, the registry's availability and imagePullSecrets",
+    "ErrImageNeverPull": "The image is not on the node and imagePullPolicy is Never: load the image or allow pulling",
     "InvalidImageName": "Correct the image's name",
-    "CrashLoopBackOff": "See why it ends: kubectl logs --previous -n {namespace} {pod} -c {container}",
-    "CreateContainerConfigError": "Something that it refers to is missing, such as a ConfigMap or Secret",
+    "CrashLoopBackOff": "Find the cause: kubectl logs --previous -n {namespace} {pod} -c {container}",
+    "CreateContainerConfigError": "A referenced object is missing, such as a ConfigMap or Secret",
     "CreateContainerError": "See kubectl describe pod -n {namespace} {pod}",
     "RunContainerError": "See kubectl describe pod -n {namespace} {pod}",
-    "StartError": "Check that its command exists in the image",
-    "Unschedulable": "No node takes it: see its requests, nodeSelector and the nodes' free resources",
+    "StartError": "Check that the command exists in the image",
+    "Unschedulable": "No node accepts the pod: check its requests, its nodeSelector and the free resources of the nodes",
 }
 _CRASHES = 2
 _SAME = {"ErrImagePull": "ImagePullBackOff", "ImageInspectError": "ImagePullBackOff"}  # they alternate for one cause
@@ -70,7 +70,7 @@ def _told(pod: Object, reason: str, container: str, what: str, found: Object) ->
     words = _steady(found.get("message", ""), name)
     advice = _ADVICE[reason].format(namespace=namespace, pod=name, container=container)
     said = f": {words}" if words else ""
-    return Trouble(reason, f"pod {name}: {what} can't start, {reason}{said}. {advice}.")
+    return Trouble(reason, f"pod {name}: {what} cannot start, {reason}{said}. {advice}.")
 
 
 def _steady(words: str, pod: str) -> str:

@@ -57,12 +57,12 @@ def told(asked: str, in_force: str, order: str, lacking: str) -> tuple[str, str]
     """What is said of it: the reason of the condition, and the message. ``order`` is in force, and ``lacking`` why it is another's."""
     if asked == in_force:
         if asked:
-            return "InForce", f"In the situation {asked}, in force: {order}."
-        return "NoSituation", f"The robot is in none of the situations of its policy, in force: {order}."
-    what, whose = f"The robot is in the situation {asked}", "its"
+            return "InForce", f"The robot is in situation {asked}. Strategies in effect: {order}."
+        return "NoSituation", f"The robot is in no situation of its policy. Strategies in effect: {order}."
+    what, whose = f"The robot is in situation {asked}", "its"
     if not asked:
-        what, whose = f"The situation {in_force} is over", "the policy's own"
-    told = f"{what}. Until {whose} first strategy can be carried out, the order stays {order}: {lacking}."
+        what, whose = f"Situation {in_force} ended", "the policy's own"
+    told = f"{what}. Until {whose} first strategy is available, the strategies stay {order}: {lacking}."
     return "StandbyNotReady", told
 
 

@@ -38,17 +38,19 @@ def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[s
     if replicas != 1:
         return Problem(
             "ReplicasNotOne",
-            f"{told}: spec.replicas is {replicas}; one robot is driven by one pod, so it must be 1. Standbys come from "
+            f"{told}: spec.replicas is {replicas}; exactly one pod controls a robot, so it must be 1. Standbys come from "
             f"a FallbackPool",
         )
     if rivals:
         return Problem(
             "ReferenceTaken",
-            f"{told} is protected by RobotWorkload {rivals[0]} already: delete one of the two",
+            f"{told} is already protected by RobotWorkload {rivals[0]}. Delete one of the two RobotWorkloads",
         )
     selector = (controller.get("spec") or {}).get("selector") or {}
     if not selectors.requirements(selector):
-        return Problem("ReferenceInvalid", f"{told}: spec.selector is empty, so its pods can't be told from others")
+        return Problem(
+            "ReferenceInvalid", f"{told}: spec.selector is empty, so its pods cannot be distinguished from others"
+        )
     return None
 
 

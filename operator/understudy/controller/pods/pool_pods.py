@@ -138,13 +138,13 @@ def understand(observed: Observed, images: Images) -> Understanding:
 
 def _no_source(source: str, observed: Observed) -> Problem:
     if source in observed.workloads:
-        message = f'spec.templateFrom.workload: what RobotWorkload "{source}" refers to is not there'
+        message = f'spec.templateFrom.workload: the controller that RobotWorkload "{source}" refers to does not exist'
     else:
         message = (
             f'spec.templateFrom.workload: no RobotWorkload "{source}" in namespace '
             f"{observed.pool['metadata']['namespace']} ({kube_objects.hint(source, observed.workloads)})"
         )
-    return Problem("TemplateSourceNotFound", f"{message}. Pods that the pool has are kept")
+    return Problem("TemplateSourceNotFound", f"{message}. Existing pods of the pool are kept")
 
 
 @dataclass(frozen=True)
@@ -262,7 +262,7 @@ def _until_driving(observed: Observed) -> list[float]:
 
 
 def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]:
-    """Held pods that could be claimed now: ready, and of the template that the pool's policy names."""
+    """Held pods that can be claimed now: ready, and of the template that the pool's policy names."""
     allowed = claimable_hash(policy)
     return [pod for pod in held if is_claimable(pod, allowed)]
 

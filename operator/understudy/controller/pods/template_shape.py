@@ -48,23 +48,23 @@ def _objects(found: Any, at: str) -> Iterator[str]:
     yield from _list(found, at)
     for index, item in enumerate(found or []):
         if not isinstance(item, dict):
-            yield f"{at}[{index}] must be an object, and is {_shown(item)}"
+            yield f"{at}[{index}] must be an object, but is {_shown(item)}"
 
 
 def _list(found: Any, at: str) -> Iterator[str]:
     if found is not None and not isinstance(found, list):
-        yield f"{at} must be a list, and is {_shown(found)}"
+        yield f"{at} must be a list, but is {_shown(found)}"
 
 
 def _object(found: Any, at: str) -> Iterator[str]:
     if found is not None and not isinstance(found, dict):
-        yield f"{at} must be an object, and is {_shown(found)}"
+        yield f"{at} must be an object, but is {_shown(found)}"
 
 
 def _text(found: Any, at: str) -> Iterator[str]:
     if not isinstance(found, str):
         advice = ": put it in quotes" if isinstance(found, int | float) else ""
-        yield f"{at} must be a text, and is {_shown(found)}{advice}"
+        yield f"{at} must be a string, but is {_shown(found)}{advice}"
 
 
 def _shown(found: Any) -> str:
@@ -78,5 +78,5 @@ def _shown(found: Any) -> str:
         case bool():
             return str(found).lower()
         case str():
-            return "a text"
+            return "a string"
     return str(found)

@@ -200,9 +200,9 @@ class Executor:
 def _told(wanted: Object, found: Sequence[str]) -> str:
     places = f" ({', '.join(path.lstrip('.') for path in found[:_MOST_NAMED])})" if found else ""
     return (
-        f"{wanted['kind']} {kube_objects.name(wanted)} is changed again and again by somebody else{places}, "
-        f"and put right every {EVERY:.0f} s: "
-        f"find who else writes it (kubectl get --show-managed-fields), such as another installation of Understudy"
+        f"{wanted['kind']} {kube_objects.name(wanted)} is changed repeatedly by another client{places}, "
+        f"and repaired every {EVERY:.0f} s. "
+        f"Find the other writer with kubectl get --show-managed-fields: it can be another installation of Understudy"
     )
 
 

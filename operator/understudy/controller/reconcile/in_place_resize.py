@@ -22,8 +22,8 @@ from understudy.kube.client import PODS, STRATEGIC, Object
 CONDITION = "Resized"
 
 _ADVICE = {
-    "Deferred": "It is done as soon as the node has room",
-    "Infeasible": "Ask for less in the policy, or give its pods larger nodes",
+    "Deferred": "The kubelet retries when the node has room",
+    "Infeasible": "Request less in the policy, or use larger nodes",
 }
 """What can be done, by the kubelet's reasons for a resize that is pending."""
 
@@ -49,7 +49,7 @@ def outcomes(observed: Observed, understanding: Understanding) -> list[Outcome]:
 
 def refused(outcome: Outcome, problem: Problem) -> Outcome:
     """The outcome where the API server doesn't take the write."""
-    words = f"{outcome.message}, which the API server refuses: {problem.message}"
+    words = f"{outcome.message}, which the API server rejects: {problem.message}"
     return replace(outcome, reason="Refused", message=words, write=None)
 
 
@@ -82,7 +82,7 @@ def _outcome(pod: Object, index: int, resize: Resize) -> Outcome:
     restarting = _restarting(container) & {resource for given in more.values() for resource in given}
     if restarting:
         words = (
-            f"{told} isn't given {amounts}, since that would restart it: its resizePolicy for {', '.join(sorted(restarting))} is "
+            f"{told} is not resized to {amounts}, because that would restart it: its resizePolicy for {', '.join(sorted(restarting))} is "
             f"RestartContainer. Make it NotRequired in the template"
         )
         return Outcome("WouldRestart", words)

@@ -330,8 +330,8 @@ def _unanswered(error: ApiError) -> Problem | None:
         return None
     return Problem(
         UNANSWERED,
-        f'The admission webhook "{error.webhook}" doesn\'t answer, and without it the API server takes nothing that it is to judge '
-        "(failurePolicy Fail). It is tried again until it does. Look after the webhook, or except this namespace from it",
+        f'The admission webhook "{error.webhook}" does not answer, so the API server rejects every write that the webhook must review '
+        "(failurePolicy Fail). The operator retries until it answers. Repair the webhook, or exclude this namespace from it",
     )
 
 

@@ -105,7 +105,11 @@ class Rollouts:
             done = len(fresh) >= step.fresh and all(kube_objects.ready(pod) for pod in pods)
             late = self._clock() >= step.until
             if late and not done:
-                _logger.warning("%s/%s: its new monitor isn't ready yet, others go on", key.namespace, key.name)
+                _logger.warning(
+                    "%s/%s: its new monitor is not ready yet; the rollout continues with others",
+                    key.namespace,
+                    key.name,
+                )
             if done or late or self._store.get(WORKLOADS, key.namespace, key.name) is None:
                 del self._steps[key]
 

@@ -18,7 +18,7 @@ _NO_ROOM = "exceeded quota"
 """What is said of a pod for which a ResourceQuota has no room left. That says nothing of its template."""
 _POD_SECURITY = "violates PodSecurity"
 _ADVICE = (
-    ". Set that in it, or have another level enforced in the namespace: Understudy's own containers are within any. "
+    ". Set these fields in the template, or enforce another level in the namespace. Understudy's own containers comply with every level. "
     "See docs/how-to/production.md"
 )
 
@@ -50,7 +50,7 @@ class Judge:
                 found = None  # There is a pod of that name, or no room for another now, which is asked last: it passed.
             elif error.status in (400, 403, 422):
                 advice = _ADVICE if _POD_SECURITY in error.message else ""
-                words = f"{path}: the API server refuses a pod made from it: {error.message}{advice}"
+                words = f"{path}: the API server rejects a pod with this template: {error.message}{advice}"
                 found = Problem("TemplateInvalid", words)
             else:
                 raise

@@ -64,10 +64,10 @@ def operator_problem(deployment: Object, lease: Object | None, now: float) -> st
         return f"{available} of {wanted} replicas are available"
     spec = (lease or {}).get("spec") or {}
     if not spec.get("holderIdentity") or not spec.get("renewTime"):
-        return f"none of its replicas leads: Lease {LEASE} has no holder"
+        return f"no replica is the leader: Lease {LEASE} has no holder"
     silent = now - datetime.fromisoformat(spec["renewTime"]).timestamp()
     if silent > _LED:
-        return f"{spec['holderIdentity']} leads, and hasn't renewed Lease {LEASE} for {silent:.0f} s"
+        return f"{spec['holderIdentity']} is the leader, but has not renewed Lease {LEASE} for {silent:.0f} s"
     return None
 
 
@@ -75,13 +75,13 @@ def definition_problem(found: Object, wanted: Mapping[str, object]) -> str | Non
     """How a CustomResourceDefinition in the cluster isn't the one of this version; None where it is."""
     conditions = (found.get("status") or {}).get("conditions") or []
     if not any(c["type"] == "Established" and c["status"] == "True" for c in conditions):
-        return "it isn't established"
+        return "it is not established"
     versions = {version["name"]: version for version in found["spec"]["versions"]}
     if VERSION not in versions or not versions[VERSION]["served"]:
-        return f"{VERSION} isn't served, but {', '.join(versions)}"
+        return f"{VERSION} is not served, but {', '.join(versions)}"
     [mine] = wanted["spec"]["versions"]  # type: ignore[index]
     if versions[VERSION]["schema"] != mine["schema"]:
-        return "its schema is that of another version of Understudy: with crds.install=false, apply the one of this version"
+        return "its schema belongs to another version of Understudy. With crds.install=false, apply the definition of this version"
     return None
 
 
@@ -94,7 +94,7 @@ async def _definitions(client: Client, place: Place) -> str | None:
     for wanted in definitions().values():
         name = wanted["metadata"]["name"]
         found = await client.find(CRDS, None, name)
-        problem = "it isn't there" if found is None else definition_problem(found, wanted)
+        problem = "it does not exist" if found is None else definition_problem(found, wanted)
         if problem is not None:
             return f"{name}: {problem}"
     return None
@@ -102,7 +102,7 @@ async def _definitions(client: Client, place: Place) -> str | None:
 
 async def _accepted(client: Client, place: Place) -> str | None:
     refusal = await _refusal(client, place, _WORKLOAD)
-    return None if refusal is None else f"a RobotWorkload as it should be is refused: {refusal}"
+    return None if refusal is None else f"a valid RobotWorkload is rejected: {refusal}"
 
 
 async def _refused(client: Client, place: Place) -> str | None:
@@ -112,7 +112,7 @@ async def _refused(client: Client, place: Place) -> str | None:
     for wrong, word in ((unknown, "outptus"), (neither, "workloadRef")):
         refusal = await _refusal(client, place, wrong)
         if refusal is None or word not in refusal:
-            return f"a RobotWorkload with a wrong spec ({word}) isn't refused for that: {refusal or 'it is accepted'}"
+            return f"a RobotWorkload with an invalid spec ({word}) is not rejected for that reason: {refusal or 'it is accepted'}"
     return None
 
 
@@ -136,22 +136,22 @@ async def _held_back(client: Client, place: Place) -> str | None:
         if error.status == 403 and "may delete only pods labelled" in error.message:
             return None
         raise
-    return "a monitor could delete a pod that isn't of its workload: the ValidatingAdmissionPolicy isn't in force"
+    return "a monitor could delete a pod of another workload: the ValidatingAdmissionPolicy is not in effect"
 
 
 Look = Callable[[Client, Place], Awaitable[str | None]]
 
 _LOOKS: dict[str, Look] = {
-    "the operator is at work": _operator,
-    "the three kinds are those of this version": _definitions,
+    "the operator is running": _operator,
+    "the three kinds match this version": _definitions,
     "a RobotWorkload is accepted": _accepted,
-    "wrong ones are refused": _refused,
+    "invalid RobotWorkloads are rejected": _refused,
 }
 
 
 async def verify(access: Access, place: Place) -> dict[str, str | None]:
     """What was looked at, with the problem where there is one after ``WITHIN`` seconds."""
-    looks = dict(_LOOKS) | ({"monitors are held to their own pods": _held_back} if place.admission else {})
+    looks = dict(_LOOKS) | ({"monitors can delete only their own pods": _held_back} if place.admission else {})
     end = time.monotonic() + WITHIN
     async with Client(access) as client:
         while True:
@@ -172,11 +172,11 @@ def main(argv: Sequence[str]) -> int:
     """Say what is in order and what isn't; the exit status."""
     parser = argparse.ArgumentParser(
         prog="understudy verify",
-        description="Says whether this installation works; helm test runs it in a pod.",
-        epilog="Exit status: 0 where all is in order, 1 where something isn't.",
+        description="Checks whether this installation works. helm test runs it in a pod.",
+        epilog="Exit status: 0 if every check passes, 1 otherwise.",
     )
     parser.add_argument("--operator", required=True, metavar="NAME", help="name of the operator's Deployment")
-    parser.add_argument("--no-admission", action="store_true", help="the admission policy was left out")
+    parser.add_argument("--no-admission", action="store_true", help="the admission policy is not installed")
     given = parser.parse_args(argv)
     place = Place(os.environ["UNDERSTUDY_NAMESPACE"], given.operator, os.environ["POD_NAME"], not given.no_admission)
     found = asyncio.run(verify(default_access(), place))

@@ -79,8 +79,8 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
         operator_metrics.REGISTRY.register(fleet)
         server = await http_server.serve(
             options.port,
-            alive=lambda: "nothing could be listed for long" if operator.stalled else None,
-            ready=lambda: None if operator.synced else "not everything was listed yet",
+            alive=lambda: "full lists have failed for too long" if operator.stalled else None,
+            ready=lambda: None if operator.synced else "the first full list is not complete",
         )
         tasks = {
             asyncio.create_task(
@@ -140,28 +140,30 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     parser = argparse.ArgumentParser(
         prog="understudy operator",
         description="Reconciles RobotWorkloads, FailurePolicies and FallbackPools, while it holds the lease.",
-        epilog="Exit status: 0 where it was told to end, 1 where it lost the lease or a part of it failed, 2 where it isn't told the "
-        "monitor's image.",
+        epilog="Exit status: 0 if it was stopped, 1 if it lost the lease or a part of it failed, 2 if the image of the "
+        "monitor is missing.",
     )
-    parser.add_argument("--kubeconfig", help="instead of the pod's own account")
+    parser.add_argument(
+        "--kubeconfig", help="kubeconfig to use instead of the pod's ServiceAccount; credential plugins included"
+    )
     parser.add_argument(
         "--monitor-image",
         default=environment(names.MONITOR_IMAGE_VARIABLE),
         metavar="IMAGE",
-        help="of monitors and agents; required, here or as UNDERSTUDY_MONITOR_IMAGE",
+        help="image of monitors and agents; required, here or as UNDERSTUDY_MONITOR_IMAGE",
     )
     parser.add_argument(
         "--image-pull-policy",
         default=environment("UNDERSTUDY_IMAGE_PULL_POLICY", "IfNotPresent"),
         metavar="POLICY",
-        help="of the monitor's image",
+        help="pull policy of the monitor's image",
     )
     parser.add_argument(
         "--image-pull-secret",
         action="append",
         default=[],
         metavar="NAME",
-        help="a Secret of the workloads' namespaces by which the monitor's image is pulled; may be repeated",
+        help="pull Secret for the monitor's image, in the workloads' namespaces; may be repeated",
     )
     parser.add_argument(
         "--priority-class",
@@ -174,32 +176,32 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         type=_percent,
         default=environment("UNDERSTUDY_ROLLOUT_PERCENT", str(PERCENT)),
         metavar="PERCENT",
-        help=f"of the workloads whose monitors are replaced at once, as after an upgrade; one at least ({PERCENT}, unless "
+        help=f"share of the workloads whose monitors are replaced at the same time, as after an upgrade; at least one ({PERCENT}, unless "
         "UNDERSTUDY_ROLLOUT_PERCENT says otherwise)",
     )
     parser.add_argument(
-        "--watch-namespace", action="append", default=[], help="look after this namespace only; may be repeated"
+        "--watch-namespace", action="append", default=[], help="watch this namespace only; may be repeated"
     )
     parser.add_argument(
-        "--lease", default=LEASE, metavar="NAME", help="of the Lease that one replica holds (%(default)s)"
+        "--lease", default=LEASE, metavar="NAME", help="name of the Lease for leader election (%(default)s)"
     )
     parser.add_argument(
         "--lease-namespace",
         default=environment("UNDERSTUDY_NAMESPACE") or _own_namespace(),
         metavar="NAMESPACE",
-        help="where that is; its own, unless told otherwise",
+        help="namespace of the Lease; the operator's own by default",
     )
     parser.add_argument(
         "--identity",
         default=environment("POD_NAME") or socket.gethostname(),
         metavar="NAME",
-        help="by which it holds that; its pod's name, unless told otherwise",
+        help="identity in the Lease; the pod's name by default",
     )
     parser.add_argument(
-        "--resync", type=float, default=30.0, metavar="SECONDS", help="list everything so often (%(default)g)"
+        "--resync", type=float, default=30.0, metavar="SECONDS", help="interval between full lists (%(default)g)"
     )
     parser.add_argument(
-        "--port", type=int, default=names.METRICS_PORT, help="of /healthz, /ready and /metrics (%(default)s)"
+        "--port", type=int, default=names.METRICS_PORT, help="port of /healthz, /ready and /metrics (%(default)s)"
     )
     parser.add_argument(
         "--log-level",
@@ -226,7 +228,7 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
 
 def _percent(text: str) -> int:
     if not text.isdigit() or not 1 <= int(text) <= 100:
-        raise argparse.ArgumentTypeError(f"{text!r} isn't a whole number from 1 to 100")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 100")
     return int(text)
 
 

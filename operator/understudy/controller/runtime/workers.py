@@ -92,7 +92,7 @@ class Operator:
                 retry = 1.0
                 await asyncio.sleep(self._resync_every)
             except _UNREACHABLE as error:
-                _logger.warning("listing failed, again in %.0f s: %s", retry, error)
+                _logger.warning("listing failed, retry in %.0f s: %s", retry, error)
                 await asyncio.sleep(retry)
                 retry = min(retry * 2, self._resync_every)
 
@@ -137,7 +137,7 @@ class Operator:
         for resource in (POLICIES, POOLS, WORKLOADS):
             for item in self._store.all(resource):
                 self._add(Key(resource.plural, item["metadata"]["namespace"], kube_objects.name(item)))
-        _logger.info("leading: %d objects to look at", len(self.queue))
+        _logger.info("leading: %d objects to reconcile", len(self.queue))
         async with asyncio.TaskGroup() as group:
             for _ in range(WORKERS):
                 group.create_task(self._work())
@@ -167,15 +167,15 @@ class Operator:
         except Stale as stale:
             result = "stale"
             delay = self.queue.retry(key)
-            _logger.info("%s %s/%s: %s; again in %.1f s", *key, stale, delay)
+            _logger.info("%s %s/%s: %s; retry in %.1f s", *key, stale, delay)
         except _UNREACHABLE as error:
             result = "unreachable"
             delay = self.queue.retry(key)
-            _logger.warning("%s %s/%s: %s; again in %.1f s", *key, error or type(error).__name__, delay)
+            _logger.warning("%s %s/%s: %s; retry in %.1f s", *key, error or type(error).__name__, delay)
         except Exception:  # one object's surprise must not end the protection of all others
             result = "error"
             delay = self.queue.retry(key)
-            _logger.exception("%s %s/%s failed; again in %.1f s", *key, delay)
+            _logger.exception("%s %s/%s failed; retry in %.1f s", *key, delay)
         operator_metrics.RECONCILED.labels(key.plural, result).inc()
 
 

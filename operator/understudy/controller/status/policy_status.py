@@ -32,7 +32,7 @@ def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping
         found = _prewarm_problem(policy, pools) or _wait_problem(policy, pools)
     if found is not None:
         return [condition("Accepted", False, found.reason, found.message, generation=generation)]
-    return [condition("Accepted", True, "Accepted", "It can be followed.", generation=generation)]
+    return [condition("Accepted", True, "Accepted", "The spec is valid.", generation=generation)]
 
 
 def _unfound(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
@@ -44,7 +44,7 @@ def _unfound(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
             return Problem(
                 "PoolNotFound",
                 f'{path}: FallbackPool "{name}" is not in namespace {policy["metadata"]["namespace"]} '
-                f"({kube_objects.hint(name, pools)}). Create it, or correct the name; until then that strategy is passed over",
+                f"({kube_objects.hint(name, pools)}). Create it, or correct the name; until then that strategy is skipped",
             )
     return None
 
@@ -61,8 +61,8 @@ def _prewarm_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | N
 def shared(pool: str) -> str:
     """Why a pool can't be pre-warmed for a workload."""
     return (
-        f"FallbackPool {pool} is Uninitialized, so its pods are of no workload's own; name one that is Initialized or Executing "
-        f"(with perWorkload 0 it costs nothing until a workload is degraded)"
+        f"FallbackPool {pool} is Uninitialized, so its pods belong to no workload. Name a pool that is Initialized or Executing "
+        f"(with perWorkload 0 it has no pods until a workload is degraded)"
     )
 
 
@@ -78,7 +78,7 @@ def _wait_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None
 def unshared(pool: str, readiness: str) -> str:
     """Why nobody waits for a pod of a pool."""
     return (
-        f"FallbackPool {pool} is {readiness}, so each workload has standbys of its own and none to wait for; leave waitFor out, or "
+        f"FallbackPool {pool} is {readiness}, so each workload has its own standbys and none to wait for. Remove waitFor, or "
         f"name a pool that is Uninitialized"
     )
 

@@ -70,7 +70,7 @@ def status(observed: pool_pods.Observed, understanding: pool_pods.Understanding,
     if found is not None:
         accepted = condition("Accepted", False, found.reason, found.message, generation=generation)
     else:
-        accepted = condition("Accepted", True, "Accepted", "It can be kept.", generation=generation)
+        accepted = condition("Accepted", True, "Accepted", "The spec is valid.", generation=generation)
     result: Object = {"observedGeneration": generation}
     if spec is not None:
         counts = count(observed, spec, understanding.sized)
@@ -108,11 +108,11 @@ def _reconciled(observed: pool_pods.Observed, problems: Sequence[Problem], found
     if problems:
         return no(problems[0].reason, "; ".join(problem.message for problem in problems))
     if found is not None:
-        return no("NotAccepted", "Its spec can't be followed, see Accepted; pods that it has are kept.")
+        return no("NotAccepted", "The spec is invalid: see Accepted. Existing pods are kept.")
     for pod in sorted(observed.pods, key=kube_objects.sort_key):
         if bad := trouble(pod):
             return no(bad.reason, bad.message)
-    return condition("Reconciled", True, "Reconciled", "Its pods are being kept.", generation=generation)
+    return condition("Reconciled", True, "Reconciled", "All objects match the spec.", generation=generation)
 
 
 def _selector(name: str, spec: FallbackPoolSpec) -> str:
@@ -136,9 +136,11 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
             f"RobotWorkload (on its own metadata, not on its template)",
         )
     if counts.ready >= counts.desired:
-        return condition("Ready", True, "Ready", f"{counts.ready} could take over now.", generation=generation)
+        return condition("Ready", True, "Ready", f"{counts.ready} can take over now.", generation=generation)
     if problem is not None:
-        return no("NotAccepted", f"{counts.ready} of {counts.desired} are ready, and no more are made: see Accepted.")
+        return no(
+            "NotAccepted", f"{counts.ready} of {counts.desired} are ready, and no more pods are created: see Accepted."
+        )
     for pod in sorted([*observed.pods, *observed.stand_ins], key=kube_objects.sort_key):
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
@@ -146,18 +148,18 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
     if pool_reader.readiness(pool) == "Uninitialized":
         return no("PodsNotReady", f"{told}.")
     served = sorted(name for name, workload in observed.workloads.items() if pool_reader.serves(pool, workload))
-    return no("PodsNotReady", f"{told}; what is being done to them is in the condition BroughtUp of {_named(served)}.")
+    return no("PodsNotReady", f"{told}; see the condition BroughtUp of {_named(served)}.")
 
 
 def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts) -> Condition:
     """Whether a robot that fails now would be given a pod, and who waits for one."""
     found = [f"{one.workload} (poolPriority {one.priority}, since {_moment(one.since)})" for one in observed.waiting]
-    told = f"{counts.ready} of {counts.desired} could be claimed now"
+    told = f"{counts.ready} of {counts.desired} can be claimed now"
     if spec.reserve is not None:
-        told = f"{told}, the last {spec.reserve.pods} from poolPriority {spec.reserve.pool_priority} upwards"
+        told = f"{told}, the last {spec.reserve.pods} only with poolPriority {spec.reserve.pool_priority} or higher"
     if found:
         more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
-        told = f"{told}; these wait for one, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
+        told = f"{told}; workloads that wait, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
     free = counts.ready > len(found)
     generation = kube_objects.generation(observed.pool)
     return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)
@@ -175,8 +177,9 @@ def _moving(observed: pool_pods.Observed) -> list[Condition]:
     places = sorted({leaving_nodes.of(pod) for pod in found})
     more = f" and {len(places) - _MOST_NAMED} more" if len(places) > _MOST_NAMED else ""
     told = (
-        f"{len(found)} of {len(waiting)} waiting pods {'is' if len(found) == 1 else 'are'} on a node that is to be emptied or was lost "
-        f"({', '.join(places[:_MOST_NAMED])}{more}), and {'goes' if len(found) == 1 else 'go'} once there are others elsewhere."
+        f"{len(found)} of {len(waiting)} waiting pods {'is' if len(found) == 1 else 'are'} on a node that is being drained or was lost "
+        f"({', '.join(places[:_MOST_NAMED])}{more}), and {'is' if len(found) == 1 else 'are'} deleted after replacements on "
+        "other nodes are ready."
     )
     return [condition(pool_pods.MOVING, True, "NodeLeaves", told, generation=kube_objects.generation(observed.pool))]
 
@@ -186,14 +189,14 @@ def _updated(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Count
     generation = kube_objects.generation(observed.pool)
     old = counts.replicas - updated
     if not old:
-        told = "Every unclaimed pod is of the present template."
+        told = "Every unclaimed pod has the current template."
         return condition("Updated", True, "Updated", told, generation=generation)
-    are = "is of an earlier template, and waits" if old == 1 else "are of earlier templates, and wait"
+    are = "has an earlier template and stays" if old == 1 else "have earlier templates and stay"
     told = f"{old} of {counts.replicas} unclaimed pods {are}"
     if spec.update_strategy is not None and spec.update_strategy.type == "OnReplenish":
         told = f"{told} until they are claimed (spec.updateStrategy)."
         return condition("Updated", True, "OnReplenish", told, generation=generation)
-    told = f"{told} until there are enough of the present one that are ready."
+    told = f"{told} until enough pods of the current template are ready."
     return condition("Updated", False, "RollingOut", told, generation=generation)
 
 

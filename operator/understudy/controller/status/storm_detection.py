@@ -61,7 +61,7 @@ def judge(
     again = max(0.0, min(passing) - now) if passing else None
     generation = kube_objects.generation(policy)
     if len(failing) < guard.workloads or 100 * len(failing) <= guard.percent * len(awake):
-        text = f"No more than {guard.percent} % of its workloads fail at once, or fewer than {guard.workloads} of them."
+        text = f"At most {guard.percent} % of the workloads of this policy, or fewer than {guard.workloads} of them, fail at the same time."
         return condition(CONDITION, False, "FewFail", text, generation=generation), again
     live = (policy.get("status") or {}).get("conditions") or []
     before = next((c for c in live if (c["type"], c["status"]) == (CONDITION, "True")), None)
@@ -73,6 +73,7 @@ def judge(
 def _words(failing: Sequence[str], of: int, guard: StormGuard) -> str:
     more = f" and {len(failing) - NAMED} more" if len(failing) > NAMED else ""
     return (
-        f"{len(failing)} of {of} workloads fail, or have failed within {guard.within}: {', '.join(failing[:NAMED])}{more}. That looks "
-        f"like the network or the cluster. Where no standby is ready nothing is done until fewer fail, for {guard.hold_for} at most."
+        f"{len(failing)} of {of} workloads fail now or failed within {guard.within}: {', '.join(failing[:NAMED])}{more}. The cause is "
+        f"probably the network or the cluster. Recoveries without a ready standby are deferred until fewer fail, for at "
+        f"most {guard.hold_for}."
     )

@@ -101,7 +101,7 @@ def _accepted(observed: Observed, understanding: Understanding, problems: Sequen
     found = understanding.problem or understanding.policy_problem or taken
     if found is not None:
         return condition("Accepted", False, found.reason, found.message, generation=generation)
-    return condition("Accepted", True, "Accepted", "Its spec and its policy can be followed.", generation=generation)
+    return condition("Accepted", True, "Accepted", "The spec and the policy are valid.", generation=generation)
 
 
 def _reconciled(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Condition:
@@ -111,7 +111,7 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
         return condition("Reconciled", False, reason, message, generation=generation)
 
     if understanding.problem is not None:
-        return no("NotAccepted", "Its spec can't be followed, see Accepted; what was built before stays as it is.")
+        return no("NotAccepted", "The spec is invalid: see Accepted. Existing objects stay unchanged.")
     if problems:
         return no(problems[0].reason, "; ".join(problem.message for problem in problems))
     if understanding.environment is None:
@@ -121,7 +121,7 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
         return no("InProgress", f"{kept}.")
-    return condition("Reconciled", True, "Reconciled", "Everything was built as it says.", generation=generation)
+    return condition("Reconciled", True, "Reconciled", "All objects match the spec.", generation=generation)
 
 
 def _order(observed: Observed, understanding: Understanding) -> Object:
@@ -155,7 +155,7 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
         return []
     told, present = order_explanation.explain(order), _order(observed, understanding)["strategies"]
     if present != order_explanation.one_line(order):
-        told += f" Until the recovery that is under way is over, the order stays {present}."
+        told += f" Until the recovery in progress ends, the order stays {present}."
     met = not order_explanation.unmet_requirements(order)
     why = "Chosen" if met else "RequirementsNotMet"
     return [condition(CHOSEN, met, why, told, generation=kube_objects.generation(observed.workload))]

@@ -141,7 +141,7 @@ def test_what_only_the_operator_refuses() -> None:
     assert reflex.field == "spec.gate.reflex"
     assert "workloadRef" in reflex.message
     assert taken.field == "spec.template.spec.containers[0].name"
-    assert taken.message == "is understudy-agent, which is a name of the sidecar's: take another"
+    assert taken.message == "is understudy-agent, which the sidecar uses. Choose another name"
 
 
 @pytest.mark.parametrize(

@@ -419,7 +419,7 @@ def test_a_server_that_does_not_run_is_told_without_a_packet() -> None:
     (found,) = discovery_check.servers(Server({"*": {"items": [pod]}}), "fleet", [fleet.well()])  # type: ignore[arg-type]
     assert found.level == "FAIL"
     assert (
-        "its server doesn't run: pod robot-17-navigation-discovery-x: container discovery (image i) can't start"
+        "its server doesn't run: pod robot-17-navigation-discovery-x: container discovery (image i) cannot start"
         in found.found
     )
 

@@ -102,7 +102,7 @@ def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_w
     assert first.startswith(
         "✗ 1. Fallback from pool navigation-hot can't be carried out (ImagePullBackOff): pod robot-19"
     )
-    assert first.endswith("Check the image's name, that its registry can be reached, and imagePullSecrets.")
+    assert first.endswith("Check the image name, the registry's availability and imagePullSecrets.")
     assert second.startswith("✓ 2. Fallback from pool navigation-spare would be carried out: it has pods ready")
     assert "robot-19-navigation-w7h5k on node-2: not ready (ImagePullBackOff)" in text["Pools"]
     assert text["Missing"] == [
@@ -323,7 +323,7 @@ def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
     asked = fleet.policy({"type": "Restart"}, situations=[carrying])
     item = fleet.well()
     item["status"]["situation"] = {"name": "carrying", "since": fleet.ago(90), "reason": "a goal of /carry is active"}
-    words = "In the situation carrying, in force: Executing (navigation-hot), Restart."
+    words = "The robot is in situation carrying. Strategies in effect: Executing (navigation-hot), Restart."
     item["status"]["conditions"].append(fleet.said("SituationCovered", "True", "InForce", words).to_wire())
     text = told(known(item, [*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), asked]))
     assert f"Situation: carrying for 1m30s (a goal of /carry is active). {words}" in text[""]
