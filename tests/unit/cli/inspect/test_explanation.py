@@ -332,9 +332,7 @@ def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
 
 def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() -> None:
     item = fleet.well()
-    words = (
-        "The robot is in the situation carrying. Until its first strategy can be carried out, the order stays Restart."
-    )
+    words = "The robot is in situation carrying. Until its first strategy is available, the strategies stay Restart."
     item["status"]["conditions"].append(fleet.said("SituationCovered", "False", "StandbyNotReady", words).to_wire())
     assert f"! situation not covered (StandbyNotReady, 4m12s): {words}" in told(known(item))["Missing"]
 
