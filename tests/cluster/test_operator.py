@@ -1394,7 +1394,7 @@ def test_a_situation_raises_the_standby_and_lets_the_former_one_go_when_that_is_
     (standby,) = until(lambda: standbys("hot"), "another standby")
     said = fleet.wait_condition("RobotWorkload", "w", "SituationCovered", "StandbyNotReady", "False")
     assert said["message"].endswith(
-        "the order stays Executing (calm), Restart: no pod of FallbackPool hot is ready for it."
+        "the strategies stay Executing (calm), Restart: no pod of FallbackPool hot is ready for it."
     )
     assert fleet.settled() == fleet.settled(), "nothing is written while it is waited for"
     assert chosen(fleet) == ["calm", "Restart"]

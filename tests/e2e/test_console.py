@@ -43,7 +43,7 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: 
     assert explained.returncode == 0, explained.stderr
     assert f"In control: {active} on " in explained.stdout
     assert "1. Fallback from pool quickstart-executing would run: pod " in explained.stdout
-    assert understudy(kubectl, "timeline", name).stdout.strip().endswith("no recovery yet")
+    assert understudy(kubectl, "timeline", name).stdout.strip().endswith("no recoveries yet")
 
     judged_as_it_is(executing, tmp_path / "fleet.yaml")
 

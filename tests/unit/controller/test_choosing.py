@@ -141,7 +141,7 @@ def test_in_the_midst_of_a_recovery_the_order_stays() -> None:
     assert order(made.plan()) == ["warm", "spare", "Restart"]
     said = made.condition("StrategiesChosen")["message"]
     assert said.startswith("Restart, Uninitialized (spare). ")
-    assert said.endswith("over, the order stays Initialized (warm), Uninitialized (spare), Restart.")
+    assert said.endswith("ends, the order stays Initialized (warm), Uninitialized (spare), Restart.")
 
 
 def test_after_a_recovery_that_failed_a_pool_that_was_added_is_chosen_from() -> None:

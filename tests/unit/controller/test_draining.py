@@ -169,7 +169,7 @@ def test_a_budget_of_somebody_else_decides_alone() -> None:
     made.budgets = [budget("theirs", **{names.COMPONENT: "instance"})]
     assert deleted(made.plan()) == ["w-in-control"], "with two of them Kubernetes refuses every eviction, for good"
     made.cordoned = frozenset({"node-1"})
-    assert "PodDisruptionBudget theirs, which isn't of Understudy" in (condition(made) or {})["message"]
+    assert "PodDisruptionBudget theirs, which Understudy does not manage" in (condition(made) or {})["message"]
 
 
 def test_a_drain_is_told_by_events() -> None:

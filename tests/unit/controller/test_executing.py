@@ -168,4 +168,4 @@ async def test_who_changes_an_object_back_each_time_is_told_of_and_not_fought_fo
 async def test_a_policy_that_holds_standbys_back_is_put_right_each_time_and_that_is_told_as_well() -> None:
     client, told = await fight(NETWORK_POLICIES)
     assert client.applies == 20
-    assert "again and again" in told[-1][0]
+    assert "repeatedly" in told[-1][0]

@@ -182,7 +182,8 @@ class TestASharedPool:
         told = condition(observed, "Moving")
         assert (told["status"], told["reason"]) == ("True", "NodeLeaves")
         assert told["message"] == (
-            "1 of 2 waiting pods is on a node that is being drained or was lost (n), and goes once there are others elsewhere."
+            "1 of 2 waiting pods is on a node that is being drained or was lost (n), and is deleted after "
+            "replacements on other nodes are ready."
         )
         assert "Moving" not in {c["type"] for c in status(observe(pool, held(pool, "n", "m")))["conditions"]}
 

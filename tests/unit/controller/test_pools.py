@@ -269,7 +269,7 @@ class TestAChangeOfTheTemplate:
         assert status(found)["updated"] == 1
         told = condition(found, "Updated")
         assert (told["status"], told["reason"]) == ("False", "RollingOut")
-        assert told["message"].startswith("2 of 3 unclaimed pods are of earlier templates")
+        assert told["message"].startswith("2 of 3 unclaimed pods have earlier templates")
         done = condition(observe(pool, self.pods(pool, new=3)), "Updated")
         assert (done["status"], done["reason"]) == ("True", "Updated")
 
@@ -397,7 +397,7 @@ class TestBadInput:
         ready = condition(observe(pool, [pod], workloads=[workload()]), "Ready")
         assert ready["reason"] == "ErrImageNeverPull"
         assert "spare-a" in ready["message"]
-        assert "load it there" in ready["message"]
+        assert "load the image" in ready["message"]
 
 
 class TestNumbers:
@@ -494,10 +494,7 @@ def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
     waiting = standby_pod("w-s", of=item, ready=False)
     told = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
     assert told["reason"] == "PodsNotReady"
-    assert (
-        "0 of 1 are ready; what is being done to them is in the condition BroughtUp of RobotWorkload w"
-        in told["message"]
-    )
+    assert "0 of 1 are ready; see the condition BroughtUp of RobotWorkload w" in told["message"]
 
 
 class TestAPoolThatHasRunDry:

@@ -125,7 +125,7 @@ def test_a_container_that_would_be_restarted_is_left_as_it_is() -> None:
         (
             {"type": "PodResizePending", "reason": "Infeasible", "message": "Node didn't have enough capacity: cpu."},
             "Infeasible",
-            "capacity: cpu. Ask for less in the policy",
+            "capacity: cpu. Request less in the policy",
         ),
         ({"type": "PodResizeInProgress"}, "InProgress", "is to have cpu 1500m"),
         (

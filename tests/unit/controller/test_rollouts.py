@@ -161,4 +161,4 @@ def test_the_share_is_the_operator_s_option(
     assert [fleet.asks(number)[0] for number in fleet.robots] == [2, 2, 0, 0]
     with pytest.raises(SystemExit):
         options(["--rollout-percent", "0"])
-    assert "'0' isn't a whole number from 1 to 100" in capsys.readouterr().err
+    assert "'0' is not a whole number from 1 to 100" in capsys.readouterr().err

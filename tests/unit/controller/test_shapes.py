@@ -36,7 +36,7 @@ def accepted_of_pool(template: Object) -> Object:
 @pytest.mark.parametrize(
     ("template", "words"),
     [
-        (containing(env={"ROBOT": "17"}), "containers[0].env must be a list, and is an object"),
+        (containing(env={"ROBOT": "17"}), "containers[0].env must be a list, but is an object"),
         (containing(env=[None]), "containers[0].env[0] must be an object, but is missing"),
         (containing(env=[{"value": "17"}]), "containers[0].env[0].name must be a string, but is missing"),
         (containing(env=[{"name": "A", "value": 17}]), "env[0].value must be a string, but is 17: put it in quotes"),
@@ -45,12 +45,12 @@ def accepted_of_pool(template: Object) -> Object:
             "env[0].value must be a string, but is true: put it in quotes",
         ),
         (containing(ports=[8080]), "containers[0].ports[0] must be an object, but is 8080"),
-        (containing(args="--fast"), "containers[0].args must be a list, and is a text"),
+        (containing(args="--fast"), "containers[0].args must be a list, but is a string"),
         (containing(args=["--speed", 0.5]), "containers[0].args[1] must be a string, but is 0.5: put it in quotes"),
-        (containing(lifecycle="none"), "containers[0].lifecycle must be an object, but is a text"),
-        (specifying(volumes={"maps": {}}), "spec.volumes must be a list, and is an object"),
-        (specifying(tolerations=["robot"]), "spec.tolerations[0] must be an object, but is a text"),
-        (specifying(affinity="none"), "spec.affinity must be an object, but is a text"),
+        (containing(lifecycle="none"), "containers[0].lifecycle must be an object, but is a string"),
+        (specifying(volumes={"maps": {}}), "spec.volumes must be a list, but is an object"),
+        (specifying(tolerations=["robot"]), "spec.tolerations[0] must be an object, but is a string"),
+        (specifying(affinity="none"), "spec.affinity must be an object, but is a string"),
         (specifying(affinity={"podAntiAffinity": []}), "affinity.podAntiAffinity must be an object, but is a list"),
     ],
 )

@@ -109,7 +109,7 @@ def test_a_situation_has_its_standby_made_and_changes_nothing_else_until_that_is
     assert [choice.name for choice in told(plan).pools] == ["warm", "spare", "hot"], "the monitor brings it up"
     assert covered(made) == ("False", "StandbyNotReady")
     assert made.condition("SituationCovered")["message"] == (
-        "The robot is in the situation carrying. Until its first strategy can be carried out, the order stays "
+        "The robot is in situation carrying. Until its first strategy is available, the strategies stay "
         "Initialized (warm), Uninitialized (spare), Restart: no pod of FallbackPool hot is ready for it."
     )
     assert made.condition("Protected")["status"] == "True"
@@ -144,7 +144,7 @@ def test_after_it_the_same_in_the_other_direction() -> None:
     assert deleted(plan) == []
     assert order(plan) == ["hot", "spare", "Restart"]
     assert made.condition("SituationCovered")["message"].startswith(
-        "The situation carrying is over. Until the policy's own first strategy can be carried out, the order stays Executing (hot)"
+        "Situation carrying ended. Until the policy's own first strategy is available, the strategies stay Executing (hot)"
     )
     made.pods.append(standby(made, "w-warm", "warm"))
     made.build()

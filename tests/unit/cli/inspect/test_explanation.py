@@ -100,7 +100,7 @@ def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_w
     assert not found.is_well
     first, second, *_ = text["If it failed now"]
     assert first.startswith("✗ 1. Fallback from pool navigation-hot cannot run (ImagePullBackOff): pod robot-19")
-    assert first.endswith("Check the image's name, that its registry can be reached, and imagePullSecrets.")
+    assert first.endswith("Check the image name, the registry's availability and imagePullSecrets.")
     assert second.startswith("✓ 2. Fallback from pool navigation-spare would run: it has pods ready")
     assert "robot-19-navigation-w7h5k on node-2: not ready (ImagePullBackOff)" in text["Pools"]
     assert text["Missing"] == [
@@ -329,9 +329,7 @@ def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
 
 def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() -> None:
     item = fleet.well()
-    words = (
-        "The robot is in the situation carrying. Until its first strategy can be carried out, the order stays Restart."
-    )
+    words = "The robot is in situation carrying. Until its first strategy is available, the strategies stay Restart."
     item["status"]["conditions"].append(fleet.said("SituationCovered", "False", "StandbyNotReady", words).to_wire())
     assert f"! situation not covered (StandbyNotReady, 4m12s): {words}" in told(known(item))["Missing"]
 
