@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
@@ -14,13 +13,14 @@ from hypothesis import strategies as st
 from tests.unit.controller import world as objects
 from tests.unit.failover.world import Store
 from tests.unit.failover.world import World as Cluster
-from understudy.api.conditions import Condition, condition
+from understudy.api.conditions import condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import PoolChoice
 from understudy.cli.common.robots import robot
 from understudy.cli.inspect import limit_text
-from understudy.controller.status import policy_status, protection
+from understudy.controller.observed import policy_reader
+from understudy.controller.status import protection
 from understudy.failover.decide import LIMITS, Facts, Limit, Occurrence, Recover, Trigger, decide
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
@@ -28,34 +28,11 @@ from understudy.failover.strategies.registry import choices
 from understudy.kube.client import Object
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.decide.limits import Limits
+from understudy.monitor.notices import Notices
 
 NOW = objects.NOW
 LIMITED = {"budget": {"recoveries": 2, "within": "10m"}, "cooldown": "1m", "stormGuard": {"holdFor": "1m"}}
 FAILURE = Occurrence(Trigger.HEALTH_FAILED, "no /cmd_vel for 500 ms")
-
-
-@dataclass
-class Reported:
-    """Keeps what a monitor reports of its limits."""
-
-    spent: list[float]
-    conditions: dict[str, Condition] = field(default_factory=dict)
-
-    def find(self, type_: str) -> Condition | None:
-        return self.conditions.get(type_)
-
-    def condition(self, type_: str, status: Any, reason: str, message: str = "") -> bool:
-        self.conditions[type_] = condition(type_, status, reason, message)
-        return True
-
-    def withdraw(self, type_: str) -> None:
-        self.conditions.pop(type_, None)
-
-    def spend(self, moments: list[float]) -> None:
-        self.spent = moments
-
-    def event(self, kind: str, reason: str, message: str) -> None:
-        return
 
 
 def a_pod_ready(*, ready: bool) -> objects.World:
@@ -97,7 +74,7 @@ def test_they_agree_on_what_a_limit_would_prevent(
         policy["status"] = {"conditions": [found | {"lastTransitionTime": rfc3339(NOW - storm)}]}
 
     # The monitor, from what it watches and remembers.
-    given_policy = policy_status.spec(policy)
+    given_policy = policy_reader.spec(policy)
     view: Any = SimpleNamespace(
         policy=given_policy,
         spec=RobotWorkloadSpec.model_validate(item["spec"]),
@@ -107,8 +84,9 @@ def test_they_agree_on_what_a_limit_would_prevent(
         namespace="fleet",
         workload="w",
     )
-    reported = Reported([NOW - ago for ago in spent])
-    limits = Limits(view, reported)  # type: ignore[arg-type]
+    reported = Notices()
+    reported.spend([NOW - ago for ago in spent])
+    limits = Limits(view, reported)
     limits.retries.look(limits.spending.resumed, NOW - 2000)
     if recovered is not None:
         with patch.object(retry_backoff, "time", SimpleNamespace(time=lambda: NOW - recovered)):
@@ -125,8 +103,8 @@ def test_they_agree_on_what_a_limit_would_prevent(
         done.moments["verified"] = NOW - recovered
         recoveries = [done.to_recovery(1).to_wire()]
     item["status"] = {
-        "conditions": [one.to_wire() for one in reported.conditions.values()],
-        "spent": [rfc3339(moment) for moment in reported.spent],
+        "conditions": [one.to_wire() for one in reported.status.conditions],
+        "spent": list(reported.status.spent_times),
         "recoveries": recoveries,
     }
     protected = made.condition("Protected")

@@ -196,7 +196,9 @@ def test_what_the_budget_has_left(spent: list[float], resumed: float | None, exp
 
 def test_a_storm_by_which_it_would_be_held() -> None:
     item, policy = fleet.well(), fleet.policy(limits={"stormGuard": {}})
-    policy["status"] = {"conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.", since=20).to_wire()]}
+    policy["status"] = {
+        "conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.", since=20).to_wire()]
+    }
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
     first = told(known(item, [*others, policy]))["If it failed now"][0]
     assert first == "Only a standby that is ready could take over: 12 of 20 workloads fail.", "there is one"
