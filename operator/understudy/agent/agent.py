@@ -39,7 +39,7 @@ class Agent:
     """Implements :class:`understudy.agent.control_channel.AgentInterface`."""
 
     def __init__(self, identity: PodIdentity, probes: ProbeSender) -> None:
-        """Take up where an earlier agent of this pod left off. Raises OSError when the shared volume cannot be used."""
+        """Continue where an earlier agent of this pod stopped. Raises OSError when the shared volume cannot be used."""
         self._identity, self._probes = identity, probes
         self._holds = HeldContainers(identity.directory, identity.held)
         self._holds.prepare()
@@ -53,7 +53,7 @@ class Agent:
             on_change=self._notify,
             nudge=self._notify,
         )
-        """What holds the application while the pod is cut off."""
+        """Freezes the application while the pod is isolated."""
         self._health = InstanceHealth(identity.pod, on_change=self._health_changed, on_writers=self._writers_seen)
         self._health.resume(self._memory.process_up_at, self._memory.ready_at)
         self._caller: InstanceCaller | None = None
@@ -69,16 +69,16 @@ class Agent:
         )
         self._readiness = StandbyReadiness(lambda: self._actions(KeptState()), self._health.watch, self._notify)
         self.publish: Callable[[Mapping[str, Any]], None] = lambda event: None
-        """Sends an event to whoever is connected."""
+        """Sends an event to every connected monitor."""
         self._configuring = asyncio.Lock()
         self._looking: asyncio.Task[None] | None = None
         self._version = 0
         self._changed = asyncio.Event()
 
     async def begin(self) -> None:
-        """Go on with what was begun: finish a start that was cut short, judge by the last tree.
+        """Continue earlier work: finish a start that was interrupted, and evaluate the last tree.
 
-        Raises OSError when the shared volume cannot be used; a restart of the container tries again.
+        Raises OSError if the shared volume cannot be used; a restart of the container tries again.
         """
         if self._memory.configuration is not None:
             try:
@@ -101,7 +101,7 @@ class Agent:
             self._look()
 
     async def end(self) -> None:
-        """Stop looking."""
+        """Stop evaluating the instance."""
         await self._readiness.end()
         await self._goals.close()
         if self._caller is not None:
@@ -132,7 +132,7 @@ class Agent:
         return None
 
     def status(self) -> AgentStatus:
-        """How the instance is doing."""
+        """Return the state of the instance."""
         judgement, configured = self._health.judgement, self._memory.configuration is not None
         if self.held:
             missing = self._holds.missing()
@@ -173,14 +173,14 @@ class Agent:
         return self._version
 
     async def changed(self, version: int) -> None:
-        """Wait until the status is newer than that."""
+        """Wait until the status is newer than this version."""
         while self._version <= version:
             await self._changed.wait()
 
     # -- what a monitor commands ------------------------------------------------------------------------------------
 
     def operations(self) -> Mapping[str, Operation]:
-        """What a monitor can ask for."""
+        """The operations that a monitor can request."""
         own: dict[str, Operation] = {"configure": self.configure, "start": self.start, "probe": self.probe}
         own["give_way"] = self.give_way
         return {
@@ -192,7 +192,8 @@ class Agent:
         }
 
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Take a health tree, and where probes go. Nothing changes by the same again. Raises Refused."""
+        """Accept a health tree, and the address that probes go to. Repeating the same request changes nothing. Raises
+        Refused."""
         configuration = {key: body.get(key) for key in ("tree", "outputs", "grace")}
         if "form" in body:
             configuration["form"] = body["form"]
@@ -217,7 +218,8 @@ class Agent:
         self._aim(probe)
 
     async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Start what is held, and belong to who asked for it. Harmless when repeated. Raises Refused."""
+        """Start the held containers, and bind the pod to the workload that requested it. Can be repeated. Raises
+        Refused."""
         if not self._identity.held:
             raise Refused(f"pod {self._identity.pod} is not held: its containers started with it")
         if not self._memory.workload:
@@ -231,8 +233,10 @@ class Agent:
         self._look()
 
     def _bound(self, body: Mapping[str, Any], peer: Peer) -> AgentMemory:
-        """What is known once the pod belongs to who starts it. Kept before the first process starts, so that no later
-        agent of this pod can give it to another.
+        """Return the memory of an agent whose pod is bound to the workload that starts it.
+
+        It is stored before the first process starts, so that no later agent of this pod can bind the pod to another
+        workload.
         """
         environment, ros = body.get("environment", {}), body.get("ros", {})
         if not _is_environment(ros) or not isinstance(environment, dict):
@@ -271,14 +275,15 @@ class Agent:
         return bound
 
     async def give_way(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Another instance drives: a container of this one that is restarted must not be heard. Raises Refused."""
+        """Another instance is active: a container of this pod that restarts must not reach the robot. Raises
+        Refused."""
         try:
             self._strengths.give_way()
         except OSError as error:
             raise Refused(str(error)) from error
 
     async def probe(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Send gate probes for a while. Raises Refused."""
+        """Send gate probes for a limited time. Raises Refused."""
         self._aim({"host": body.get("host") or peer.host, "port": body.get("port", names.PROBE_PORT)})
         try:
             self._probes.burst(float(body.get("interval", 0.001)), float(body.get("duration", 1.0)))
@@ -289,7 +294,7 @@ class Agent:
 
     @property
     def caller(self) -> InstanceCaller:
-        """What reaches this pod's instance; ROS is imported when it is first asked for."""
+        """The calls to this pod's instance. ROS is imported at the first use."""
         if self._caller is None:
             from understudy.ros.actions.instance_calls import InstanceCaller
 
@@ -303,14 +308,14 @@ class Agent:
         return InstanceActions(self.caller, self._health, self._restorer.restore, self._goals.resend, state)
 
     def _expect(self, standby: object) -> None:
-        """Judge a waiting instance by this. Raises Refused."""
+        """Evaluate the readiness of a waiting instance by this expectation. Raises Refused."""
         try:
             self._readiness.expect(StandbyExpectation.from_wire(standby))
         except ValueError as error:
             raise Refused(str(error)) from error
 
     def _procedure_begins(self, name: str, brought: str) -> None:
-        """While it is being brought somewhere, it is nowhere."""
+        """Forget what the instance was brought to, because a procedure is about to change it."""
         if brought:
             self._memory.brought = ""
             self._save()
@@ -332,7 +337,7 @@ class Agent:
             raise Refused(str(error)) from error
 
     def _look(self) -> None:
-        """Judge the instance from now on, as part of its robot's graph."""
+        """Evaluate the instance from now on, as part of its robot's graph."""
         if self._looking is None:
             _enter(self._memory.ros)
             self._looking = asyncio.create_task(self._health.run(), name="health")
@@ -349,7 +354,7 @@ class Agent:
             self._notify()
 
     def _save(self) -> None:
-        """Keep what is known. A full volume must not end an agent."""
+        """Store the memory. A full volume must not end an agent."""
         try:
             self._memory.save(self._identity.directory)
         except OSError as error:
@@ -366,5 +371,5 @@ def _is_environment(value: object) -> bool:
 
 
 def _enter(ros: Mapping[str, str]) -> None:
-    """Make a robot's ROS environment this process's own; read by the middleware when the node is made."""
+    """Set a robot's ROS environment as this process's own; the middleware reads it when the node is created."""
     os.environ.update(MIDDLEWARE.introspecting({**os.environ, **ros}))

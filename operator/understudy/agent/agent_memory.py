@@ -1,4 +1,4 @@
-"""What an agent keeps over a restart of its container: who claimed the pod, and the progress of its instance."""
+"""What an agent stores over a restart of its container: who claimed the pod, and the progress of its instance."""
 
 from __future__ import annotations
 
@@ -19,31 +19,32 @@ NAME = "agent.json"
 
 @dataclass
 class AgentMemory:
-    """Kept in the emptyDir, which lives as long as the pod. Times are Unix seconds."""
+    """Stored in the emptyDir, which lives as long as the pod. Times are Unix seconds."""
 
     workload: str = ""
-    """Who started the held containers; empty while nobody did."""
+    """The workload that started the held containers; empty if none has."""
     claim: str = ""
     environment: dict[str, dict[str, str]] = field(default_factory=dict)
-    """What the held containers are started with."""
+    """The environment with which the held containers are started."""
     ros: dict[str, str] = field(default_factory=dict)
     started_at: float | None = None
     process_up_at: float | None = None
     ready_at: float | None = None
     configuration: dict[str, Any] | None = None
-    """The monitor's last ``configure``."""
+    """The monitor's last ``configure`` request."""
     standby: dict[str, Any] | None = None
-    """What that said of an instance that waits."""
+    """What that request expects of a waiting instance."""
     brought: str = ""
-    """What the instance was brought to by a procedure, as the monitor called it."""
+    """What a procedure brought the instance to, under the monitor's name for it."""
 
     def variables(self, containers: Sequence[str]) -> dict[str, dict[str, str]]:
-        """The environment of each held container: the robot's graph, and the container's own over it."""
+        """Return the environment of each held container: that of the robot's graph, overridden by the container's
+        own."""
         return {name: {**self.ros, **self.environment.get(name, {})} for name in containers}
 
     @classmethod
     def load(cls, directory: Path) -> AgentMemory:
-        """What was kept; blank if nothing was or it cannot be read."""
+        """Return what was stored; blank if nothing was stored or it cannot be read."""
         path = directory / NAME
         try:
             data = json.loads(path.read_text())
@@ -56,5 +57,5 @@ class AgentMemory:
             return cls()
 
     def save(self, directory: Path) -> None:
-        """Keep it. For the agent's eyes only: the environment may hold secrets. Raises OSError."""
+        """Store it, readable by the agent only: the environment may contain secrets. Raises OSError."""
         write_atomically(directory / NAME, json.dumps(dataclasses.asdict(self)), 0o600)

@@ -1,7 +1,7 @@
 """The control channel: authenticates monitors, carries out their requests, and reports the instance's state.
 
-What comes over the network is never trusted before the mac is right, and nothing that happens in a session ends more
-than that session.
+Nothing from the network is trusted before its message authentication code (MAC) is verified. An error in a session ends
+only that session.
 """
 
 from __future__ import annotations
@@ -26,34 +26,36 @@ from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
 _logger = logging.getLogger(__name__)
 
 MOST_PENDING = 16
-"""Sessions that have not proved the token yet; one more ends the oldest, so that strangers cannot keep a monitor out."""
+"""Sessions that have not proved the token yet. One more ends the oldest, so that strangers cannot keep a monitor
+out."""
 
 MOST_SESSIONS = 8
-"""Sessions that have. A workload has one monitor, and for a moment two."""
+"""Sessions that have proved the token. A workload has one monitor, and for a moment two."""
 
 GREETING = 3.0
 """Seconds to prove the token."""
 
 SEND = 3.0
-"""Seconds that the other side may take to take in what is sent."""
+"""Seconds in which the other side must receive what is sent."""
 
 MOST_REQUESTS = 32
-"""Requests of one session that are carried out at the same time; some, such as an initialization, take long."""
+"""Requests of one session that are carried out at the same time. Some, such as an initialization, take long."""
 
 MOST_EVENTS = 512
-"""Events that wait for a session to take them in; one more ends it, and it asks again for what is so."""
+"""Events that wait to be sent in a session. One more ends the session, and the monitor asks for the current state
+again."""
 
 _TCP_USER_TIMEOUT = getattr(socket, "TCP_USER_TIMEOUT", 18)
 _UNACKNOWLEDGED = 6000  # milliseconds
 
 
 class Refused(Exception):
-    """The request cannot be done, and its text says why."""
+    """The request cannot be carried out. The text of the error says why."""
 
 
 @dataclass(frozen=True)
 class Peer:
-    """Who speaks in a session."""
+    """The other side of a session."""
 
     workload: str
     claim: str
@@ -62,11 +64,11 @@ class Peer:
 
 
 Operation = Callable[[Mapping[str, Any], Peer], Awaitable[Mapping[str, Any] | None]]
-"""Carries out a request's body for a peer, and gives what the answer says beside ``ok``. Raises Refused."""
+"""Carries out a request's body for a peer, and returns the fields of the answer besides ``ok``. Raises Refused."""
 
 
 class AgentInterface(Protocol):
-    """What the sessions command."""
+    """The agent, as the sessions use it."""
 
     def greeting(self) -> Mapping[str, str]:
         """Name (``pod``) and ``uid`` of the pod."""
@@ -78,21 +80,21 @@ class AgentInterface(Protocol):
         """Why a monitor may not command this pod; None if it may."""
 
     def status(self) -> AgentStatus:
-        """How the instance is doing."""
+        """Return the state of the instance."""
 
     @property
     def version(self) -> int:
         """Grows with every change of the status."""
 
     async def changed(self, version: int) -> None:
-        """Wait until the status is newer than that."""
+        """Wait until the status is newer than this version."""
 
     def operations(self) -> Mapping[str, Operation]:
-        """What can be asked for, by its ``op``."""
+        """Operations that a monitor can request, by their ``op``."""
 
 
 class _Session:
-    """One connection whose other side has proved the token."""
+    """A connection whose other side has proved the token."""
 
     def __init__(self, peer: Peer, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.peer = peer
@@ -118,7 +120,7 @@ class _Session:
         self._writer.transport.abort()
 
     def reset(self) -> None:
-        """End it with what was sent and is not there yet: the kernel would try to deliver that first."""
+        """End the session and discard what was not delivered yet: the kernel would try to deliver that first."""
         with contextlib.suppress(OSError):
             self._writer.get_extra_info("socket").setsockopt(
                 socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
@@ -127,7 +129,7 @@ class _Session:
 
     @property
     def taken_in(self) -> bool:
-        """Whether the other side's kernel has all that was sent."""
+        """Whether the other side's kernel has received all that was sent."""
         sock, transport = self._writer.get_extra_info("socket"), self._writer.transport
         if transport.is_closing() or transport.get_write_buffer_size():
             return False
@@ -147,16 +149,16 @@ class ControlChannel:
         self._last_refusal = ""
 
     async def serve(self, port: int = names.AGENT_PORT, *, host: str | None = None) -> asyncio.Server:
-        """Listen, on all addresses if none is given. Raises OSError."""
+        """Listen on a host; on all addresses if none is given. Raises OSError."""
         return await asyncio.start_server(self._connected, host, port, limit=wire.MAX_GREETING)
 
     @property
     def count(self) -> int:
-        """Sessions of monitors that may command this pod."""
+        """Number of sessions with monitors that may command this pod."""
         return len(self._sessions)
 
     def publish(self, event: Mapping[str, Any]) -> None:
-        """Send an event to all sessions, in order. One that does not take them in is ended."""
+        """Send an event to all sessions, in order. A session that does not receive its events is ended."""
         for session in list(self._sessions):
             try:
                 session.events.put_nowait(event)
@@ -165,7 +167,7 @@ class ControlChannel:
                 session.abort()
 
     def taken_in(self) -> bool:
-        """Whether the other side of a session has all that was sent to it."""
+        """Whether the other side of a session has received all that was sent to it."""
         return any(session.taken_in for session in self._sessions)
 
     def abort(self) -> None:
@@ -174,7 +176,7 @@ class ControlChannel:
             session.reset()
 
     async def end_refused(self) -> None:
-        """End the sessions of those who may no longer command this pod."""
+        """End the sessions of monitors that may no longer command this pod."""
         for session in list(self._sessions):
             if (reason := self._served.refuses(session.peer.workload, session.peer.claim)) is not None:
                 await session.end(reason)
@@ -203,7 +205,8 @@ class ControlChannel:
             writer.close()
 
     def _limit_silence(self, writer: asyncio.StreamWriter) -> None:
-        """Find out by the kernel that the other side is gone: a status of every second goes unacknowledged."""
+        """Let the kernel detect that the other side has gone, because the status of every second is not
+        acknowledged."""
         sock = writer.get_extra_info("socket")
         with contextlib.suppress(OSError):
             sock.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, _UNACKNOWLEDGED)
@@ -223,7 +226,7 @@ class ControlChannel:
         return _Session(peer, reader, writer)
 
     def _note_refusal(self, text: str) -> None:
-        """Once; who is refused tries again and again."""
+        """Log a refusal once: a refused monitor tries again and again."""
         if text != self._last_refusal:
             self._last_refusal = text
             _logger.warning("refused %s", text)
@@ -266,7 +269,7 @@ class ControlChannel:
                 self._sessions.remove(session)
 
     async def _serve(self, request: Mapping[str, Any], session: _Session) -> None:
-        """Carry out one request. Cut short when the session ends: who takes over asks again."""
+        """Carry out one request. It is cancelled when the session ends: the next monitor repeats it."""
         answer = await self._answer(request, session.peer)
         try:
             await session.send(answer)
@@ -275,7 +278,7 @@ class ControlChannel:
             session.abort()
 
     async def _pass_on(self, session: _Session) -> None:
-        """Send the events as they come."""
+        """Send the events in their order."""
         try:
             while True:
                 await session.send({"event": await session.events.get()})
@@ -284,7 +287,7 @@ class ControlChannel:
             session.abort()
 
     async def _tell(self, session: _Session) -> None:
-        """Send the status on every change and once a second. A session that cannot take it in is ended."""
+        """Send the status on every change and once a second. A session that cannot receive it is ended."""
         try:
             while True:
                 version = self._served.version
@@ -322,9 +325,9 @@ class ControlChannel:
 
 
 async def read_line(reader: asyncio.StreamReader, most: int) -> bytes:
-    """A line of at most so many bytes, its end included, whatever the reader's own limit.
+    """Return a line of at most ``most`` bytes, with its line end, whatever the reader's own limit.
 
-    Raises EOFError when the other side closes, ProtocolError when the line is longer.
+    Raises EOFError if the other side closes the connection, ProtocolError if the line is longer.
     """
     parts: list[bytes] = []
     size = 0

@@ -1,4 +1,7 @@
-"""The agent's end of held containers: knows which ones wait, and starts them (see api/protocol/hold_script.py for the other end)."""
+"""The agent's end of held containers: finds which ones wait, and starts them.
+
+For the other end, see api/protocol/hold_script.py.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,13 @@ from understudy.api.protocol import hold_script
 
 
 def write_atomically(path: Path, text: str, mode: int) -> None:
-    """Write a file that is there in full or not at all. Raises OSError."""
+    """Write a file that exists completely or not at all. Raises OSError."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     temporary.unlink(missing_ok=True)
     descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     try:
         with os.fdopen(descriptor, "w") as file:
-            os.fchmod(descriptor, mode)  # whatever the umask
+            os.fchmod(descriptor, mode)  # independent of the umask
             file.write(text)
         temporary.rename(path)
     except BaseException:
@@ -28,7 +31,7 @@ def write_atomically(path: Path, text: str, mode: int) -> None:
 
 
 def make_fifo(path: Path) -> None:
-    """Make a FIFO that is open to all, since the containers run as users of their own. Raises OSError."""
+    """Create a FIFO that all users can open, since the containers have users of their own. Raises OSError."""
     umask = os.umask(0)
     try:
         os.mkfifo(path, 0o666)
@@ -39,7 +42,7 @@ def make_fifo(path: Path) -> None:
 
 
 def open_fifo(path: Path) -> int | None:
-    """A FIFO for writing, None when nobody reads it. Raises OSError."""
+    """Return a FIFO opened for writing, or None if nobody reads it. Raises OSError."""
     try:
         fifo = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
     except OSError as error:
@@ -53,11 +56,11 @@ def open_fifo(path: Path) -> int | None:
 
 
 def wake_fifo(path: Path) -> bool:
-    """Have who reads a FIFO look; whether anybody does. Harmless when repeated. Raises OSError."""
+    """Wake the reader of a FIFO; returns whether there is one. Can be repeated. Raises OSError."""
     fifo = open_fifo(path)
     if fifo is None:
         return False
-    # Full of earlier ones, which do as well; or who read it has just gone.
+    # Either the FIFO is full of earlier bytes, which have the same effect, or the reader has just gone.
     with contextlib.suppress(BlockingIOError, BrokenPipeError):
         os.write(fifo, b"\n")
     os.close(fifo)
@@ -65,25 +68,26 @@ def wake_fifo(path: Path) -> bool:
 
 
 class HeldContainers:
-    """The held containers of this pod; none of them in a pod that is not held."""
+    """The held containers of this pod; empty in a pod that is not held."""
 
     def __init__(self, directory: Path, containers: Sequence[str]) -> None:
         self._directory = directory
         self.containers = tuple(containers)
 
     def prepare(self) -> None:
-        """Make the FIFOs for images that cannot."""
+        """Create the FIFOs, for images that cannot create them."""
         for container in self.containers:
             make_fifo(self._directory / hold_script.wake_name(container))
 
     def missing(self) -> list[str]:
-        """Containers that do not wait (yet): still being created, reading their warm paths, or ended."""
+        """Return the containers that do not wait (yet): they are still being created, are reading their warm paths, or
+        have ended."""
         return [container for container in self.containers if not self._waits(container)]
 
     def start(self, environment: Mapping[str, Mapping[str, str]]) -> None:
-        """Start every container that has not been, each with its environment. Raises ValueError and OSError.
+        """Start every container that was not started yet, each with its environment. Raises ValueError and OSError.
 
-        All environments are made before the first is written: with a bad variable nothing starts.
+        All environments are created before the first is written: if a variable is invalid, nothing starts.
         """
         files = {container: hold_script.env_file(environment.get(container, {})) for container in self.containers}
         for container, text in files.items():
@@ -94,12 +98,12 @@ class HeldContainers:
         self.wake()
 
     def wake(self) -> None:
-        """Have waiting containers look for their environment. Harmless when repeated."""
+        """Let waiting containers look for their environment. Can be repeated."""
         for container in self.containers:
             wake_fifo(self._directory / hold_script.wake_name(container))
 
     def _waits(self, container: str) -> bool:
-        """Whether its script has said so and still has the FIFO open."""
+        """Whether the container's script has reported that it waits, and still has the FIFO open."""
         if not (self._directory / hold_script.waiting_name(container)).exists():
             return False
         try:

@@ -1,11 +1,11 @@
 """Evaluates the policy's health tree on the instance from inside its pod.
 
-An executing standby's outputs do not reach the monitor, and the active pod's are matched by every reader of the same
-name, so only here can the health of a standby be determined. What counts for an output are samples of writers on this host alone
-(the pod's network namespace, see Middleware.host_of); for all else anyone's, since instances of one workload are isolated
-from each other.
+The outputs of an executing standby do not reach the monitor, and every reader of the same name matches those of the
+active pod. So the health of a standby can be determined only here. For an output, only samples of writers on this host
+count (the pod's network namespace, see Middleware.host_of). For everything else all samples count, since instances of
+one workload are isolated from each other.
 
-ROS is imported when it is first needed, or before: by a held agent as soon as it stands.
+ROS is imported when it is first needed. A held agent imports it earlier, as soon as it runs.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 STARTING_PERIOD = 0.02
-"""Seconds between looks while the instance starts: its start is part of a recovery's time."""
+"""Seconds between evaluations while the instance starts: its start is part of the time of a recovery."""
 
 STARTING_FOR = 60.0
-"""Seconds after which an instance that still is not up is looked at as seldom as any other."""
+"""Seconds after which an instance that is still not up is evaluated as seldom as any other."""
 
 PERIOD = 0.2
-"""Seconds between looks otherwise; deadlines of the tree come on top."""
+"""Seconds between evaluations otherwise. Deadlines of the tree cause further ones."""
 
 PRESENCE_PERIOD = 2.0
-"""Seconds between looks at whether the application's endpoints are still there, once they have been."""
+"""Seconds between checks that the application's endpoints still exist, once they have existed."""
 
 OWN_GID = 5.0
 """Seconds within which the agent's node must see its own publisher."""
 
 OURS = "/understudy_"
-"""How the names of this process's own nodes begin."""
+"""Prefix of the names of this process's own nodes."""
 
 RETRY = 5.0
 """Seconds before joining the ROS graph is tried again."""
@@ -63,17 +63,17 @@ RETRY = 5.0
 
 @dataclass(frozen=True)
 class HealthPlan:
-    """What the monitor asked to be judged by."""
+    """What the instance is evaluated by, from the monitor."""
 
     tree: HealthTree
     outputs: Sequence[Output]
     managed: bool = False
-    """Whether procedures bring its nodes up: then its processes are up with their first node, and not only with its first
-    output, which may take a procedure."""
+    """Whether procedures bring its nodes up. Then its processes count as up with their first node, and not only with
+    their first output, which may need a procedure."""
 
     @classmethod
     def of(cls, body: Mapping[str, Any]) -> HealthPlan:
-        """From a ``configure`` request. Raises ValueError with everything that is wrong with it."""
+        """Read a ``configure`` request. Raises ValueError with everything that is wrong with it."""
         from understudy.trees.languages.notations import load_health
         from understudy.trees.source.problems import TreeError
 
@@ -88,7 +88,7 @@ class HealthPlan:
             raise ValueError(str(error)) from error
 
     def topics(self) -> list[WatchedTopic]:
-        """What to watch; the outputs say the types that the tree leaves open."""
+        """Topics to watch. The outputs give the types that the tree leaves open."""
         types = {output.topic: output.type for output in self.outputs if output.topic}
         return [dataclasses.replace(topic, type=topic.type or types.get(topic.name)) for topic in self.tree.topics]
 
@@ -97,7 +97,8 @@ class HealthPlan:
 class InstanceJudgement:
     """The state of the instance. Times are Unix seconds.
 
-    A ready instance has a reason too where part of the tree cannot be judged, as for a type that is not installed.
+    A ready instance also has a reason if part of the tree cannot be evaluated, for example because a type is not
+    installed.
     """
 
     ready: bool = False
@@ -108,10 +109,10 @@ class InstanceJudgement:
 
 
 class _OwnOutputs:
-    """Observations in which an output counts only where it comes from this host."""
+    """Observations in which an output counts only if it comes from this host."""
 
     in_control = False
-    """Nobody here knows whether it is; as long as it is not, the robot does what another instance says."""
+    """The agent does not know whether its instance is active. If it is not, the robot follows another instance."""
 
     def __init__(self, watching: TopicWatch, outputs: Sequence[Output], host: bytes) -> None:
         self._watching, self._host = watching, host
@@ -123,38 +124,38 @@ class _OwnOutputs:
         return self._watching.records(name).get(self._host)
 
     def own(self, name: str) -> TopicRecord | None:
-        """This instance's."""
+        """Return the record of this instance's own samples."""
         return self._watching.own(name)
 
     def task(self, name: str) -> float | None:
-        """Only this instance's own goals make it work."""
+        """Return since when this instance has a goal: only its own goals give it work."""
         from understudy.ros.rmw import MIDDLEWARE
 
         times = [since for gid, since in self._watching.active(name).items() if MIDDLEWARE.host_of(gid) == self._host]
         return min(times, default=None)
 
     def publishers(self, name: str) -> Publishers | None:
-        """This instance's."""
+        """Return this instance's publishers."""
         return self._watching.publishers(name)
 
     def node(self, name: str) -> NodePresence | None:
-        """This instance's."""
+        """Return the presence of this instance's node."""
         return self._watching.node(name)
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """This instance's."""
+        """Return the state of this instance's node."""
         return self._watching.lifecycle(name)
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """This instance's."""
+        """Return the state of a parameter of this instance."""
         return self._watching.parameter(node, name)
 
     def pod(self) -> PodState | None:
-        """From within nobody sees what the cluster says of it."""
+        """Return None: the cluster's view of the pod is not visible from inside it."""
         return None
 
     def counts(self) -> dict[str, OutputCount]:
-        """The outputs that are watched."""
+        """Return the counts of the watched outputs."""
         found: dict[str, OutputCount] = {}
         for name in sorted(self._topics):
             if self._watching.topic(name) is not None:
@@ -173,9 +174,8 @@ class InstanceHealth:
         on_change: Callable[[], None],
         on_writers: Callable[[Iterable[bytes]], object] = lambda gids: None,
     ) -> None:
-        """``on_change`` is called when anything but the outputs' counts is another, ``on_writers`` now and then with the
-        GIDs of this pod's writers of outputs.
-        """
+        """``on_change`` is called when anything but the counts of the outputs changes. ``on_writers`` is called now and
+        then with the GIDs of this pod's writers of outputs."""
         self.judgement = InstanceJudgement()
         self._node_name = "understudy_agent_" + re.sub(r"[^a-zA-Z0-9_]", "_", pod)
         self._on_change = on_change
@@ -192,7 +192,7 @@ class InstanceHealth:
         self._also_since = 0.0
 
     def place(self) -> GraphLocation | None:
-        """Where in the ROS graph this process is; None while it has not joined."""
+        """The location of this process in the ROS graph; None while it has not joined."""
         from understudy.ros.actions.calling_node import GraphLocation
 
         if self._joined is None:
@@ -201,7 +201,7 @@ class InstanceHealth:
         return GraphLocation(graph.node.context, host)
 
     def watch(self, purpose: str, topics: Sequence[WatchedTopic]) -> None:
-        """Watch some topics more, for trees of a purpose; the last ones of that purpose are let go."""
+        """Watch further topics, for trees with this purpose. They replace the earlier topics of the same purpose."""
         if tuple(topics) == self._also.get(purpose, ()):
             return
         self._also[purpose] = tuple(topics)
@@ -209,7 +209,7 @@ class InstanceHealth:
         self._follow()
 
     def verdict(self, tree: HealthTree) -> Verdict:
-        """The verdict of a tree whose topics are watched, on this instance."""
+        """Return the verdict of a tree, whose topics must be watched, on this instance."""
         from understudy.trees.core.health_tree import Verdict
 
         if self._own is None or self._joined is None:
@@ -224,7 +224,7 @@ class InstanceHealth:
         return tree.evaluate(self._own, now=now, since=self._also_since)
 
     def _follow(self) -> None:
-        """Watch what the plan and all other trees need."""
+        """Watch the topics of the plan and of all other trees."""
         if self._joined is None or self._plan is None:
             return
         watching = self._joined[1]
@@ -236,17 +236,17 @@ class InstanceHealth:
         watching.follow(found.values())
 
     def resume(self, process_up_at: float | None, ready_at: float | None) -> None:
-        """Go on from what an earlier agent of this pod saw."""
+        """Continue from what an earlier agent of this pod observed."""
         self.judgement.process_up_at, self.judgement.ready_at = process_up_at, ready_at
 
     def configure(self, plan: HealthPlan) -> None:
-        """Judge by this from now on. A ready instance stays so until the new tree says otherwise."""
+        """Evaluate by this plan from now on. A ready instance stays ready until the new tree fails."""
         self._plan = plan
         self._keep_ready = self.judgement.ready
         self._new_plan.set()
 
     async def run(self) -> None:
-        """Join the ROS graph that the process's environment names, and look."""
+        """Join the ROS graph that the process's environment names, and evaluate the instance."""
         self._say(False, "joining the ROS graph")
         while True:
             try:
@@ -285,7 +285,7 @@ class InstanceHealth:
             watching.drain()
             plan.tree.leave_out(watching.unwatchable)
             now = time.time()
-            if self._since > now:  # the clock was set back: until then nothing would count
+            if self._since > now:  # the clock was set back: until that time nothing would count
                 self._since, self._keep_ready = now, self.judgement.ready
             self._judge(graph, watching, host, plan, own, now)
             young = self.judgement.ready_at is None and time.monotonic() - joined < STARTING_FOR
@@ -296,7 +296,7 @@ class InstanceHealth:
             await self._pause(rest)
 
     async def _pause(self, rest: float) -> None:
-        """Wait, but not when there is a new plan."""
+        """Wait, but return at once if there is a new plan."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(rest):
                 await self._new_plan.wait()
@@ -327,7 +327,7 @@ class InstanceHealth:
             self._say(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
 
     def _look_for_presence(self, graph: Graph, host: bytes, plan: HealthPlan) -> None:
-        """Whether this pod's application has an endpoint for an output. Asked for seldom once it had one."""
+        """Check whether this pod's application has an endpoint for an output. Once it has had one, check seldom."""
         from understudy.ros.rmw import MIDDLEWARE
 
         now = time.monotonic()
@@ -353,7 +353,7 @@ class InstanceHealth:
 
 
 def _application(graph: Graph, host: bytes) -> bool:
-    """Whether a node of the application is there: one on this host that is none of ours."""
+    """Whether a node of the application exists: one on this host that is not one of Understudy's."""
     from understudy.ros.rmw import MIDDLEWARE
 
     nodes = graph.publishers("/parameter_events")
@@ -361,9 +361,10 @@ def _application(graph: Graph, host: bytes) -> bool:
 
 
 def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
-    """This process's node, and the part of a GID by which this host's writers are told.
+    """Create this process's node. Returns it with the part of a GID that identifies writers of this host.
 
-    That part is read off the node's own publisher: it holds whatever addresses the pod has. Blocks for about a second.
+    That part is read from the node's own publisher, so it is right for any addresses of the pod. Blocks for about a
+    second.
     """
     from understudy.ros.runtime.lean_imports import import_rclpy
 

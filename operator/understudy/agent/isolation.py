@@ -127,7 +127,7 @@ class Isolation:
         return ""
 
     def build(self, containers: Sequence[str]) -> None:
-        """Create the FIFOs by which containers are frozen, before their applications start. Raises OSError."""
+        """Create the FIFOs that freeze containers, before their applications start. Raises OSError."""
         for container in containers:
             make_fifo(self._directory / freeze_script.fence_name(container))
         self.containers = tuple(containers)

@@ -1,4 +1,4 @@
-"""The messages of kept samples, with the present time in their headers if the policy says so."""
+"""The messages of kept samples, with the current time in their headers if the policy requires it."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from understudy.api.protocol.kept_state import KeptSample
 
 
 def stamped(sample: KeptSample) -> bytes:
-    """The message as it is published: with the present time in its header where the policy says so. It loads rclpy.
+    """Return the message as it is published, with the current time in its header if the policy requires it. It loads
+    rclpy.
 
-    Raises CallFailed if its bytes are not of its type, TypeNotInstalled.
+    Raises CallFailed if the bytes are not of the sample's type, and TypeNotInstalled.
     """
     if sample.stamp != "now":
         return sample.data
@@ -27,7 +28,8 @@ def stamped(sample: KeptSample) -> bytes:
 
 
 def deserialized(sample: KeptSample) -> Any:
-    """The message itself. It loads rclpy. Raises CallFailed if its bytes are not of its type, or that is not installed."""
+    """Return the message itself. It loads rclpy. Raises CallFailed if the bytes are not of its type, or the type is not
+    installed."""
     from rclpy.serialization import deserialize_message
 
     from understudy.ros.actions.instance_calls import CallFailed
@@ -37,5 +39,5 @@ def deserialized(sample: KeptSample) -> Any:
         return deserialize_message(sample.data, message_class(sample.type))
     except (TypeNotInstalled, ValueError) as error:
         raise CallFailed(str(error)) from error
-    except Exception as error:  # rclpy has no type of its own for what rmw refuses
+    except Exception as error:  # rclpy has no exception type of its own for bytes that rmw refuses
         raise CallFailed(f"what is kept of {sample.topic} is no {sample.type}: {error}") from error

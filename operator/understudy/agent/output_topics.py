@@ -1,7 +1,7 @@
-"""What of its workload reaches the robot, as the monitor tells an agent.
+"""The outputs of a workload to its robot, as the monitor sends them to an agent.
 
-It says the same as :class:`understudy.api.kinds.robot_workload.Output`. That one is a model of pydantic, which costs
-a tenth of a second and 9 MB, in every pod.
+The contents are those of :class:`understudy.api.kinds.robot_workload.Output`. That is a pydantic model, which would
+cost a tenth of a second and 9 MB in every pod.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Output:
 
     @classmethod
     def from_wire(cls, data: object) -> Output:
-        """From an entry of a ``configure`` request; what is not known is left out. Raises ValueError."""
+        """Read an entry of a ``configure`` request; unknown fields are ignored. Raises ValueError."""
         if not isinstance(data, Mapping):
             raise ValueError(f"an output is a mapping, not {data!r:.100}")
         names = {key: data.get(key) for key in ("topic", "service", "action")}

@@ -28,7 +28,7 @@ PATIENCE = 0.4
 """Seconds without any answer after which the instance is frozen; 0.45 at most if this process is not late."""
 
 ROUNDS = 2
-"""Rounds in which nobody answered that must come before that; each lasts RETRY seconds."""
+"""Rounds without any answer that must come before that; each lasts RETRY seconds."""
 
 STALLED = 0.25
 """Delay of an evaluation, in seconds, that shows that this process was stalled. Then everybody is asked again first."""
@@ -63,7 +63,7 @@ class Permit:
     """When somebody was asked last."""
     evaluated_at: float | None = None
     apiserver_since: float | None = None
-    """Since when the API server was reached every time."""
+    """Since when every attempt has reached the API server; None if the last one failed."""
 
     @property
     def frozen(self) -> bool:

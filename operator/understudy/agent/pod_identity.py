@@ -1,4 +1,4 @@
-"""Which pod this agent is in, from the environment that the operator gave it."""
+"""The identity of the agent's pod, from the environment that the operator sets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class PodIdentity:
     """One pod."""
 
     workload: str
-    """RobotWorkload that the pod was made for; empty for a pod that may be claimed."""
+    """RobotWorkload that the pod was created for; empty for a pod that may be claimed."""
     pod: str
     uid: str
     held: tuple[str, ...]
@@ -23,13 +23,13 @@ class PodIdentity:
     """The emptyDir shared with the held containers."""
     token_file: Path
     fenced: tuple[str, ...] = ()
-    """Containers whose application can be held while the pod is cut off."""
+    """Containers whose application can be frozen while the pod is isolated."""
     unfenced: tuple[str, ...] = ()
-    """Containers where it should be and cannot."""
+    """Containers whose application should be frozen then, but cannot be."""
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str]) -> PodIdentity:
-        """Raises ValueError, naming the variables, when some are missing."""
+        """Read the identity from environment variables. Raises ValueError with the names of missing variables."""
         needed = ("UNDERSTUDY_POD", "UNDERSTUDY_POD_UID")
         if missing := [name for name in needed if not environment.get(name)]:
             raise ValueError(f"{', '.join(missing)} not set: the operator sets them in the container's env")
@@ -51,5 +51,6 @@ class PodIdentity:
         )
 
     def token(self) -> bytes:
-        """The secret shared with the monitor, read each time, since a Secret can change. Raises OSError."""
+        """Return the secret shared with the monitor. It is read each time, since a Secret can change. Raises
+        OSError."""
         return self.token_file.read_bytes().strip()

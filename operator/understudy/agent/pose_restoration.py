@@ -1,8 +1,8 @@
-"""Propagates a kept pose to the present when it is restored, by the robot's odometry as this pod receives it.
+"""Propagates a kept pose to the present when it is restored, with the robot's odometry as this pod receives it.
 
-The monitor says where odometry had the robot when the pose was so (state/pose_propagation.py). From then on the robot may
-have driven on until it noticed that nobody drives it, and the instance may have taken long to start: only when the pose
-is published it is known where the robot is by then.
+The monitor reports the odometry at the time of the pose (state/pose_propagation.py). After that time the robot may have
+driven on until it noticed that no instance controls it, and the instance may have taken long to start. Only when the
+pose is published is the robot's present place known.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from understudy.ros.runtime.sample_taking import Sample
 
 ODOMETRY_WITHIN = 5.0
-"""Seconds that odometry is waited for at most; half of the time that there is for giving the pose, if that is less."""
+"""Maximum seconds to wait for odometry; half of the time for restoring the pose, if that is less."""
 
 TOLD_FROM = 1.0
 """Minimum gap in odometry, in seconds, that is reported. A shorter gap means that the process was stalled."""
@@ -32,25 +32,26 @@ _SECOND = 1e-9
 
 @dataclass(frozen=True)
 class PoseOutcome:
-    """What became of a pose that was to be carried."""
+    """The outcome for a pose that is to be propagated."""
 
     metres: float | None = None
-    """How far it was; None if it was not."""
+    """Distance of the propagation; None if the pose was not propagated."""
     note: str = ""
-    """Why not, or what is uncertain about it."""
+    """Why the pose was not propagated, or what is uncertain about the result."""
 
 
 class PosePublication:
-    """A kept message as it is to be said now."""
+    """A kept message, as it is to be published now."""
 
     def __init__(self, sample: KeptSample, listener: Listener | None = None, missing: str = "") -> None:
-        """``missing`` says why a pose cannot be carried, as long as no odometry comes."""
+        """``missing`` says why a pose cannot be propagated as long as no odometry arrives."""
         self._sample, self._listener, self._missing = sample, listener, missing
         self.outcome: PoseOutcome | None = None
-        """What became of it when it was said last; None for a message that is not to be carried."""
+        """Outcome of the last publication; None for a message that is not to be propagated."""
 
     def message(self) -> bytes:
-        """Its bytes. It loads rclpy. Raises CallFailed, also if it must not be said without having been carried."""
+        """Return the message's bytes. It loads rclpy. Raises CallFailed, also if a pose must not be published without
+        propagation."""
         from understudy.agent.kept_messages import stamped
         from understudy.ros.actions.instance_calls import CallFailed
 
@@ -76,7 +77,7 @@ class PosePublication:
         return stamped(self._sample)
 
     def _carried(self, motion: Motion, came: Sample) -> tuple[bytes, float]:
-        """The message of the present, and how far it was carried. Raises ValueError."""
+        """Return the propagated message, and the distance. Raises ValueError."""
         said = read(motion.type, came.data)
         before = Point(
             motion.last, motion.stamp, round(motion.received / _SECOND), motion.frame, motion.child, motion.writer
@@ -93,10 +94,11 @@ class PosePublication:
 
 
 def composed(sample: KeptSample, then: Pose, now: Reading, *, driven: float, turned: float) -> bytes:
-    """A kept pose's message, with its pose moved as odometry did since. It loads rclpy.
+    """Return the message of a kept pose, moved as odometry has moved since. It loads rclpy.
 
-    Its stamp is that of the odometry, since that is when the robot is there, or the present time where the policy says so.
-    Raises ValueError if the message is not of its type, or its pose none or of another body, and CallFailed.
+    Its stamp is that of the odometry, since the robot was there at that time; or the current time, if the policy
+    requires that. Raises ValueError if the message is not of its type or its pose is invalid or of another body, and
+    CallFailed.
     """
     from rclpy.serialization import serialize_message
 
@@ -131,7 +133,8 @@ def _pose(pose: Any) -> Pose:
 
 @contextlib.asynccontextmanager
 async def present(caller: InstanceCaller, sample: KeptSample, within: float) -> AsyncIterator[PosePublication]:
-    """A kept message for as long as it is being said; odometry is waited for before, a part of so many seconds."""
+    """Provide a kept message for as long as it is published. Waits for odometry first, for a part of ``within``
+    seconds."""
     from understudy.ros.actions.instance_calls import CallFailed
 
     motion = sample.motion

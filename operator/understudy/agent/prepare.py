@@ -1,7 +1,8 @@
-"""``understudy prepare``: an init container that writes the profiles of its pod before any of its processes reads them,
-and makes what they are held by.
+"""``understudy prepare``: an init container that writes the DDS profiles of its pod before any of its processes reads
+them.
 
-Only pods whose profiles hold what is not known before they start have it.
+It also creates the FIFOs that hold and freeze the containers. Only pods whose profiles need values that are not known
+before they start have this container.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def main(argv: list[str]) -> int:
 
 
 def write(profiles: str, directory: Path, pod: str) -> Path:
-    """Write the profiles of a pod; the file. What was written before stays, since processes have read it.
+    """Write the profiles of a pod and return the file. An existing file is not changed, since processes have read it.
 
     Raises OSError.
     """

@@ -21,17 +21,18 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 LONGEST = 24 * 3600.0
-"""Seconds that a procedure may be given."""
+"""Maximum seconds for a procedure."""
 
 CHECKED_WITHIN = 2.0
-"""Seconds that one look of a check takes at most, where its period is not longer."""
+"""Maximum seconds for one evaluation of a check, if its period is not longer."""
 
 Restore = Callable[..., Awaitable[RestoreReport]]
-"""``(state, *, within, only)``, as of :class:`understudy.agent.state_restoration.StateRestorer`."""
+"""``(state, *, within, only)``, as in :class:`understudy.agent.state_restoration.StateRestorer`."""
 
 
 def places_of(data: object) -> Mapping[str, str]:
-    """Where the nodes of a tree were written, as a monitor says it; empty for the short form. Raises ValueError."""
+    """Return where the nodes of a tree were written, from the monitor's request; empty for the short form. Raises
+    ValueError."""
     if data is None:
         return {}
     if not isinstance(data, Mapping):
@@ -49,24 +50,24 @@ class InstanceActions:
     resend: Callable[[float], Awaitable[None]]
     state: KeptState = field(default_factory=KeptState)
     report: RestoreReport = field(default_factory=RestoreReport)
-    """What became of the state so far."""
+    """The outcome of restoring the state so far."""
 
     async def call(
         self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
     ) -> dict[str, Any]:
-        """The answer of a service."""
+        """Return the answer of a service."""
         return await self.caller.call(service, type_name, request, within, repeat=repeat)
 
     async def service_present(self, service: str) -> bool:
-        """Whether the instance serves it."""
+        """Return whether the instance serves it."""
         return await self.caller.service_present(service)
 
     async def node_present(self, node: str) -> bool:
-        """Whether the instance has the node."""
+        """Return whether the instance has the node."""
         return await self.caller.node_present(node)
 
     async def lifecycle_state(self, node: str, within: float) -> str:
-        """The state of a managed node."""
+        """Return the state of a managed node."""
         return await self.caller.lifecycle_state(node, within)
 
     async def bring_to(self, node: str, state: str, within: float) -> None:
@@ -74,7 +75,7 @@ class InstanceActions:
         await self.caller.bring_to(node, state, within)
 
     async def get_parameters(self, node: str, names: Sequence[str], within: float) -> dict[str, Any]:
-        """Values of a node's parameters."""
+        """Return values of a node's parameters."""
         return await self.caller.get_parameters(node, names, within)
 
     async def set_parameters(self, node: str, values: Mapping[str, Any], within: float) -> None:
@@ -90,23 +91,24 @@ class InstanceActions:
         return await self.caller.wait_sample(topic, type_name, within)
 
     async def restore_state(self, only: Sequence[str] | None, within: float) -> None:
-        """Give it the kept state that came with the request. What is too old, or was never kept, is told and no failure."""
+        """Restore the kept state that came with the request. State that is too old or was never kept is reported, and
+        is no failure."""
         report = await self.restore(self.state, within=within, only=only or ())
         self.report = self.report.merged(report)
         if report.problem:
             raise RuntimeError(report.problem)
 
     async def resend_goals(self, within: float) -> None:
-        """Have unfinished goals sent to it."""
+        """Have unfinished goals sent to the instance."""
         await self.resend(within)
 
     def health(self, tree: HealthTree) -> Verdict:
-        """A health tree's verdict on it now."""
+        """Return a health tree's present verdict on the instance."""
         return self.watched.verdict(tree)
 
 
 class ProcedureRunner:
-    """One procedure at a time: a newer one takes the place of the one that runs."""
+    """Runs one procedure at a time. A newer one replaces the one that runs."""
 
     def __init__(
         self,
@@ -117,8 +119,9 @@ class ProcedureRunner:
         on_success: Callable[[str, str], None],
         on_end: Callable[[], None],
     ) -> None:
-        """``actions`` reach the instance with some kept state; ``watch`` has topics watched for a purpose. ``on_begin`` and
-        ``on_success`` are told the procedure's name and what its success is remembered by.
+        """``actions`` creates the actions on the instance for a kept state; ``watch`` watches topics for a purpose.
+
+        ``on_begin`` and ``on_success`` receive the procedure's name and the name under which its success is remembered.
         """
         self._actions, self._watch = actions, watch
         self._on_begin, self._on_success, self._on_end = on_begin, on_success, on_end
@@ -126,15 +129,15 @@ class ProcedureRunner:
         self.doing = ""
         """Name of the procedure that runs."""
         self.failure = ""
-        """Why the last one failed; empty if it did not."""
+        """Why the last procedure failed; empty if it did not."""
 
     @property
     def summary(self) -> str:
-        """What runs, or how the last one failed."""
+        """Return which procedure runs, or how the last one failed."""
         return f"{self.doing} is under way" if self.doing else self.failure
 
     def operations(self) -> Mapping[str, Operation]:
-        """What a monitor can ask for."""
+        """The operations that a monitor can request."""
         return {"procedure": self._on_procedure}
 
     async def _on_procedure(self, body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:
@@ -157,7 +160,7 @@ class ProcedureRunner:
                 before.cancel()
             await asyncio.wait([this])
         finally:
-            if not this.done():  # the session is over: whoever takes over asks again
+            if not this.done():  # the session has ended: the next monitor repeats the request
                 this.cancel()
                 await asyncio.wait([this])
         if this.cancelled():
@@ -196,10 +199,11 @@ class ReadinessCheck:
         """``period`` in seconds."""
         self.tree, self._period, self._actions = tree, period, actions
         self.reason = "not evaluated yet"
-        """Why it does not hold; empty while it does. On a busy node a single look may fail: only the second in a row counts."""
+        """Why the check does not succeed; empty if it does. On a busy node one evaluation may fail, so only two
+        failures in a row count."""
 
     async def run(self, on_change: Callable[[], None]) -> None:
-        """Look until cancelled."""
+        """Evaluate until cancelled."""
         from understudy.trees.core.procedure_steps import ProcedureFailed
 
         failures = 0

@@ -23,7 +23,7 @@ from understudy.ros.runtime.lean_imports import rclpy_imported
 _logger = logging.getLogger(__name__)
 
 WITHOUT_MONITOR = 60.0
-"""Seconds without any monitor after which probes stop: another host may have its address by then."""
+"""Seconds without any monitor after which probes stop: by then another host may have the monitor's address."""
 
 _HOUSEKEEPING = 5.0  # seconds
 
@@ -39,7 +39,7 @@ _WARMING = f"import os; os.nice(19); import {', '.join(_WARM)}"
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM or SIGINT. The pod is named by the environment, see Identity."""
+    """Run until SIGTERM or SIGINT. The environment names the pod, see PodIdentity."""
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     if argv:
         print(f"understudy agent: unexpected {' '.join(argv)}; it takes no arguments", file=sys.stderr)
@@ -79,7 +79,7 @@ async def _run(identity: PodIdentity, probes: ProbeSender) -> None:
         asyncio.create_task(stop_probes_without_monitor(sessions, probes)),
         asyncio.create_task(agent.isolation.run(), name="fence"),
     ]
-    # A recovery may need them at any time; until then, nobody who asks waits for them.
+    # A recovery may need these modules at any time, so they are imported now. Other requests do not wait for that.
     housekeeping.append(asyncio.create_task(_warm() if agent.held else _imported(_PROCEDURES)))
     await told.wait()
     for task in housekeeping:
@@ -103,9 +103,9 @@ async def stop_probes_without_monitor(sessions: ControlChannel, probes: ProbeSen
 
 
 async def _warm() -> None:
-    """Import ROS while there is time: when it is claimed, the instance's own start needs all the CPU that there is.
+    """Import ROS early: when the pod is claimed, the start of the instance needs all of the CPU.
 
-    First by a process that goes away again and has no priority, so that the files are in the node's page cache.
+    First a process without priority imports it and ends, so that the files are in the node's page cache.
     """
     with contextlib.suppress(OSError):
         process = await asyncio.create_subprocess_exec(

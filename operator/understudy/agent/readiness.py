@@ -1,4 +1,4 @@
-"""The readiness of a standby: what procedures brought it to, and a check that must hold."""
+"""The readiness of a standby: what procedures have brought it to, and a check that must succeed."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ class StandbyExpectation:
     """What the monitor expects of a standby."""
 
     brought: str = ""
-    """What it must have been brought to, as the monitor calls it; empty if nothing is done to it."""
+    """What procedures must have brought it to, under the monitor's name for it; empty if no procedure is needed."""
     check: Mapping[str, Any] | None = None
     """A check in the short form, instead of the health tree."""
     period: float = 1.0
-    """Seconds between two looks of the check."""
+    """Seconds between two evaluations of the check."""
     tree: bool = True
-    """Whether the health tree must hold if there is no check."""
+    """Whether the health tree must succeed if there is no check."""
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where the check's nodes were written, if that was in another language."""
+    """Where the check's nodes were written, if they were written in another language."""
 
     @classmethod
     def from_wire(cls, data: object) -> StandbyExpectation | None:
-        """From a ``configure`` request; None for an instance that is judged by its health tree alone. Raises ValueError."""
+        """Read a ``configure`` request; None for an instance that is judged by its health tree alone. Raises
+        ValueError."""
         if data is None:
             return None
         if not isinstance(data, Mapping):
@@ -60,11 +61,11 @@ class StandbyReadiness:
 
     @property
     def reason(self) -> str:
-        """Why the check does not hold; empty if it does or there is none."""
+        """Why the check does not succeed; empty if it does or there is none."""
         return self._checking.reason if self._checking is not None else ""
 
     def expect(self, standing: StandbyExpectation | None) -> None:
-        """Judge by this from now on. Raises ValueError if its check does not load."""
+        """Judge by this expectation from now on. Raises ValueError if its check does not load."""
         if standing == self._standing:
             return
         checking = None
@@ -81,8 +82,9 @@ class StandbyReadiness:
         self._watch("check", checking.tree.topics if checking else ())
 
     def judge(self, ready: bool, reason: str, *, brought: str, busy: str) -> tuple[bool, str]:
-        """Whether it is ready and else why not; ``ready`` and ``reason`` are the health tree's, ``busy`` says what is being
-        done to it or how that failed.
+        """Return whether the standby is ready, and otherwise why not.
+
+        ``ready`` and ``reason`` are the health tree's. ``busy`` says which procedure runs, or how it failed.
         """
         standing = self._standing
         if standing is None:
@@ -96,7 +98,7 @@ class StandbyReadiness:
         return (ready, reason) if standing.tree else (True, "")
 
     async def end(self) -> None:
-        """Stop looking."""
+        """Stop evaluating."""
         if self._task is not None:
             self._task.cancel()
             await asyncio.wait([self._task])

@@ -1,8 +1,8 @@
 """Restores kept state to this pod's instance, and reads what the monitor cannot observe.
 
-Everything can be done again to the same effect: a parameter is set, a node is brought to a state, a message is said.
-Parameters come first, since some are read only when a node is configured; messages wait for their subscribers, which
-may appear with a node's transition, so both go on side by side.
+Every step can be repeated with the same effect: setting a parameter, bringing a node to a state, publishing a message.
+Parameters come first, since some are read only when a node is configured. Messages wait for their subscribers, which
+may appear with a node's transition, so both proceed at the same time.
 """
 
 from __future__ import annotations
@@ -33,39 +33,41 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 SAY_AGAIN = 1.5
-"""Seconds without a confirmation after which a message is said again: a node may not have been ready for the first."""
+"""Seconds without a confirmation after which a message is published again: a node may not have been ready for the
+first."""
 
 LAST_MOMENT = 0.05
 """Seconds before the end at which single steps give up, so that their results are reported in time."""
 
 INSPECT_WITHIN = 3.0
-"""Seconds that an inspection takes at most, if the request does not say."""
+"""Maximum seconds for an inspection, if the request does not give them."""
 
 Item = KeptSample | ParameterValues | LifecycleState
 
 
 class StateRestorer:
-    """Restores, and inspects. ROS is imported when it is first needed."""
+    """Restores and inspects state. ROS is imported when it is first needed."""
 
     def __init__(self, caller: Callable[[], InstanceCaller]) -> None:
-        """``caller`` gives what reaches this pod's instance."""
+        """``caller`` returns the calls to this pod's instance."""
         self._caller = caller
 
     def operations(self) -> Mapping[str, Operation]:
-        """What a monitor can ask for."""
+        """The operations that a monitor can request."""
         return {"restore": self._on_restore, "inspect": self._on_inspect}
 
     # -- restoring --------------------------------------------------------------------------------------------------
 
     async def restore(self, state: KeptState, *, within: float, only: Collection[str] = ()) -> RestoreReport:
-        """Give the instance this state, or only what of it is of these topics and nodes, in so many seconds.
+        """Restore this state within ``within`` seconds; with ``only``, the part of it that belongs to these topics and
+        nodes.
 
-        What cannot be given is in the report, with the reason; nothing is raised for it.
+        The report says what could not be restored, and why. No error is raised for it.
         """
         end = time.monotonic() + within - LAST_MOMENT
         restored: list[Restored] = []
         missing: list[NotRestored] = list(state.only(only).left_out)
-        # Where nothing came at all, the instance is the first one, and there is no state to insist on.
+        # If there is no state at all, this is the first instance, and missing state is no failure.
         some = state != KeptState()
         for name in only:
             if not state.only([name]) and not state.only([name]).left_out:
@@ -104,12 +106,13 @@ class StateRestorer:
         await self._caller().bring_to(node.node, node.state, within)
 
     async def _say(self, sample: KeptSample, within: float) -> PoseOutcome | None:
-        """Publish a message until the instance has it; what became of a pose that was to be carried. Raises CallFailed."""
+        """Publish a message until the instance has it. Returns the outcome for a pose that is to be propagated. Raises
+        CallFailed."""
         from understudy.ros.runtime.lean_imports import rclpy_imported
 
         end = time.monotonic() + within
         caller = self._caller()
-        await rclpy_imported()  # the message is stamped with it, perhaps while this process joins the ROS graph
+        await rclpy_imported()  # the message needs rclpy for its stamp, perhaps while this process joins the ROS graph
         async with present(caller, sample, max(0.0, end - time.monotonic())) as said:
             await self._publish(caller, sample, said, end)
             return said.outcome
@@ -133,10 +136,10 @@ class StateRestorer:
             confirmed.cancel()
             await asyncio.wait([confirmed])
             if not confirmed.cancelled():
-                confirmed.exception()  # it is told, or publishing failed first
+                confirmed.exception()  # the error is reported, or publishing failed first
 
     async def _confirmed(self, sample: KeptSample, since: float, within: float) -> None:
-        """Wait until the instance has published on the topic that confirms. Raises CallFailed."""
+        """Wait until the instance has published on the topic that confirms the message. Raises CallFailed."""
         from understudy.ros.actions.instance_calls import CallFailed
 
         caller, end = self._caller(), time.monotonic() + within
@@ -163,7 +166,8 @@ class StateRestorer:
     async def inspect(
         self, parameters: Mapping[str, Sequence[str]], lifecycle: Sequence[str], *, within: float
     ) -> dict[str, Any]:
-        """Values of parameters by node, states of managed nodes, and why some could not be determined, by node."""
+        """Return values of parameters by node, states of managed nodes, and by node why some could not be
+        determined."""
         from understudy.ros.actions.instance_calls import CallFailed
 
         found: dict[str, Any] = {"parameters": {}, "lifecycle": {}, "problems": []}

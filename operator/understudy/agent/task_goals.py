@@ -1,8 +1,9 @@
-"""Goals of the workload's tasks at this pod's instance: the agent is the only client that its action servers have.
+"""Goals of the workload's tasks at this pod's instance. The agent is the only client of the instance's action servers.
 
-The instance's servers are in a DDS partition of this pod's own (ros/dds/profiles.py), so what is sent here reaches this
-instance alone. Changes are sent as events; a proxy that missed some asks for all goals. A goal is sent once under its
-id: asked for again, also of an agent that was restarted meanwhile, it is found at the server and followed.
+The servers are in a DDS partition of this pod's own (ros/dds/profiles.py), so what the agent sends reaches this
+instance alone. The agent sends changes as events; a proxy that missed some asks for all goals. A goal is sent once
+under its id. If it is requested again, also from an agent that was restarted in the meantime, the agent finds it at the
+server and follows it.
 """
 
 from __future__ import annotations
@@ -36,13 +37,14 @@ ANSWER = 5.0
 """Seconds for a server's answer to a goal, or to its cancellation."""
 
 RESOLVED = 3.0
-"""Seconds after which a server that gives no result of a goal is taken to know it: of one unknown it says so at once."""
+"""Seconds after which a server that gives no result for a goal is assumed to know it: for an unknown goal it answers at
+once."""
 
 AGAIN = 5.0
-"""Seconds after which the result is asked for again."""
+"""Seconds after which the result is requested again."""
 
 MOST_KEPT = 64
-"""Ended goals that are remembered, in case that their end was missed."""
+"""Ended goals that are remembered, in case the proxy missed their end."""
 
 _UNKNOWN, _CANCELED = 0, 5
 _OPEN = ("waiting", "running")
@@ -50,20 +52,20 @@ _OPEN = ("waiting", "running")
 
 @dataclass
 class _Record:
-    """A goal that was asked for."""
+    """A goal that was requested."""
 
     id: str
     action: str
     type: str
     data: bytes
     note: str
-    """Kept for whoever asks for all goals."""
+    """Kept for a proxy that asks for all goals."""
     state: str = "waiting"
     """waiting (for the server), running, rejected, ended, lost."""
     status: int = _UNKNOWN
     result: bytes = b""
     ended: float = 0.0
-    """By the monotonic clock."""
+    """Monotonic seconds."""
     task: asyncio.Task[None] | None = None
 
     def to_wire(self) -> dict[str, Any]:
@@ -77,9 +79,10 @@ class TaskGoals:
     def __init__(
         self, name: str, place: Callable[[], GraphLocation | None], publish: Callable[[Mapping[str, Any]], None]
     ) -> None:
-        """``name`` is that of the node that is made at the first goal.
+        """``name`` is that of the node, which is created at the first goal.
 
-        ``place`` says where in the ROS graph this process is, None while it has not joined; ``publish`` sends an event.
+        ``place`` returns this process's location in the ROS graph, None while it has not joined; ``publish`` sends an
+        event.
         """
         self._name, self._place, self._publish = name, place, publish
         self._records: dict[str, _Record] = {}
@@ -91,11 +94,12 @@ class TaskGoals:
         self._resent: dict[int, asyncio.Future[None]] = {}
 
     def operations(self) -> Mapping[str, Operation]:
-        """What the task proxy can ask for."""
+        """The operations that the task proxy can request."""
         return {"goal": self.goal, "cancel": self.cancel, "goals": self.list, "resent": self.resent}
 
     async def goal(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Send a goal to the instance, when its server is there. Nothing changes by the same again. Raises Refused."""
+        """Send a goal to the instance when its server is present. Repeating the request changes nothing. Raises
+        Refused."""
         id, action, type_name, data = _checked(body)
         note = str(body.get("note", ""))
         known = self._records.get(id)
@@ -108,7 +112,8 @@ class TaskGoals:
         self._forget()
 
     async def cancel(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
-        """Ask the instance to cancel a goal; whether it accepts, and whether it is known at all. Raises Refused."""
+        """Ask the instance to cancel a goal. Returns whether it accepts, and whether the goal is known at all. Raises
+        Refused."""
         record = self._records.get(str(body.get("goal")))
         if record is None or record.state not in _OPEN:
             return {"known": record is not None and record.state == "ended", "accepted": False}
@@ -123,11 +128,11 @@ class TaskGoals:
                 code = await server.cancel(record.id)
         except TimeoutError:
             raise Refused(f"{record.action}: no answer to a cancel within {ANSWER:g} s") from None
-        # One that has ended meanwhile tells so on its own.
+        # If the goal has ended in the meantime, an event reports it.
         return {"known": True, "accepted": code in (0, 3)}
 
     async def list(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
-        """All goals that were asked for, and how they are."""
+        """Return all goals that were requested, with their states."""
         now = time.monotonic()
         return {
             "goals": [
@@ -142,19 +147,19 @@ class TaskGoals:
         }
 
     async def resent(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """What :meth:`resend` asked for was done."""
+        """Note that the proxy has done what :meth:`resend` requested."""
         waiting = self._resent.get(body.get("number", 0))
         if waiting is not None and not waiting.done():
             waiting.set_result(None)
 
     async def resend(self, within: float) -> None:
-        """Have the task proxy send unfinished goals to this instance. Raises TimeoutError when none does."""
+        """Have the task proxy send unfinished goals to this instance. Raises TimeoutError if no proxy does."""
         number = next(self._numbers)
         future = self._resent[number] = asyncio.get_running_loop().create_future()
         try:
             async with asyncio.timeout(within):
                 while not future.done():
-                    # Again and again: the proxy may only just be connecting.
+                    # Repeated, because the proxy may only just be connecting.
                     self._publish({"resendGoals": number})
                     await asyncio.wait([future], timeout=WATCH)
         except TimeoutError:
@@ -165,7 +170,7 @@ class TaskGoals:
             del self._resent[number]
 
     async def close(self) -> None:
-        """Follow nothing any more."""
+        """Stop following all goals."""
         for record in self._records.values():
             if record.task is not None:
                 record.task.cancel()
@@ -186,7 +191,7 @@ class TaskGoals:
             del self._records[id]
 
     async def _follow(self, record: _Record) -> None:
-        """Send a goal and tell what becomes of it."""
+        """Send a goal and report its progress."""
         while record.state in _OPEN:
             try:
                 await self._follow_at(record, await self._server(record))
@@ -206,7 +211,7 @@ class TaskGoals:
                 async with asyncio.timeout(ANSWER):
                     accepted, _ = await server.send_goal(record.id, record.data)
             except TimeoutError:
-                return  # it may have been accepted: the next try finds out
+                return  # it may have been accepted: the next attempt finds out
             if not accepted and not await self._is_known(record, server):
                 self._change(record, "rejected")
                 return
@@ -214,7 +219,8 @@ class TaskGoals:
         await self._await_end(record, server)
 
     async def _is_known(self, record: _Record, server: ActionClient) -> bool:
-        """Whether a server that rejects a goal does so because it has it already, from an earlier agent of this pod."""
+        """Whether a server that rejects a goal does so because it already has the goal, from an earlier agent of this
+        pod."""
         asking = asyncio.ensure_future(server.result(record.id))
         try:
             await asyncio.wait([asking], timeout=RESOLVED)
@@ -223,9 +229,11 @@ class TaskGoals:
             asking.cancel()
 
     async def _await_end(self, record: _Record, server: ActionClient) -> None:
-        """Wait for the result; asked for again when another process serves the action, which then does not know it.
+        """Wait for the result. It is requested again if another process serves the action, because that process does
+        not know the request.
 
-        And now and then, since a server that is starved of CPU drops the answer to a client that it has not matched in time.
+        It is also requested again at intervals, since a server that is starved of CPU drops the answer to a client that
+        it has not matched in time.
         """
         asking = asyncio.ensure_future(server.result(record.id))
         try:
@@ -254,7 +262,7 @@ class TaskGoals:
             self._change(record, "ended", status=status, result=result)
 
     async def _serving(self, action: str) -> set[bytes]:
-        """The GIDs of this host's servers of an action."""
+        """Return the GIDs of this host's servers of an action."""
         from understudy.ros.rmw import MIDDLEWARE
 
         served, joined = self._served, self._joined
@@ -266,12 +274,12 @@ class TaskGoals:
         return {gid for gid in gids if joined.host is None or MIDDLEWARE.host_of(gid) == joined.host}
 
     def _moved(self) -> bool:
-        """Whether this process has left the graph in which it had joined, as after an error there."""
+        """Whether this process has left the graph that it had joined, for example after an error."""
         place = self._place()
         return place is None or self._joined is None or place.context is not self._joined.context
 
     async def _server(self, record: _Record) -> ActionClient:
-        """The client of an action, in the present graph."""
+        """Return the client of an action, in the present graph."""
         async with self._opening:
             place = self._place()
             while place is None:
@@ -307,7 +315,7 @@ class TaskGoals:
 
 
 def _checked(body: Mapping[str, Any]) -> tuple[str, str, str, bytes]:
-    """Id, action, type and data of a request. Raises Refused."""
+    """Return id, action, type and data of a request. Raises Refused."""
     id, action, type_name = (body.get(key) for key in ("goal", "action", "type"))
     if not isinstance(id, str) or len(id) != 32 or not isinstance(action, str) or not isinstance(type_name, str):
         raise Refused(f"expected goal (32 hex digits), action and type, found {id!r}, {action!r}, {type_name!r}")
@@ -319,7 +327,7 @@ def _checked(body: Mapping[str, Any]) -> tuple[str, str, str, bytes]:
 
 
 def _type(name: str) -> ActionType:
-    """The types of an action. Raises Refused."""
+    """Return the types of an action. Raises Refused."""
     from understudy.ros.runtime.lean_imports import import_rclpy
 
     import_rclpy()

@@ -1,10 +1,11 @@
 """Ownership strengths of the instance's writers, for robots whose readers choose the strongest writer.
 
-A process reads its strength from the pod's profiles when it starts. A container that was restarted must not have the
-strength of its first start, or it would take the robot back from the standby that took over: so as soon as the
-application is up, the file is kept at the strength of a process that starts now. That makes running ones no weaker. One that starts
-after a standby took over must not be heard at all, not even where that one is late: its writers then offer no deadline,
-which no reader on the robot's side accepts.
+A process reads its strength from the pod's profiles when it starts. A restarted container must not have the strength of
+its first start, or it would take the robot back from the standby that took over. So as soon as the application is up,
+the file is kept at the strength of a process that starts now. That does not make running processes weaker.
+
+A process that starts after a standby took over must not be heard at all, not even if the standby is late. Its writers
+then offer no deadline, and no reader on the robot's side accepts that.
 """
 
 from __future__ import annotations
@@ -27,17 +28,17 @@ NAME = "strength.json"
 _VALUE = re.compile(r"(<ownershipStrength><value>)(\d+)(</value></ownershipStrength>)")
 _DEADLINE = re.compile(r"<deadline>.*?</deadline>", re.DOTALL)
 _PROCESS = slice(0, 12)
-"""The part of a writer's GID that is the same for all writers of a process: its participant's GUID prefix."""
+"""The part of a writer's GID that is the same for all writers of a process: the GUID prefix of its participant."""
 
 
 class WriterStrengths:
-    """Kept in the emptyDir, which lives as long as the pod."""
+    """The strengths file in the emptyDir, which lives as long as the pod."""
 
     def __init__(self, directory: Path, *, clock: Callable[[], float] = time.time) -> None:
         self._directory, self._clock = directory, clock
         self._known: set[str] = set()
         self.range: tuple[int, int] | None = None
-        """Between which strengths the instance's writers are; None if it has none (yet)."""
+        """Lowest and highest strength of the instance's writers; None if it has none (yet)."""
         try:
             kept = json.loads((directory / NAME).read_text())
             self._known, self.range = set(kept["processes"]), (int(kept["least"]), int(kept["most"]))
@@ -47,7 +48,8 @@ class WriterStrengths:
             _logger.error("%s cannot be read, continuing without: %s", directory / NAME, error)
 
     def saw(self, writers: Iterable[bytes]) -> bool:
-        """Take in the GIDs of the instance's writers; whether the range changed. A full volume must not end an agent."""
+        """Note the GIDs of the instance's writers. Returns whether the range changed. A full volume must not end an
+        agent."""
         processes = {gid[_PROCESS].hex() for gid in writers}
         if not processes:
             return False
@@ -59,8 +61,9 @@ class WriterStrengths:
                 return False
             now = strength(self._clock())
             if processes - self._known:
-                # The first ones have read what is there. Later ones may have read it before it was last changed; which
-                # of the writers a reader hears is not known, so what holds for all of them is told.
+                # The first processes have read the present file. Later ones may have read it before it was last
+                # changed. The agent does not know which of the writers a reader hears, so it reports a range that is
+                # right for all of them.
                 first = int(written[2])
                 self.range = (min(now, self.range[0]), self.range[1]) if self.range else (first, first)
                 self._known |= processes
@@ -74,7 +77,8 @@ class WriterStrengths:
         return self.range != before
 
     def give_way(self) -> None:
-        """Have no process that starts from now on be heard by the robot. Running ones are not changed. Raises OSError."""
+        """Prevent processes that start from now on from being heard by the robot. Running ones are not changed. Raises
+        OSError."""
         path = self._directory / names.PROFILES_KEY
         with contextlib.suppress(FileNotFoundError):
             text = path.read_text()

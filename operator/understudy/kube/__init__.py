@@ -1,4 +1,4 @@
-"""Everything that touches the Kubernetes API, for objects as plain dictionaries.
+"""Access to the Kubernetes API, for objects as plain dictionaries.
 
-What should be written is decided elsewhere.
+Other packages decide what is written.
 """

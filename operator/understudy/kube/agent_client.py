@@ -16,23 +16,27 @@ from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
 _logger = logging.getLogger(__name__)
 
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
-CONNECT_FIRST, CONNECT_MOST = 0.25, 1.0  # seconds; a policy that just opened is found sooner than by the kernel's SYN
+CONNECT_FIRST, CONNECT_MOST = (
+    0.25,
+    1.0,
+)  # seconds; finds a policy that has just opened sooner than the kernel's SYN retries do
 GREETING = 3.0  # seconds
 ANSWER = 5.0  # seconds
 
 
 class AgentGone(ConnectionError):
-    """There is no connection to the agent, or it was lost before the answer came: the request may have been done."""
+    """There is no connection to the agent, or it was lost before the answer came. The agent may have carried out the
+    request."""
 
 
 class AgentRefused(Exception):
-    """The agent answered that it will not or cannot."""
+    """The agent answered that it refuses a request or cannot carry it out."""
 
 
 class AgentLink:
-    """A connection to one agent that is kept up in the background until closed. Needs a running event loop.
+    """A connection to one agent that is kept up in the background until it is closed. Needs a running event loop.
 
-    Requests can be repeated: the agent does each again to the same effect.
+    Requests can be repeated: repeating one has the same effect.
     """
 
     def __init__(
@@ -46,13 +50,15 @@ class AgentLink:
         on_change: Callable[[AgentLink], None] | None = None,
         on_event: Callable[[AgentLink, Mapping[str, Any]], None] | None = None,
     ) -> None:
-        """``on_change`` is called with each status and when the connection comes or goes, ``on_event`` with each event.
+        """``on_change`` is called with each status, and when the connection is made or lost; ``on_event`` with each
+        event.
 
-        Events that happen while there is no connection are lost: whoever counts on them asks anew when it is back.
+        Events that happen while there is no connection are lost. A caller that depends on them must ask again after
+        reconnecting.
         """
         self.host, self.port, self.workload, self.claim = host, port, workload, claim
         self.token = token
-        """The secret shared with the agent; another one counts from the next session on."""
+        """The secret shared with the agent. A change takes effect with the next session."""
         self._on_change, self._on_event = on_change, on_event
         self._status: AgentStatus | None = None
         self._writer: asyncio.StreamWriter | None = None
@@ -61,29 +67,29 @@ class AgentLink:
         self._changed = asyncio.Event()
         self._accepted = False
         self.sessions = 0
-        """Times that it was connected."""
+        """Number of times that the connection was made."""
         self.pod = ""
         """Name of the pod that answers, once connected."""
         self.uid = ""
         """UID of the pod that answers, once connected."""
         self.refused = False
-        """Whether the agent was there and refused this side when it was last tried."""
+        """Whether the last attempt reached the agent and the agent refused this side."""
         self.problem = f"connecting to {host}:{port}"
-        """Why it isn't connected; empty while it is."""
+        """Why there is no connection; empty while there is one."""
         self._task = asyncio.create_task(self._run(), name=f"agent {host}")
 
     @property
     def connected(self) -> bool:
-        """Whether the agent accepted this session and has been heard of within the last seconds."""
+        """Whether the agent accepted this session and has sent something within the last seconds."""
         return self._writer is not None
 
     @property
     def status(self) -> AgentStatus | None:
-        """What the agent last said; None while it isn't connected, since it may be otherwise by now."""
+        """The agent's last status; None while there is no connection, since the last one may be out of date."""
         return self._status
 
     async def wait_connected(self, within: float | None = None) -> None:
-        """Wait for the connection. Raises AgentGone, saying why, when there is none within so many seconds."""
+        """Wait for the connection. Raises AgentGone with the reason if there is none within ``within`` seconds."""
         try:
             async with asyncio.timeout(within):
                 while not self.connected:
@@ -92,9 +98,9 @@ class AgentLink:
             raise AgentGone(self.problem) from None
 
     async def wait_for(self, predicate: Callable[[AgentStatus], bool], within: float | None = None) -> AgentStatus:
-        """The first status for which it holds, waiting through lost connections.
+        """Return the first status that satisfies the predicate, waiting through lost connections.
 
-        Raises TimeoutError, with the last status or problem, when none came within so many seconds.
+        Raises TimeoutError, with the last status or problem, if none does within ``within`` seconds.
         """
         try:
             async with asyncio.timeout(within):
@@ -116,12 +122,12 @@ class AgentLink:
         standby: Mapping[str, Any] | None = None,
         managed: bool = False,
     ) -> None:
-        """Give it the health tree (of the policy's ``monitoring``) and the workload's outputs as on the wire.
+        """Send the health tree (of the policy's ``monitoring``) and the workload's outputs, in their wire form.
 
-        ``form`` is what the tree is written in, ``grace`` in seconds. ``probe`` is where its probe of every second goes;
-        this side of the connection, at the probe port, where none is given. ``standby`` is what it must be to be ready
-        while it waits (agent/readiness.py), ``managed`` says that procedures bring its nodes up. Raises AgentRefused (a
-        tree that doesn't load, say) and AgentGone.
+        ``form`` is the language of the tree, ``grace`` is in seconds. ``probe`` is the address to which the agent sends
+        its probe of every second; the default is this side of the connection, at the probe port. ``standby`` says when
+        a waiting instance is ready (agent/readiness.py). ``managed`` says that procedures bring the instance's nodes
+        up. Raises AgentRefused (for example if the tree does not load) and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "outputs": list(outputs), "grace": grace}
         if form != "yaml":
@@ -139,14 +145,14 @@ class AgentLink:
     ) -> None:
         """Start the held containers, each with its environment, in a robot's ROS graph.
 
-        ``profiles`` are DDS profiles for all processes of the pod, where they need any.
+        ``profiles`` are DDS profiles for all processes of the pod, if they need any.
 
-        Raises AgentRefused, when another claim was first among others, and AgentGone.
+        Raises AgentRefused, for example if another claim came first, and AgentGone.
         """
         await self.request("start", {"environment": environment, "ros": ros, "profiles": profiles})
 
     async def probe(self, host: str, port: int, interval: float, duration: float) -> None:
-        """Have it send gate probes for ``duration`` seconds: one every ``interval`` seconds, later less often.
+        """Let the agent send gate probes for ``duration`` seconds: one every ``interval`` seconds, later less often.
 
         Raises AgentRefused and AgentGone.
         """
@@ -162,11 +168,12 @@ class AgentLink:
         brought: str = "",
         places: Mapping[str, str] | None = None,
     ) -> Mapping[str, Any]:
-        """Run a procedure on its instance for at most so many seconds; it takes the place of one that runs.
+        """Run a procedure on the agent's instance for at most ``within`` seconds. It replaces a procedure that is
+        running.
 
-        ``state`` is kept state on the wire for its leaves, ``brought`` what its success is remembered by, ``places`` where
-        its nodes were written, if not in the short form. What became of the state is in the answer. Raises AgentRefused,
-        which says why it failed, and AgentGone.
+        ``state`` is kept state in its wire form for the procedure's leaves. The agent remembers the success under the
+        name ``brought``. ``places`` says where the nodes were written, if not in the short form. The answer reports the
+        outcome of the state. Raises AgentRefused with the reason if the procedure failed, and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
         if places:
@@ -176,18 +183,19 @@ class AgentLink:
         return found
 
     async def ask(self) -> AgentStatus:
-        """Its status at this moment. Raises AgentGone."""
+        """Return the agent's present status. Raises AgentGone."""
         answer = await self.request("status", {})
         return AgentStatus.from_wire(answer.get("status", {}))
 
     async def close(self) -> None:
-        """Let go of the agent. Requests in flight fail."""
+        """Close the connection. Requests in flight fail."""
         self._task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await self._task
 
     async def request(self, op: str, body: Mapping[str, Any], *, within: float = ANSWER) -> dict[str, Any]:
-        """Ask for an operation and wait for its answer, for at most so many seconds. Raises AgentRefused and AgentGone."""
+        """Request an operation and wait at most ``within`` seconds for the answer. Raises AgentRefused and
+        AgentGone."""
         writer = self._writer
         if writer is None:
             raise AgentGone(f"agent {self.host}: {self.problem}")
@@ -229,7 +237,7 @@ class AgentLink:
             except AgentRefused as error:
                 problem = str(error)
                 refused = True
-                retry = RETRY_MOST  # a wrong token or another's claim won't change in milliseconds
+                retry = RETRY_MOST  # a wrong token or another claim does not change within milliseconds
             except Exception as error:
                 _logger.exception("agent %s:%s", self.host, self.port)
                 problem = repr(error)
@@ -245,7 +253,7 @@ class AgentLink:
             retry, patience = min(2 * retry, RETRY_MOST), min(2 * patience, CONNECT_MOST)
 
     async def _greet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Prove the token, and take the first message after that, which is a status or a refusal."""
+        """Prove the token and return the first message after that, which is a status or a refusal."""
         greeting = wire.decode(await _line(reader))
         if greeting.get("version") != wire.PROTOCOL or not isinstance(greeting.get("nonce"), str):
             raise ProtocolError(f"expected a greeting of version {wire.PROTOCOL}, got {greeting!r:.200}")
@@ -311,7 +319,7 @@ async def _line(reader: asyncio.StreamReader) -> bytes:
 
 
 def _words(error: BaseException) -> str:
-    """An error without the address, which the log line has already."""
+    """Return the error's text without the address, which the log line already has."""
     if isinstance(error, OSError) and error.errno is not None:
         return os.strerror(error.errno)
     return str(error) or repr(error)

@@ -1,4 +1,4 @@
-"""What is asked of the API server, and when its watches told something last, as metrics."""
+"""Metrics of the requests to the API server, and of when each watch last received something."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge
 
 
 def series(registry: CollectorRegistry) -> tuple[Counter, Gauge]:
-    """The metrics of one process."""
+    """Create the metrics of one process."""
     requests = Counter(
         "understudy_api_requests",
         "Requests to the API server, by what came of them: the status, or error where there was no answer.",
@@ -34,12 +34,12 @@ class Traffic:
         self._requests.labels(method=method, resource=plural(path), code=code).inc()
 
     def heard(self, resource: str) -> None:
-        """Note that a watch brought something."""
+        """Note that a watch received something."""
         self._heard.labels(resource=resource).set_to_current_time()
 
 
 def plural(path: str) -> str:
-    """Which resource a path of the API is of; empty where it is of none."""
+    """Return the plural name of the resource of an API path; empty if the path is of no resource."""
     parts = path.strip("/").split("/")
     parts = parts[3:] if parts[0] == "apis" else parts[2:]
     if parts[:1] == ["namespaces"] and len(parts) > 2:

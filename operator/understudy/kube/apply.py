@@ -1,7 +1,7 @@
-"""Making objects be as they should, without ever overwriting somebody else's.
+"""Creates and updates objects without overwriting objects of others.
 
-Whole objects are written by server-side apply (KEP-555), so that a field that is no longer wanted goes away, and only
-when something differs, so that a cluster at rest sees no writes.
+Whole objects are written by server-side apply (KEP-555), so that a field that is no longer wanted is removed. They are
+written only if something differs, so that a cluster at rest sees no writes.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from understudy.api.base import GROUP
 from understudy.kube.client import APPLY, ApiError, Client, Object, Resource
 
 APPLIED = f"{GROUP}/applied"
-"""Annotation with the hash of what was applied last: it tells of a field taken back, which the live object can't."""
+"""Annotation with the hash of what was applied last. It shows that a field was withdrawn, which the live object cannot
+show."""
 
 
 class Taken(Exception):
-    """An object of that name exists and belongs to somebody else; it was left alone."""
+    """An object of that name exists and belongs to another owner. It was not changed."""
 
     def __init__(self, kind: str, namespace: str, name: str, owner: str) -> None:
         super().__init__(
@@ -28,13 +29,13 @@ class Taken(Exception):
 
 
 def digest(value: Any, length: int = 10) -> str:
-    """A short stable hash of plain data."""
+    """Return a short stable hash of plain data."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:length]
 
 
 def controller_of(item: Object) -> Object | None:
-    """The owner reference of the object's controller."""
+    """Return the owner reference of the object's controller."""
     for owner in item["metadata"].get("ownerReferences") or []:
         if owner.get("controller"):
             found: Object = owner
@@ -49,16 +50,17 @@ def owned_by(item: Object, uid: str) -> bool:
 
 
 def stamped(body: Object) -> Object:
-    """The object with the hash of itself in an annotation."""
+    """Return the object with its own hash in an annotation."""
     metadata = body["metadata"]
     annotations = {**(metadata.get("annotations") or {}), APPLIED: digest(body)}
     return {**body, "metadata": {**metadata, "annotations": annotations}}
 
 
 def differences(live: Any, desired: Any, path: str = "") -> list[str]:
-    """Paths where the live object lacks what is desired; what only the live one has (defaults, status) is none.
+    """Return the paths at which the live object lacks what is desired. What only the live object has (defaults, status)
+    is ignored.
 
-    The API server leaves out what is empty, so that counts as there.
+    The API server leaves out empty values, so these count as present.
     """
     if live is None and not desired:
         return []
@@ -78,15 +80,15 @@ def differences(live: Any, desired: Any, path: str = "") -> list[str]:
 
 
 async def establish(client: Client, resource: Resource, namespace: str, body: Object, *, manager: str) -> Object:
-    """Create by server-side apply an object that should not exist yet, or take over one that has our owner already.
+    """Create by server-side apply an object that should not exist yet, or update one that already has our owner.
 
-    Raises Taken where it exists with another controller, ApiError.
+    Raises Taken if the object exists with another controller, and ApiError.
     """
     name = body["metadata"]["name"]
     live = await client.find(resource, namespace, name)
     if live is None:
         path = resource.path(namespace, name)
-        # not forced: if another's object appears between the look and the write, fields in conflict are refused
+        # Not forced: if another writer's object appears between the look and the write, fields in conflict are refused.
         return await client.request("PATCH", path, params={"fieldManager": manager}, body=body, content_type=APPLY)
     refuse_foreign(live, body)
     return await overwrite(client, resource, namespace, body, live=live, manager=manager)
@@ -95,15 +97,16 @@ async def establish(client: Client, resource: Resource, namespace: str, body: Ob
 async def overwrite(
     client: Client, resource: Resource, namespace: str, body: Object, *, live: Object, manager: str
 ) -> Object:
-    """Apply over a live object that is ours: exactly that one, not a later one of its name. Raises ApiError."""
+    """Apply over exactly this live object, which is ours, and not over a later one of the same name. Raises
+    ApiError."""
     exact = {**body, "metadata": {**body["metadata"], "uid": live["metadata"]["uid"]}}
     return await client.apply(resource, namespace, exact, manager=manager)
 
 
 async def create(client: Client, resource: Resource, namespace: str, body: Object) -> Object:
-    """Create an object, or find it as an earlier attempt of ours left it.
+    """Create an object, or return the one that an earlier attempt of ours created.
 
-    Raises Taken where it exists with another controller, ApiError.
+    Raises Taken if it exists with another controller, and ApiError.
     """
     try:
         return await client.create(resource, namespace, body)
@@ -118,8 +121,8 @@ async def create(client: Client, resource: Resource, namespace: str, body: Objec
 async def delete_exactly(client: Client, resource: Resource, item: Object) -> None:
     """Delete an object only if nothing has changed it since it was read.
 
-    A pod of a shared pool may be claimed in that very moment, and a claimed pod must not be deleted. Raises ApiError:
-    409 when it has changed.
+    Another process may claim a pod of a shared pool at that moment, and a claimed pod must not be deleted. Raises
+    ApiError, with status 409 if the object has changed.
     """
     metadata = item["metadata"]
     options = {
@@ -136,13 +139,13 @@ async def delete_exactly(client: Client, resource: Resource, item: Object) -> No
 
 
 def same_controller(live: Object, body: Object) -> bool:
-    """Whether the live object has the desired one's controller, or the desired one has none."""
+    """Whether the live object has the desired object's controller, or the desired object has none."""
     desired = controller_of(body)
     return desired is None or owned_by(live, desired["uid"])
 
 
 def _of_nobody(live: Object, body: Object) -> bool:
-    """Whether both have no controller, and the live object has our labels of the desired one."""
+    """Whether neither object has a controller, and the live object has those of our labels that the desired one has."""
     if controller_of(live) is not None or controller_of(body) is not None:
         return False
     labels = live["metadata"].get("labels") or {}
@@ -151,7 +154,8 @@ def _of_nobody(live: Object, body: Object) -> bool:
 
 
 def refuse_foreign(live: Object, body: Object) -> None:
-    """Raise Taken unless the live object has the same controller as the desired one, or is ours and has none as well."""
+    """Raise Taken unless both objects have the same controller, or neither has one and the live object has our
+    labels."""
     if not (_of_nobody(live, body) if controller_of(body) is None else same_controller(live, body)):
         found = controller_of(live)
         owner = f"{found['kind']} {found['name']}" if found else "nobody of ours"

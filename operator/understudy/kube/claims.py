@@ -1,4 +1,4 @@
-"""Claiming a pod of a shared pool: one optimistic write that exactly one workload can win."""
+"""Claims a pod of a shared pool, with one optimistic write that exactly one workload can win."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ from understudy.kube.client import JSON, PODS, ApiError, Client, Object
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
 
 PARTS = 16
-"""Of a shared pool's pods. Who needs one asks for one part: where a fleet's pool is large, all of it is a megabyte."""
+"""Number of parts of a shared pool. A workload asks for one part of the pods, since all pods of a large pool are a
+megabyte."""
 
 T = TypeVar("T")
 
 
 def part(key: str) -> str:
-    """The part of a pool that a pod belongs to, by its name, or that a workload asks for first, by its UID."""
+    """Return the part of a pool that a pod belongs to (by its name), or that a workload asks for first (by its UID)."""
     return str(hashlib.sha256(key.encode()).digest()[0] % PARTS)
 
 
 async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str, claim: str) -> Object:
-    """Make an unclaimed pod an instance of a workload, which from then on owns it.
+    """Make an unclaimed pod an instance of a workload, which owns the pod from then on.
 
-    Of a pod that was read whole, the write holds for that version only. One of which a table told just the name is claimed if it is
-    unclaimed and of its pool then.
+    If the pod was read whole, the write applies to that version only. If only its name is known, from a table, the pod
+    is claimed if it is unclaimed and belongs to its pool at the time of the write.
 
-    A pod that has changed since it was read but is still unclaimed (the kubelet writes its status) is tried again. So is a
-    claim that got no answer, once it is known that it wasn't carried out: else the pod would belong to a workload that
-    doesn't know of it. Raises ApiError: 409 when another workload's claim was first, 404 when the pod is gone.
+    If the pod has changed since it was read but is still unclaimed (the kubelet writes its status), the claim is tried
+    again. A claim without an answer is also tried again, once it is known that it was not carried out: otherwise the
+    pod would belong to a workload that does not know of it. Raises ApiError: 409 if another workload's claim came
+    first, 404 if the pod does not exist.
     """
     retry = RETRY_FIRST
     while True:
@@ -58,17 +60,18 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
 
 
 def _unanswered(error: Exception) -> bool:
-    """Whether nobody knows if a request was carried out, or it is worth being sent again."""
+    """Whether it is unknown if a request was carried out, or the request is worth repeating."""
     return not isinstance(error, ApiError) or error.passing
 
 
 async def _reread(client: Client, pod: Object) -> Object:
-    """The pod as it is. Waits while the API server is away."""
+    """Read the pod again. Waits while the API server cannot be reached."""
     return await answered(lambda: client.get(PODS, pod["metadata"]["namespace"], pod["metadata"]["name"]))
 
 
 async def answered(ask: Callable[[], Awaitable[T]]) -> T:
-    """What the API server says, asked until it does. Raises ApiError where it refuses."""
+    """Return the API server's answer, repeating the request until there is one. Raises ApiError if the API server
+    refuses."""
     retry = RETRY_FIRST
     while True:
         try:
@@ -81,13 +84,13 @@ async def answered(ask: Callable[[], Awaitable[T]]) -> T:
 
 
 def unclaimed(pod: Object) -> bool:
-    """Whether a pod of a shared pool belongs to no workload and isn't being deleted."""
+    """Whether a pod of a shared pool belongs to no workload and is not being deleted."""
     metadata = pod["metadata"]
     return (metadata.get("labels") or {}).get(names.HELD) == "true" and not metadata.get("deletionTimestamp")
 
 
 def _same(fresh: Object, pod: Object) -> bool:
-    """Whether a pod that was read anew is the one that was meant."""
+    """Whether a pod that was read again is the pod that was meant."""
     if "resourceVersion" in pod["metadata"]:
         return bool(fresh["metadata"]["uid"] == pod["metadata"]["uid"])
     return bool(pod["metadata"]["labels"].items() <= fresh["metadata"]["labels"].items())
@@ -108,9 +111,10 @@ async def _write(client: Client, pod: Object, workload: str, workload_uid: str, 
 
 
 async def _test_and_write(client: Client, pod: Object, workload: str, workload_uid: str, claim: str) -> Object:
-    """By a JSON patch (RFC 6902), which the API server carries out whole, on the pod as it is then, or refuses with 422.
+    """Claim the pod with a JSON patch (RFC 6902). The API server applies all of it to the pod's present version, or
+    refuses with 422.
 
-    It also refuses where the pod has no annotations at all.
+    It also refuses if the pod has no annotations at all.
     """
     metadata = pod["metadata"]
     body = [{"op": "test", "path": _path("labels", key), "value": value} for key, value in metadata["labels"].items()]
@@ -126,7 +130,7 @@ async def _test_and_write(client: Client, pod: Object, workload: str, workload_u
 
 
 def _path(*keys: str) -> str:
-    """A JSON pointer (RFC 6901) into an object's metadata."""
+    """Return a JSON pointer (RFC 6901) into an object's metadata."""
     return "/".join(["/metadata", *(key.replace("~", "~0").replace("/", "~1") for key in keys)])
 
 

@@ -1,8 +1,8 @@
 """A small asynchronous client of the Kubernetes API, for objects as plain dictionaries.
 
-The monitor and the agent live beside every robot, so their memory counts: importing the official client costs 14 MB for
-models of kinds that are never used here, and this costs nothing on top of aiohttp. It's also on the path of a failover:
-one persistent connection, one request, no model conversion.
+The monitor and the agent run beside every robot, so their memory matters. Importing the official client costs 14 MB for
+models of kinds that are never used here; this client costs nothing beyond aiohttp. It is also on the path of a
+failover: one persistent connection, one request, no conversion to models.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ Object = dict[str, Any]
 
 SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount")
 PAGE = 250
-"""Objects of a part of a list. A pod has some 10 kB, of which not all is kept."""
+"""Number of objects in a part of a list. A pod has some 10 kB, of which not all is kept."""
 LIFETIME = (200, 300)
-"""Seconds after which a watch ends and begins anew; a connection that nobody tells of its end is noticed then."""
+"""Bounds of the seconds after which a watch ends and starts again. A connection that ended without notice is detected
+then."""
 
-_TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token ends
+_TOKEN_LIFETIME = 60.0  # seconds between reads; the kubelet renews the file long before the token expires
 _WEBHOOK = re.compile(r'failed calling webhook "([^"]+)"')
 
 
 class ApiError(Exception):
-    """The API server refused: ``status`` is the HTTP status, ``reason`` Kubernetes' word for it."""
+    """The API server refused a request: ``status`` is the HTTP status, ``reason`` is Kubernetes' reason."""
 
     def __init__(self, status: int, reason: str, message: str) -> None:
         super().__init__(f"{status} {reason}: {message}")
@@ -44,32 +45,34 @@ class ApiError(Exception):
 
     @property
     def not_found(self) -> bool:
-        """Whether the object isn't there."""
+        """Whether the object does not exist."""
         return self.status == 404
 
     @property
     def conflict(self) -> bool:
-        """Whether another writer was first (or the object exists already)."""
+        """Whether another writer came first (or the object already exists)."""
         return self.status == 409
 
     @property
     def passing(self) -> bool:
-        """Whether it says nothing of the request: the server was busy or failed, and may even have carried it out."""
+        """Whether the error says nothing about the request: the server was busy or failed. It may even have carried out
+        the request."""
         return self.status == 429 or (self.status >= 500 and not self.malformed)
 
     @property
     def malformed(self) -> bool:
-        """Whether it refuses to apply an object that isn't of its schema: with a field that isn't known or an entry that is there twice.
+        """Whether the server refuses to apply an object that does not fit its schema: with an unknown field or a
+        duplicate entry.
 
-        The API server says 500 to that (kubernetes/kubernetes#122480), and will say so for ever.
+        The API server answers 500 in this case (kubernetes/kubernetes#122480), and does so every time.
         """
         return self.status == 500 and self.message.startswith("failed to create typed patch object")
 
     @property
     def webhook(self) -> str:
-        """The admission webhook that had to be asked and didn't answer; empty where it isn't that.
+        """The admission webhook that had to be asked and did not answer; empty if that is not the error.
 
-        The API server says 500 to that where the webhook's failurePolicy is Fail, until it answers again.
+        The API server answers 500 in this case if the webhook's failurePolicy is Fail, until the webhook answers again.
         """
         found = _WEBHOOK.search(self.message) if self.status >= 500 else None
         return found[1] if found else ""
@@ -81,7 +84,7 @@ class Expired(Exception):
 
 @dataclass(frozen=True)
 class Resource:
-    """A resource's place in the API."""
+    """The place of a resource in the API."""
 
     group: str
     version: str
@@ -89,11 +92,11 @@ class Resource:
 
     @property
     def qualified(self) -> str:
-        """Its name as ``kubectl`` takes it, such as ``deployments.apps``."""
+        """The name as ``kubectl`` takes it, such as ``deployments.apps``."""
         return f"{self.plural}.{self.group}" if self.group else self.plural
 
     def path(self, namespace: str | None, name: str | None = None, subresource: str | None = None) -> str:
-        """The URL path of the collection, an object or its subresource."""
+        """Return the URL path of the collection, an object or its subresource."""
         root = f"/apis/{self.group}/{self.version}" if self.group else f"/api/{self.version}"
         parts = [root]
         if namespace:
@@ -137,7 +140,8 @@ TABLE = "application/json;as=Table;v=v1;g=meta.k8s.io,application/json"
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a list, whose objects are made of its text one after the other: all of them at once are ten times as long."""
+    """A part of a list. Its objects are parsed one after the other, since all of them at once take ten times the size
+    of the text."""
 
     head: Object
     """The list without its objects."""
@@ -146,15 +150,15 @@ class Part:
 
     @classmethod
     def of(cls, text: bytes) -> Part:
-        """From what the API server answered."""
+        """Return the part for an answer of the API server."""
         begin, end = text.find(_ITEMS) + len(_ITEMS), text.rfind(b"]")
-        if begin < len(_ITEMS):  # it was written by something else
+        if begin < len(_ITEMS):  # the server does not write lists as expected
             head = json.loads(text)
             return cls(head, json.dumps(head.pop("items", None) or [])[1:-1].encode())
         return cls(json.loads(text[:begin] + text[end:]), text[begin:end])
 
     def items(self) -> Iterator[Object]:
-        """The objects. A list leaves out what kind they are."""
+        """Yield the objects. A list leaves out their kind."""
         kind = {"apiVersion": self.head["apiVersion"], "kind": self.head["kind"].removesuffix("List")}
         text, at = self.body.decode(), 0
         while (at := _between(text, at)) < len(text):
@@ -163,24 +167,24 @@ class Part:
 
 
 _ITEMS = b'"items":['
-"""What precedes the objects. Neither the list's metadata before them nor those behind them have a list in them."""
+"""The text before the objects. The list's metadata contains no list, neither before the objects nor after them."""
 
 _DECODER = json.JSONDecoder()
 _BETWEEN = re.compile(r"[\s,]*")
 
 
 def _between(text: str, at: int) -> int:
-    """The end of what is between two objects."""
+    """Return the position at which the text between two objects ends."""
     found = _BETWEEN.match(text, at)
     assert found is not None, "nothing is between them, at least"
     return found.end()
 
 
 class RenewedToken(Protocol):
-    """A token that is renewed, as by a credential plugin (kubeconfig.py)."""
+    """A token that is renewed, for example by a credential plugin (kubeconfig.py)."""
 
     async def token(self) -> str | None:
-        """The present token; None if client certificates prove who asks."""
+        """Return the present token; None if client certificates identify the client."""
         ...
 
     def reject(self) -> None:
@@ -190,7 +194,7 @@ class RenewedToken(Protocol):
 
 @dataclass
 class Access:
-    """Where the API server is and how to prove who asks. A kubeconfig is read by kubeconfig.py."""
+    """The address of the API server and the client's credentials. kubeconfig.py reads a kubeconfig."""
 
     server: str
     context: ssl.SSLContext
@@ -200,7 +204,7 @@ class Access:
 
     @classmethod
     def in_cluster(cls) -> Access:
-        """Access as the pod's ServiceAccount."""
+        """Return the access of the pod's ServiceAccount."""
         host, port = os.environ["KUBERNETES_SERVICE_HOST"], os.environ["KUBERNETES_SERVICE_PORT"]
         if ":" in host:
             host = f"[{host}]"
@@ -208,31 +212,31 @@ class Access:
         return cls(server=f"https://{host}:{port}", context=context, token_file=SERVICE_ACCOUNT / "token")
 
     async def bearer(self) -> str | None:
-        """The token for the next request; None if client certificates prove who asks."""
+        """Return the token for the next request; None if client certificates identify the client."""
         if self.plugin is not None:
             return await self.plugin.token()
         return self.token_file.read_text() if self.token_file is not None else self.token
 
 
 class Listener(Protocol):
-    """Is told of what goes to and fro."""
+    """Receives a report of each request and of each event of a watch."""
 
     def asked(self, method: str, path: str, status: int | None) -> None:
-        """A request has ended; with no status where there was no answer."""
+        """A request has ended; ``status`` is None if there was no answer."""
         ...
 
     def heard(self, resource: str) -> None:
-        """A watch of this resource has brought something."""
+        """A watch of this resource has received something."""
         ...
 
 
 class Client:
-    """Requests to one API server; use as an asynchronous context manager."""
+    """Sends requests to one API server. Use it as an asynchronous context manager."""
 
     listener: Listener | None = None
 
     def __init__(self, access: Access, *, timeout: float = 10.0, connections: int = 32) -> None:
-        """``connections`` is how many there are at most at a time; 0 for as many as are needed."""
+        """``connections`` is the largest number of simultaneous connections; 0 for no limit."""
         self._access, self._connections = access, connections
         self._timeout = aiohttp.ClientTimeout(total=timeout)
         self._session: aiohttp.ClientSession | None = None
@@ -267,7 +271,8 @@ class Client:
         body: Any = None,
         content_type: str = "application/json",
     ) -> Object:
-        """One request; the answer's object. Raises ApiError, aiohttp.ClientError or TimeoutError."""
+        """Send one request and return the object in the answer. Raises ApiError, aiohttp.ClientError or
+        TimeoutError."""
         headers, data = {}, None
         if body is not None:
             headers["Content-Type"] = content_type
@@ -278,7 +283,8 @@ class Client:
     async def read(
         self, path: str, *, params: Mapping[str, str] | None = None, accept: str = "application/json"
     ) -> bytes:
-        """The text of an answer to GET, uncompressed: within a cluster, compressing a long one costs more than sending it.
+        """Return the text of an answer to GET, uncompressed: within a cluster, compressing a long one costs more than
+        sending it.
 
         Raises what :meth:`request` raises.
         """
@@ -315,11 +321,11 @@ class Client:
         return text
 
     async def get(self, resource: Resource, namespace: str | None, name: str) -> Object:
-        """An object. Raises ApiError (404 where it isn't there)."""
+        """Return an object. Raises ApiError (404 if it does not exist)."""
         return await self.request("GET", resource.path(namespace, name))
 
     async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
-        """An object, or None where it isn't there."""
+        """Return an object, or None if it does not exist."""
         try:
             return await self.get(resource, namespace, name)
         except ApiError as error:
@@ -336,15 +342,18 @@ class Client:
         fields: str | None = None,
         cached: bool = False,
     ) -> Object:
-        """A collection: ``items``, and ``metadata.resourceVersion`` to watch from. One that is ``cached`` is what the API server has in
-        memory: no older than what a watch brings, and without asking the store.
+        """Return a collection: ``items``, and ``metadata.resourceVersion`` to watch from.
+
+        With ``cached``, the API server answers from its memory without asking the store. That answer is no older than
+        what a watch receives.
         """
         params = _selectors(labels, fields) | ({"resourceVersion": "0"} if cached else {})
         return await self.request("GET", resource.path(namespace), params=params)
 
     async def table(self, resource: Resource, namespace: str, *, labels: str, fields: str) -> Object:
-        """What the API server has in memory of a collection, as a table (meta.k8s.io/v1 Table): of each object what kubectl shows of it,
-        and nothing else. A server that has no tables answers with a list.
+        """Return a collection from the API server's memory as a table (meta.k8s.io/v1 Table).
+
+        The table has only what kubectl shows of each object. A server without tables answers with a list.
         """
         params = _selectors(labels, fields) | {"resourceVersion": "0", "includeObject": "None"}
         answer: Object = json.loads(await self.read(resource.path(namespace), params=params, accept=TABLE))
@@ -353,9 +362,10 @@ class Client:
     async def parts(
         self, resource: Resource, namespace: str | None = None, *, labels: str | None = None, limit: int = PAGE
     ) -> AsyncIterator[Part]:
-        """A collection as it is at one moment, in parts of so many objects: a fleet's, whole, takes ten times its size in memory.
+        """Yield a collection as it is at one moment, in parts of ``limit`` objects.
 
-        Raises ApiError, 410 where the server remembers that moment no longer.
+        A fleet's collection as a whole would take ten times its size in memory. Raises ApiError, with status 410 if the
+        server no longer remembers that moment.
         """
         params = _selectors(labels, None) | {"limit": str(limit)}
         while True:
@@ -366,7 +376,7 @@ class Client:
             params["continue"] = more
 
     async def create(self, resource: Resource, namespace: str | None, body: Object, *, dry_run: bool = False) -> Object:
-        """Create an object, or with ``dry_run`` only let the API server judge it."""
+        """Create an object. With ``dry_run``, the API server only validates it."""
         params = {"dryRun": "All"} if dry_run else None
         return await self.request("POST", resource.path(namespace), params=params, body=body)
 
@@ -380,13 +390,14 @@ class Client:
         kind: str = MERGE,
         subresource: str | None = None,
     ) -> Object:
-        """Patch an object. A ``metadata.resourceVersion`` in a merge patch makes it fail with 409 if another was first."""
+        """Patch an object. A ``metadata.resourceVersion`` in a merge patch makes it fail with 409 if another writer
+        came first."""
         return await self.request("PATCH", resource.path(namespace, name, subresource), body=body, content_type=kind)
 
     async def apply(
         self, resource: Resource, namespace: str | None, body: Object, *, manager: str, subresource: str | None = None
     ) -> Object:
-        """Server-side apply (KEP-555) as the named field manager; takes over fields of others."""
+        """Write by server-side apply (KEP-555) as the named field manager. It takes over fields of other managers."""
         path = resource.path(namespace, body["metadata"]["name"], subresource)
         params = {"fieldManager": manager, "force": "true"}
         return await self.request("PATCH", path, params=params, body=body, content_type=APPLY)
@@ -400,7 +411,7 @@ class Client:
         uid: str | None = None,
         grace_seconds: int | None = None,
     ) -> None:
-        """Delete an object, with ``uid`` only that very one. An object that's gone is no error."""
+        """Delete an object; with ``uid``, only the object with that UID. An object that does not exist is no error."""
         options: Object = {"kind": "DeleteOptions", "apiVersion": "v1", "propagationPolicy": "Background"}
         if uid is not None:
             options["preconditions"] = {"uid": uid}
@@ -423,11 +434,11 @@ class Client:
         lifetime: int | None = None,
         silence: float | None = None,
     ) -> AsyncIterator[tuple[str, Object]]:
-        """Events ``(type, object)`` after a resourceVersion, bookmarks included, until the server ends the watch.
+        """Yield events ``(type, object)`` after a resourceVersion, bookmarks included, until the server ends the watch.
 
-        Raises Expired where the version is too old. ``lifetime`` is in seconds; where none is given, another one for each watch, so
-        that those of a fleet that began together don't all begin anew together. A connection that is silent for ``silence`` seconds
-        (or soon after the lifetime) is given up.
+        Raises Expired if the version is too old. ``lifetime`` is in seconds. The default differs for each watch, so
+        that the watches of a fleet that started together do not all start again together. A connection without data for
+        ``silence`` seconds (or soon after the lifetime) is closed.
         """
         if lifetime is None:
             lifetime = random.randint(*LIFETIME)

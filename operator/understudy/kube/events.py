@@ -1,8 +1,8 @@
-"""Kubernetes Events that count up instead of flooding.
+"""Kubernetes Events that increase a count instead of flooding the API server.
 
-The same thing said again raises the count of its Event; many different messages for one reason become one Event; and
-what one object may cause is bounded by a token bucket (the rules of client-go's EventCorrelator). Events tell people
-what happened, they are never what anything depends on: no failure to write one is raised.
+Repeating a message raises the count of its Event. Many different messages for one reason become one Event. A token
+bucket limits the Events about one object (the rules of client-go's EventCorrelator). Events inform people, and nothing
+depends on them: a failure to write one raises no error.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ _K = TypeVar("_K")
 _V = TypeVar("_V")
 
 SIMILAR_MOST = 10
-"""Different messages of one reason for one object within SIMILAR_SECONDS, before they are told as one."""
+"""Different messages of one reason for one object within SIMILAR_SECONDS before they are combined into one."""
 SIMILAR_SECONDS = 600.0
 BURST = 25.0
-"""Writes that one object may cause at once; afterwards one every REFILL_SECONDS."""
+"""Writes about one object that are possible at once; afterwards one every REFILL_SECONDS."""
 REFILL_SECONDS = 60.0
 COUNT_SECONDS = 5.0
-"""A count is written at most this often; what comes between is counted and written later."""
+"""Minimum seconds between two writes of a count. Repetitions in between are counted and written later."""
 REMEMBERED_MOST = 4096
 MESSAGE_MOST = 1024
-"""Longest message the API server takes, in characters."""
+"""Longest message that the API server accepts, in characters."""
 
 
 def reference(target: Mapping[str, Any]) -> Object:
-    """The ObjectReference of an object (or of a reference to one), as ``involvedObject`` wants it."""
+    """Return the ObjectReference of an object (or of a reference to one), for ``involvedObject``."""
     if "metadata" not in target:
         return dict(target)
     metadata = target["metadata"]
@@ -79,18 +79,18 @@ class Recorder:
     def __init__(
         self, client: Client, component: str, instance: str, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """``component`` is such as ``understudy-operator``, ``instance`` the pod that reports."""
+        """``component`` is for example ``understudy-operator``; ``instance`` is the pod that reports."""
         self._client, self._component, self._instance, self._clock = client, component, instance, clock
         self._told: OrderedDict[tuple[str, ...], _Told] = OrderedDict()
         self._similar: OrderedDict[tuple[str, ...], _Similar] = OrderedDict()
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
 
     async def warning(self, target: Mapping[str, Any], reason: str, message: str) -> None:
-        """Tell of something that needs attention, about an object or an ObjectReference."""
+        """Report something that needs attention, about an object or an ObjectReference."""
         await self._tell(reference(target), "Warning", reason, message)
 
     async def normal(self, target: Mapping[str, Any], reason: str, message: str) -> None:
-        """Tell of something in order, about an object or an ObjectReference."""
+        """Report a normal event, about an object or an ObjectReference."""
         await self._tell(reference(target), "Normal", reason, message)
 
     async def _tell(self, about: Object, kind: Literal["Warning", "Normal"], reason: str, message: str) -> None:
@@ -144,7 +144,7 @@ class Recorder:
             except ApiError as error:
                 if not error.not_found:
                     raise
-            told.count = 1  # the API server forgets events after an hour: this is a new one
+            told.count = 1  # the API server deletes events after an hour: this is a new one
         told.name, told.first = f"{about['name']}.{time.time_ns():x}{secrets.token_hex(2)}", stamp
         try:
             await self._client.create(EVENTS, namespace, self._event(told, about, namespace, kind, reason, message))

@@ -32,7 +32,7 @@ class KubeconfigError(ValueError):
 
 @dataclass(frozen=True)
 class Credentials:
-    """What a kubeconfig's current context comes to."""
+    """The credentials of a kubeconfig's current context."""
 
     server: str
     verify: bool

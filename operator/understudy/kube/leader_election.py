@@ -1,8 +1,8 @@
-"""Leader election by a ``coordination.k8s.io`` Lease, so that of two operators one acts.
+"""Leader election by a ``coordination.k8s.io`` Lease, so that only one of two operators acts.
 
-Expiry is judged by how long the lease's record was seen unchanged on the own clock, never by comparing clocks of two
-machines (as client-go's leaderelection does). A holder that can't renew in time gives up before another may take over;
-the caller then ends the process, since nothing less stops every write that may be under way.
+A candidate judges expiry by how long its own clock has seen the lease's record unchanged. It never compares clocks of
+two machines (client-go's leaderelection does the same). A holder that cannot renew in time gives up before another may
+take over. The caller then ends the process, since nothing less stops every write that may be in progress.
 """
 
 from __future__ import annotations
@@ -25,21 +25,23 @@ _FAILURES = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
 class LeadershipLost(Exception):
-    """The lease could not be renewed in time, or another holds it: stop acting at once."""
+    """The lease could not be renewed in time, or another candidate holds it. The caller must stop acting at once."""
 
 
 @dataclass(frozen=True)
 class Timing:
-    """When a lease is renewed, given up and taken over, in seconds; the defaults are those of Kubernetes' own parts."""
+    """When a lease is renewed, given up and taken over, in seconds. The defaults are those of Kubernetes' own
+    components."""
 
     lasts: float = 15.0
-    """A lease unchanged for so long may be taken over."""
+    """A lease that is unchanged for so long may be taken over."""
 
     renew_within: float = 10.0
-    """A holder that couldn't renew for so long gives up; less than ``lasts``, to end before another begins."""
+    """A holder that could not renew for so long gives up. It is less than ``lasts``, so that the holder stops before
+    another starts."""
 
     every: float = 2.0
-    """How often it is renewed or tried for."""
+    """Seconds between two attempts to renew or to acquire it."""
 
 
 class Lease:
@@ -64,11 +66,11 @@ class Lease:
 
     @property
     def held(self) -> bool:
-        """Whether this candidate may act now: it renewed within ``renew_within``."""
+        """Whether this candidate may act now: it renewed the lease within ``renew_within``."""
         return self._renewed is not None and self._clock() - self._renewed < self._timing.renew_within
 
     async def acquire(self) -> None:
-        """Wait until the lease is ours."""
+        """Wait until this candidate holds the lease."""
         holder = None
         while True:
             try:
@@ -83,7 +85,8 @@ class Lease:
             await asyncio.sleep(self._timing.every)
 
     async def keep(self) -> None:
-        """Renew it for ever. Raises LeadershipLost when that fails for too long or another has taken it."""
+        """Renew the lease forever. Raises LeadershipLost if that fails for too long or another candidate has taken
+        it."""
         while True:
             await asyncio.sleep(self._timing.every)
             assert self._renewed is not None, "acquire it first"
@@ -100,7 +103,7 @@ class Lease:
                 )
 
     async def release(self) -> None:
-        """Let another have it at once. Only when nothing acts any more."""
+        """Let another candidate take the lease at once. Call this only after everything has stopped acting."""
         if not self.held:
             return
         self._renewed = None
@@ -110,7 +113,7 @@ class Lease:
                 await self._write(lease, holder="", lasts=1, transitions=lease["spec"].get("leaseTransitions") or 0)
 
     async def _attempt(self) -> bool:
-        """Take or renew it if that is allowed; whether it is ours now."""
+        """Acquire or renew the lease if that is allowed. Returns whether this candidate holds it now."""
         begun = self._clock()
         lease = await self._client.find(LEASES, self._namespace, self._name)
         if lease is None:
@@ -139,7 +142,7 @@ class Lease:
                 transitions=transitions + (holder != self._identity),
             )
         except ApiError as error:
-            if error.conflict:  # another candidate was first; the next attempt sees its record
+            if error.conflict:  # another candidate came first; the next attempt sees its record
                 return False
             raise
         self._renewed = begun

@@ -1,7 +1,8 @@
-"""Running pods by the table that the API server makes of them (meta.k8s.io/v1 Table), without the pods themselves.
+"""Reads running pods from the table that the API server makes of them (meta.k8s.io/v1 Table), without the pods
+themselves.
 
-Whoever chooses one of many needs to know which are ready, and nothing else of each: of a pod of 10 kB, that is 150 bytes. The one that
-was chosen is read whole with the answer to its claim.
+To choose one of many pods it is enough to know which are ready: 150 bytes for each instead of a pod of 10 kB. The
+answer to the claim contains the chosen pod as a whole.
 """
 
 from __future__ import annotations
@@ -11,12 +12,14 @@ from collections.abc import Mapping
 from understudy.kube.client import Object
 
 NONE = "<none>"
-"""A cell of what a pod hasn't got."""
+"""A table cell of a value that a pod does not have."""
 
 
 def pods(answer: Object, *, namespace: str, labels: Mapping[str, str]) -> list[Object]:
-    """The pods of a table of running ones that have some labels: name, node and whether each is ready. In place of its UID, which
-    isn't told, a pod has its name. Where a server answered with a list: the pods as they are.
+    """Return the pods in a table of running ones that have these labels: name, node and whether each is ready.
+
+    The table has no UIDs, so the pod's name stands in the place of its UID. If the server answered with a list, the
+    pods are returned as they are.
     """
     if answer.get("kind") != "Table":
         return answer.get("items") or []
@@ -35,6 +38,6 @@ def _pod(cells: Mapping[str, object], namespace: str, labels: Mapping[str, str])
 
 
 def _all(cell: object) -> bool:
-    """Whether a cell such as 2/2 says that all are, or that there is nothing to count."""
+    """Whether a cell such as 2/2 says that all are ready, or there is nothing to count."""
     done, _, of = str(cell).partition("/")
     return cell == NONE or done == of

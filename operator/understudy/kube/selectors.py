@@ -1,4 +1,4 @@
-"""Label selectors: what they match, and what it takes not to be matched."""
+"""Label selectors: what they match, and their opposites."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ _OPPOSITE = {"In": "NotIn", "NotIn": "In", "Exists": "DoesNotExist", "DoesNotExi
 
 
 def requirements(selector: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """A selector as expressions that must all hold."""
+    """Return a selector as a list of expressions, all of which must match."""
     equal = selector.get("matchLabels") or {}
     found = [{"key": key, "operator": "In", "values": [equal[key]]} for key in sorted(equal)]
     return found + list(selector.get("matchExpressions") or [])
 
 
 def opposite(requirement: Mapping[str, Any]) -> dict[str, Any]:
-    """The expression that holds exactly where the given one doesn't."""
+    """Return the expression that matches exactly if the given one does not."""
     turned = {"key": requirement["key"], "operator": _OPPOSITE[requirement["operator"]]}
     if requirement.get("values"):
         turned["values"] = list(requirement["values"])
@@ -43,7 +43,7 @@ def _holds(requirement: Mapping[str, Any], labels: Mapping[str, str]) -> bool:
 
 
 def as_text(selector: Mapping[str, Any]) -> str:
-    """A selector as ``labelSelector`` of a request and as a scale subresource wants it."""
+    """Return a selector as text, for the ``labelSelector`` of a request and for a scale subresource."""
     return ",".join(_text(requirement) for requirement in requirements(selector))
 
 

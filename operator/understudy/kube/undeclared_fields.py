@@ -1,6 +1,8 @@
-"""What is applied to an object whose definition is older than who applies it: all but the fields that it doesn't know.
+"""Applies objects to an API server whose definitions are older than this program, without the fields that they do not
+know.
 
-Server-side apply (KEP-555) refuses such an object as a whole, where an update would drop the fields (kubernetes/kubernetes#122480).
+Server-side apply (KEP-555) refuses such an object as a whole, but an update would drop the fields
+(kubernetes/kubernetes#122480).
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ _IDENTITY = re.compile(r'(\w+)="([^"]*)"')
 async def apply_declared(
     client: Client, resource: Resource, namespace: str | None, body: Object, *, manager: str, subresource: str | None
 ) -> tuple[Object, Sequence[str]]:
-    """Apply what the definition knows of an object; the object as it is then, and the fields that were left out, as paths.
+    """Apply those fields of an object that its definition knows. Returns the resulting object, and the paths of the
+    fields left out.
 
     Raises ApiError.
     """
@@ -30,7 +33,7 @@ async def apply_declared(
             known = without(body, unknown)
             return await client.apply(resource, namespace, known, manager=manager, subresource=subresource), unknown
         except ApiError as error:
-            # It tells some of them, of one list or another, and not always the same.
+            # The API server names only some of the unknown fields, and not always the same ones.
             found = [field for field in _FIELD.findall(error.message) if field not in unknown]
             if not error.malformed or not found:
                 raise
@@ -38,13 +41,14 @@ async def apply_declared(
 
 
 def lacking(resource: Resource, fields: Iterable[str], writer: str) -> str:
-    """What people are told of the fields that were left out."""
+    """Return the message for users about the fields that were left out."""
     told = ", ".join(sorted(fields))
     return f"the definition of {resource.plural} is older than this {writer} and lacks {told}: upgrade it (charts/understudy, or crds/)"
 
 
 def without(body: Object, fields: Sequence[str]) -> Object:
-    """A copy of an object that lacks fields, each a path as the API server writes it: ``.a.b``, ``.list[0].b``, ``.list[type="x"].b``."""
+    """Return a copy of an object without some fields. Each is a path as the API server writes it: ``.a.b``,
+    ``.list[0].b``, ``.list[type="x"].b``."""
     found = copy.deepcopy(body)
     for path in fields:
         *way, last = _STEP.finditer(path)

@@ -1,7 +1,7 @@
-"""Connections to the API server that are there when they are needed.
+"""Keeps connections to the API server open, so that they are ready when they are needed.
 
-An API server closes one that nobody has used for 90 s (Kubernetes' IdleTimeout). A monitor at rest only watches, so each recovery began
-with new ones: three ways there and back, and some milliseconds of a processor on both sides for TLS.
+An API server closes a connection that was not used for 90 s (Kubernetes' IdleTimeout). A monitor at rest only watches,
+so each recovery had to open new ones: three round trips, and some milliseconds of a processor on both sides for TLS.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ import aiohttp
 from understudy.kube.client import ApiError, Client
 
 EVERY = 60.0
-"""Seconds between two uses; load balancers before an API server often wait for minutes, and hardly any for less than one."""
+"""Seconds between two uses. Load balancers before an API server often wait for minutes, and hardly any for less than
+one."""
 
 COUNT = 2
-"""Connections that a recovery uses at a time: the gate is closed while a pod is claimed."""
+"""Connections that a recovery uses at the same time: it closes the gate while it claims a pod."""
 
 
 async def keep_warm(client: Client, count: int = COUNT, *, every: float = EVERY) -> None:
-    """Use so many connections of a client once in a while, until cancelled."""
+    """Use ``count`` connections of a client every ``every`` seconds, until cancelled."""
     while True:
         await asyncio.gather(*(_use(client) for _ in range(count)))
         await asyncio.sleep(every)
@@ -30,4 +31,4 @@ async def _use(client: Client) -> None:
     try:
         await client.read("/version")
     except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
-        return  # a refusal serves as well, and who needs the API server tells that it's away
+        return  # a refusal also keeps the connection; callers that need the API server report its absence

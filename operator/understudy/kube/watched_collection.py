@@ -1,7 +1,7 @@
-"""A local copy of a collection, kept by list and watch, so that the fast path never has to ask.
+"""A local copy of a collection, kept up to date by list and watch, so that the fast path never has to ask.
 
-What a write of ours returned is put into it too, and comes before or after what the watch tells of it. Versions decide
-which of the two is newer (they are comparable within a resource, KEP-5504).
+The results of our own writes are also put into it. They arrive before or after the watch's event of the same change.
+The versions decide which is newer (they are comparable within a resource, KEP-5504).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ RETRY_FIRST, RETRY_MOST = 0.2, 5.0  # seconds
 
 
 class Reflector:
-    """Objects of one resource by name, as the API server last told."""
+    """The objects of one resource by name, as the API server last reported them."""
 
     def __init__(
         self,
@@ -35,20 +35,21 @@ class Reflector:
         cached: bool = False,
         on_change: Callable[[], None] | None = None,
     ) -> None:
-        """``on_change`` is called whenever an object is new, changed or gone. ``cached`` is how it's listed."""
+        """``on_change`` is called whenever an object is new, changed or deleted. ``cached`` says how the collection is
+        listed."""
         self._client, self._resource, self._namespace = client, resource, namespace
         self._labels, self._fields, self._cached = labels, fields, cached
         self._on_change = on_change
         self._changed = asyncio.Event()
         self._told = 0
-        """The version up to which the last list and the watch have told everything."""
+        """The version up to which the last list and the watch have reported everything."""
         self.items: dict[str, Object] = {}
         self.revision = 0
-        """Grows with every change, for caches of what is made of the objects."""
+        """Grows with every change, for caches of values derived from the objects."""
         self.synced = asyncio.Event()
 
     async def run(self) -> None:
-        """List and watch until cancelled, through every error."""
+        """List and watch until cancelled, whatever errors occur."""
         retry = RETRY_FIRST
         while True:
             try:
@@ -72,7 +73,7 @@ class Reflector:
         version: str = answer["metadata"]["resourceVersion"]
         self._told = version_of(answer)
         fresh = {item["metadata"]["name"]: item for item in answer.get("items") or []}
-        # What was put while the list was under way may be newer than it.
+        # An object that was put while the list was in progress may be newer than the list.
         newer = {n for n, i in self.items.items() if before.get(n) is not i and version_of(i) > self._told}
         for name in [n for n in self.items if n not in fresh and n not in newer]:
             self._set(name, None)
@@ -99,7 +100,8 @@ class Reflector:
         return version
 
     def put(self, item: Object) -> None:
-        """Take in an object that a write of ours returned, unless the watch told of it already: maybe that it's gone."""
+        """Store an object that a write of ours returned, unless the watch has reported a later state, which may be its
+        deletion."""
         name = item["metadata"]["name"]
         known = self.items.get(name)
         if known is not None and version_of(known) >= version_of(item):
@@ -124,19 +126,20 @@ class Reflector:
         self._changed = asyncio.Event()
 
     def changed(self) -> Awaitable[object]:
-        """What ends with the next change from now on, also with one that comes before it is waited for."""
+        """Return an awaitable that ends with the next change from now on, also if that comes before the caller awaits
+        it."""
         return self._changed.wait()
 
 
 class Changing(Protocol):
-    """What may become another."""
+    """Something that can change."""
 
     def changed(self) -> Awaitable[object]:
-        """What ends with the next change."""
+        """Return an awaitable that ends with the next change."""
 
 
 async def any_changed(sources: Iterable[Changing]) -> None:
-    """Wait until the first of these changes."""
+    """Wait until the first of these sources changes."""
     waits = [asyncio.ensure_future(source.changed()) for source in sources]
     try:
         await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
@@ -146,6 +149,6 @@ async def any_changed(sources: Iterable[Changing]) -> None:
 
 
 def version_of(item: Object | None) -> int:
-    """The version of an object, or of a list; 0 where there is none or it isn't a number."""
+    """Return the version of an object or a list; 0 if there is no object or its version is not a number."""
     text = item["metadata"].get("resourceVersion", "0") if item is not None else "0"
     return int(text) if text.isdigit() else 0

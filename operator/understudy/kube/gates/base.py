@@ -139,7 +139,7 @@ class GateKind(ABC):
         return (patch | ({"metadata": fields} if fields else {})) or None
 
     def monitor_rules(self, workload: str) -> list[Object]:
-        """RBAC rules by which a monitor reads and commits its workload's gate, and no other."""
+        """Return the RBAC rules that let a monitor read and commit its workload's gate, and no other."""
         return [
             {
                 "apiGroups": [self.resource.group],

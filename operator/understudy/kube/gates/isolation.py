@@ -9,7 +9,7 @@ from understudy.api import names
 from understudy.kube.client import NETWORK_POLICIES, Object
 
 RESOURCE = NETWORK_POLICIES
-"""Of the objects that isolate."""
+"""Resource of the objects that isolate pods."""
 
 KIND = "NetworkPolicy"
 

@@ -1,7 +1,7 @@
-"""Gate probes: small datagrams into the gated port range that only the instance in control gets through.
+"""Gate probes: small datagrams to the gated port range. Only those of the active instance get through.
 
-The monitor sees from them, not from an API server's answer, since when a gate is enforced and whether policies are
-enforced at all. The agent sends them, since what it sends leaves from the pod that the gate names.
+They show the monitor since when a gate is enforced and whether policies are enforced at all. An API server's answer
+does not show that. The agent sends them, because they must leave from the pod that the gate names.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ PERIOD = 1.0
 
 SHORTEST_INTERVAL = 0.0005
 LONGEST_BURST = 30.0
-"""Bounds of a burst in seconds, so that no request makes an agent a burden."""
+"""Longest burst in seconds, so that no request can overload an agent."""
 
 COARSER = 0.05
-"""How much coarser a burst gets, of the time that it has lasted: what it's asked to see is seen within five percent."""
+"""Growth of a burst's interval, as a part of the time that the burst has lasted: times are measured to within five
+percent."""
 
 COARSEST = 10
-"""Times its first interval that a burst's intervals get at most."""
+"""Largest interval of a burst, in multiples of its first interval."""
 
 REST = 0.02
-"""Seconds between two looks for arrivals while nobody waits for one: the kernel notes when each came."""
+"""Seconds between two reads of arrivals while no caller waits for one. The kernel notes when each probe arrived."""
 
 _SO_TIMESTAMPNS = getattr(socket, "SO_TIMESTAMPNS", 35)
 _TIMESPEC = struct.Struct("qq")
@@ -53,11 +54,11 @@ class Probe:
     uid: str
     sequence: int
     sent: float
-    """Unix seconds of the sender's clock."""
+    """Unix seconds by the sender's clock."""
 
 
 def encode(uid: str, sequence: int, sent_ns: int) -> bytes:
-    """The datagram of a pod. Raises ValueError when the UID isn't 36 ASCII characters."""
+    """Return the datagram of a pod. Raises ValueError if the UID does not have 36 ASCII characters."""
     raw = uid.encode()
     if len(raw) != 36:
         raise ValueError(f"pod UID {uid!r} has {len(raw)} bytes, a Kubernetes UID has 36")
@@ -65,7 +66,7 @@ def encode(uid: str, sequence: int, sent_ns: int) -> bytes:
 
 
 def decode(datagram: bytes) -> Probe | None:
-    """The probe in a datagram, None when it holds none."""
+    """Return the probe in a datagram; None if it contains none."""
     if len(datagram) != _FORMAT.size or not datagram.startswith(_MAGIC):
         return None
     _, uid, sequence, sent = _FORMAT.unpack(datagram)
@@ -76,14 +77,14 @@ def decode(datagram: bytes) -> Probe | None:
 
 
 class ProbeSender:
-    """Sends an instance's probes: one a second, and bursts when asked.
+    """Sends an instance's probes: one every second, and bursts on request.
 
-    Bursts run in a thread of their own that sleeps until each one is due: an event loop's timers are a millisecond
-    coarse and late when it is busy.
+    Bursts run in a thread of their own that sleeps until the next probe is due. An event loop's timers have a
+    resolution of a millisecond, and are late if the loop is busy.
     """
 
     def __init__(self, uid: str) -> None:
-        """``uid`` of the pod that sends. Raises ValueError as :func:`encode` does."""
+        """``uid`` is that of the pod that sends. Raises ValueError as :func:`encode` does."""
         encode(uid, 0, 0)
         self._uid = uid
         self._sequence = 0
@@ -98,31 +99,32 @@ class ProbeSender:
 
     @property
     def target(self) -> tuple[str, int] | None:
-        """Address and port probes go to; None while no monitor is known."""
+        """The address and port that probes are sent to; None while no monitor is known."""
         return self._target
 
     def aim(self, host: str, port: int = names.PROBE_PORT) -> None:
-        """Send to this address from now on. Raises ValueError when it is no IP address or no port."""
+        """Send to this address from now on. Raises ValueError if it is not an IP address or the port is invalid."""
         ipaddress.ip_address(host)
         if not 0 < port < 65536:
             raise ValueError(f"port {port} is none: 1 to 65535")
         self._target = (host, port)
 
     def rest(self) -> None:
-        """Send nothing until aimed again."""
+        """Send nothing until the next :meth:`aim`."""
         self._target = None
 
     def run(self) -> None:
-        """Start the probe of every second in the running event loop."""
+        """Start the probes of every second in the running event loop."""
         self._send()
         self._timer = asyncio.get_running_loop().call_later(PERIOD, self.run)
 
     def burst(self, interval: float, duration: float) -> None:
-        """Send one every ``interval`` seconds, later less often, for ``duration`` seconds; one under way begins anew.
+        """Send a probe every ``interval`` seconds, later less often, for ``duration`` seconds. A burst in progress
+        starts again.
 
-        Sending takes from the processors that the switch needs, so the rate falls as a switch takes long (COARSER).
+        Sending uses processor time that the switch needs, so the rate falls if a switch takes long (COARSER).
 
-        Raises ValueError when they are out of bounds, RuntimeError when it isn't aimed.
+        Raises ValueError if the values are out of bounds, and RuntimeError if there is no address to send to.
         """
         if not SHORTEST_INTERVAL <= interval <= 1.0:
             raise ValueError(f"interval {interval} s is out of bounds: {SHORTEST_INTERVAL} to 1 s")
@@ -159,7 +161,7 @@ class ProbeSender:
                 interval = min(max(interval, COARSER * (due - self._burst_begun)), COARSEST * interval)
             self._send()
             now = time.monotonic()
-            # After a stall, go on at the pace instead of making up for it in a flood.
+            # After a stall, continue at the same pace instead of sending the missed probes at once.
             due = max(due + interval, now)
             time.sleep(due - now)
 
@@ -172,7 +174,7 @@ class ProbeSender:
             datagram = encode(self._uid, self._sequence, time.time_ns())
             if self._stopped.is_set():
                 return
-            # A closed gate may be told as an error (EPERM, ECONNREFUSED); a full queue loses a probe.
+            # A closed gate may cause an error (EPERM, ECONNREFUSED). A full queue loses a probe.
             with contextlib.suppress(OSError):
                 self._socket(target[0]).sendto(datagram, target)
 
@@ -185,13 +187,14 @@ class ProbeSender:
 
 
 class ProbeReceiver:
-    """Notes when probes of which pods arrive, by the kernel's timestamp, so that a busy process sees them no later."""
+    """Records when each pod's probes arrive, by the kernel's timestamp, so that a busy process does not record them
+    late."""
 
     PODS = 256
-    """Pods remembered; beyond, the one not heard of for longest is forgotten."""
+    """Pods that are remembered. If there are more, the one that was silent for longest is forgotten."""
 
     ARRIVALS = 4096
-    """Arrivals remembered for each pod: four seconds of a burst."""
+    """Arrivals that are remembered for each pod: four seconds of a burst."""
 
     leak_hint = (
         "The cluster's network does not enforce NetworkPolicies for UDP with endPort. Use a network plugin that does."
@@ -206,7 +209,7 @@ class ProbeReceiver:
         self._resting: asyncio.TimerHandle | None = None
 
     async def listen(self, *, port: int = names.PROBE_PORT, host: str = "0.0.0.0") -> int:
-        """Receive from now on; the port, which is the kernel's choice where 0 is given. Raises OSError."""
+        """Start to receive and return the port, which the kernel chooses if ``port`` is 0. Raises OSError."""
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
@@ -222,31 +225,31 @@ class ProbeReceiver:
         return bound
 
     def close(self) -> None:
-        """Receive no more."""
+        """Stop receiving."""
         if self._socket is not None:
             self._look_away()
             self._socket.close()
             self._socket = None
 
     def pods(self) -> list[str]:
-        """UIDs of the pods that a probe came from."""
+        """UIDs of the pods from which a probe came."""
         self._take()
         return list(self._arrivals)
 
     def last(self, uid: str) -> float | None:
-        """When a pod's last probe arrived, in Unix seconds; None when none did."""
+        """Return when a pod's last probe arrived, in Unix seconds; None if none did."""
         self._take()
         arrivals = self._arrivals.get(uid)
         return arrivals[-1] if arrivals else None
 
     def count_since(self, uid: str, time: float) -> int:
-        """Probes of a pod that arrived at or after a time, as far as they are remembered."""
+        """Return the number of a pod's probes that arrived at or after a time, as far as they are remembered."""
         self._take()
         arrivals = self._arrivals.get(uid, ())
         return len(arrivals) - bisect_left(arrivals, time)
 
     def first_since(self, uid: str, time: float) -> float | None:
-        """When the first probe of a pod at or after a time arrived."""
+        """Return when the first probe of a pod at or after a time arrived."""
         self._take()
         arrivals = self._arrivals.get(uid)
         if not arrivals or arrivals[-1] < time:
@@ -254,9 +257,9 @@ class ProbeReceiver:
         return arrivals[bisect_left(arrivals, time)]
 
     async def wait(self, uid: str, after: float, within: float | None = None) -> float:
-        """When the first probe of a pod at or after a time arrived, waiting for one.
+        """Return when the first probe of a pod at or after a time arrived, waiting for one if necessary.
 
-        Raises TimeoutError when none came within ``within`` seconds.
+        Raises TimeoutError if none arrived within ``within`` seconds.
         """
         self._waiting += 1
         self._look()
@@ -269,7 +272,7 @@ class ProbeReceiver:
         return first
 
     def _look(self) -> None:
-        """Be told of arrivals from now on."""
+        """Let the event loop report arrivals from now on."""
         if self._resting is not None:
             self._resting.cancel()
             self._resting = None
@@ -284,7 +287,8 @@ class ProbeReceiver:
             asyncio.get_running_loop().remove_reader(self._socket.fileno())
 
     def _arrived(self) -> None:
-        """Take what is there. While nobody waits, what comes next has time: a burst isn't to wake this process each time."""
+        """Read what has arrived. While no caller waits, delay the next read, so that a burst does not wake this process
+        each time."""
         self._take()
         if not self._waiting:
             self._look_away()
@@ -293,7 +297,7 @@ class ProbeReceiver:
         self._changed = asyncio.Event()
 
     def _take(self) -> None:
-        """Note what has arrived, but not more than a fair share of the event loop's time."""
+        """Record what has arrived, but use no more than a fair share of the event loop's time."""
         for _ in range(256):
             if self._socket is None:
                 return

@@ -26,10 +26,10 @@ KINDS: dict[str, GateKind] = {kind: _gate(kind) for kind in get_args(_FIELD.anno
 DEFAULT: GateKind = KINDS[_FIELD.default]
 
 GATE_RESOURCES: tuple[Resource, ...] = tuple(dict.fromkeys(gate.resource for gate in KINDS.values()))
-"""Of gate objects, over all kinds."""
+"""Resources of the gate objects of all kinds."""
 
 FENCING_RESOURCES: tuple[Resource, ...] = tuple(dict.fromkeys([*GATE_RESOURCES, isolation.RESOURCE]))
-"""Of everything that keeps instances from a robot. The operator watches these."""
+"""Resources of everything that keeps instances from a robot. The operator watches them."""
 
 
 OBJECT_KINDS: dict[str, Resource] = {gate.object_kind: gate.resource for gate in KINDS.values()} | {
