@@ -1,4 +1,4 @@
-"""One goal of a client, and what has become of it at the instances."""
+"""One goal of a client, and its attempts at the instances."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from enum import Enum
 from typing import Any
 
 UNKNOWN, ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = range(7)
-"""action_msgs/msg/GoalStatus."""
+"""Values of action_msgs/msg/GoalStatus."""
 
 
 class Phase(Enum):
-    """How a goal is, for its client."""
+    """The state of a goal, for its client."""
 
     PENDING = "pending"
     """No instance has decided yet whether to accept it."""
@@ -24,26 +24,26 @@ class Phase(Enum):
 
 
 class AttemptState(Enum):
-    """How a goal is, at an instance."""
+    """The state of a goal at an instance."""
 
     SENT = "sent"
     RUNNING = "running"
     REJECTED = "rejected"
     ENDED = "ended"
     LOST = "lost"
-    """Its application was started again and no longer knows it."""
+    """The application was restarted and no longer knows the goal."""
 
 
 @dataclass
 class Attempt:
-    """A goal at one instance, under an id there."""
+    """A goal at one instance, under an id of that attempt."""
 
     id: str
     at: AttemptState = AttemptState.SENT
     status: int = UNKNOWN
-    """With which it ended there."""
+    """The status with which it ended there."""
     after: float = 0.0
-    """Unix seconds from which it may be tried again there."""
+    """Unix seconds from which it may be tried there again."""
 
     @property
     def open(self) -> bool:
@@ -53,11 +53,11 @@ class Attempt:
 
 @dataclass(frozen=True)
 class GoalEnd:
-    """How a goal ended."""
+    """The end of a goal."""
 
     status: int
     result: str
-    """Serialized, in base64; empty for one without content."""
+    """Serialized, in base64; empty for a result without content."""
 
 
 @dataclass
@@ -67,39 +67,42 @@ class Goal:
     id: str
     action: str
     data: str
-    """The goal serialized, in base64."""
+    """The serialized goal, in base64."""
     number: int
-    """Its place in the order in which goals came."""
+    """Its position in the order in which goals arrived."""
     received: float
     request: tuple[str, int] | None = None
-    """The client's request, which is to be answered (see ros/runtime/service_exchange.py)."""
+    """The client's request that is to be answered (see ros/runtime/service_exchange.py)."""
     phase: Phase = Phase.PENDING
     accepted: int = 0
     charge: str = ""
-    """UID of the instance whose word counts; empty while none does."""
+    """UID of the instance that decides about the goal; empty if none does."""
     attempts: dict[str, Attempt] = field(default_factory=dict)
-    """By the UID of the instance, the latest there."""
+    """The latest attempt at each instance, by the UID of the instance."""
     tries: int = 0
     cancels: list[tuple[str, int]] = field(default_factory=list)
     """Clients' requests to cancel it that the instance has not answered yet."""
     results: list[tuple[str, int]] = field(default_factory=list)
     """Clients' requests for its result."""
     unasked: GoalEnd | None = None
-    """An end that nobody asked for, which may be part of a failure: not told yet."""
+    """An end that no client requested and that may be part of a failure. The client does not know of it yet."""
     unasked_at: float = 0.0
     refused_since: float = 0.0
-    """Since when instances have rejected it that were given it because of a failover; 0 if they have not."""
+    """Since when instances that received the goal in a failover have rejected it; 0 if they have not."""
     end: GoalEnd | None = None
     ended_at: float = 0.0
 
     @property
     def open(self) -> bool:
-        """Whether it has yet to end."""
+        """Whether the goal has not ended yet."""
         return self.phase is not Phase.ENDED
 
     @property
     def status(self) -> int:
-        """As an action server says it. A goal that no instance works on at the moment is accepted, not executing."""
+        """The status as an action server reports it.
+
+        A goal that no instance works on at the moment is accepted, not executing.
+        """
         if self.end is not None:
             return self.end.status
         if self.phase is Phase.CANCELING:
@@ -109,7 +112,8 @@ class Goal:
         return EXECUTING if working else ACCEPTED
 
     def attempt(self, uid: str) -> Attempt:
-        """Begin an attempt at an instance: under the client's own id, but under a new one if that was taken there."""
+        """Start an attempt at an instance: under the client's own id, or under a new one if that id was already used
+        there."""
         before = self.attempts.get(uid)
         if before is None:
             made = Attempt(self.id)
@@ -122,13 +126,13 @@ class Goal:
         return made
 
     def note(self) -> str:
-        """What an instance is given to keep with the goal: by it a proxy without a journal takes the goal up."""
+        """The note that an instance keeps with the goal. From it, a proxy without a journal can adopt the goal."""
         kept = ("id", "action", "number", "received", "request", "accepted", "results")
         return json.dumps({name: getattr(self, name) for name in kept})
 
     @classmethod
     def from_note(cls, note: str, data: str) -> Goal:
-        """Raises KeyError, TypeError and ValueError if it is none."""
+        """Read a note. Raises KeyError, TypeError and ValueError if it is invalid."""
         found = json.loads(note)
         request = tuple(found["request"]) if found["request"] else None
         results = [tuple(entry) for entry in found["results"]]
@@ -137,7 +141,7 @@ class Goal:
         return goal
 
     def to_wire(self) -> dict[str, Any]:
-        """As one JSON object."""
+        """Return the goal as one JSON object."""
         wire = asdict(self)
         wire["phase"] = self.phase.value
         for attempt in wire["attempts"].values():
@@ -146,7 +150,7 @@ class Goal:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> Goal:
-        """Raises KeyError, TypeError and ValueError if it is none."""
+        """Read the JSON object. Raises KeyError, TypeError and ValueError if it is invalid."""
         goal = cls(**data)
         goal.phase = Phase(data["phase"])
         goal.attempts = {uid: Attempt(**{**a, "at": AttemptState(a["at"])}) for uid, a in data["attempts"].items()}

@@ -9,14 +9,14 @@ from typing import Any
 
 @dataclass(frozen=True)
 class TaskRule:
-    """A task, as far as its goals' fate goes."""
+    """A task, with the rules for its goals at a failover."""
 
     action: str
     type: str
     on_failover: str = "Resend"
     """Resend, Abort or Tree."""
     abort_grace: float = 2.0
-    """Seconds for which an end that nobody asked for is not told yet."""
+    """Seconds for which an end that no client requested is withheld."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Peer:
     token: str
     claim: str
     executing: bool = False
-    """Whether it is a standby that runs in full, and is given all goals too."""
+    """Whether it is an executing standby, which receives all goals too."""
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,19 @@ class ControlState:
     workload: str
     epoch: int = 0
     active: str = ""
-    """UID of the active instance; empty while none is."""
+    """UID of the active instance; empty if there is none."""
     settled: bool = True
-    """Whether no failure is seen and no recovery under way."""
+    """Whether no failure is detected and no recovery is in progress."""
     rules: tuple[TaskRule, ...] = ()
     peers: tuple[Peer, ...] = ()
 
     def to_wire(self) -> dict[str, Any]:
-        """As one JSON object."""
+        """Return the state as one JSON object."""
         return asdict(self)
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any]) -> ControlState:
-        """Raises KeyError and TypeError if it is none."""
+        """Read the JSON object. Raises KeyError and TypeError if it is invalid."""
         rules = tuple(TaskRule(**rule) for rule in data["rules"])
         peers = tuple(Peer(**peer) for peer in data["peers"])
         return cls(**{**data, "rules": rules, "peers": peers})

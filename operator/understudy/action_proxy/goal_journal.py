@@ -24,7 +24,7 @@ class GoalJournal:
         self._last = ""
 
     def save(self, ledger: GoalLedger, rules: Sequence[TaskRule]) -> None:
-        """Keep the goals and the tasks, if they are not what was kept last. Raises OSError."""
+        """Store the goals and the tasks, if they differ from what was stored last. Raises OSError."""
         text = json.dumps({"ledger": ledger.to_wire(), "rules": [asdict(rule) for rule in rules]})
         if text == self._last:
             return
@@ -35,7 +35,10 @@ class GoalJournal:
         self._last = text
 
     def load(self) -> tuple[GoalLedger, tuple[TaskRule, ...]]:
-        """What was kept; blank if nothing was. A damaged file is put aside, since it cannot be gone on with."""
+        """Return what was stored; blank if nothing was.
+
+        A damaged file is moved aside, since the proxy cannot continue from it.
+        """
         try:
             data = json.loads(self._path.read_text())
             return GoalLedger.from_wire(data["ledger"], time.time()), tuple(TaskRule(**rule) for rule in data["rules"])

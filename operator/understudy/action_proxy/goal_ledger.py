@@ -1,16 +1,16 @@
 """Which goals exist, at which instances, and what follows from events: the rules of the task proxy, without ROS.
 
-Everything that happens is noted, then :meth:`GoalLedger.advance` draws the conclusions; what an instance is to do is read
-off at any time (:meth:`GoalLedger.orders`) and can be ordered again and again. So no event that is lost, and no restart, of
-the proxy, of an agent or of the monitor, loses a goal or has one executed twice:
+The proxy records every event in the ledger. Then :meth:`GoalLedger.advance` draws the conclusions. The orders for an
+instance can be read at any time (:meth:`GoalLedger.orders`), and sent repeatedly. So no lost event, and no restart of
+the proxy, of an agent or of the monitor, loses a goal or causes one to be executed twice:
 
-- Only the active instance decides on a goal. What others say of it, the old instance after a switch among them,
-  changes nothing for the client.
+- Only the active instance decides on a goal. Reports of others, including the old instance after a switch, change nothing
+  for the client.
 - A goal that has ended or is being cancelled is never sent again. A cancel that the old instance had not answered counts
   as accepted.
-- An end that nobody asked for is not told while a failure is seen or a recovery under way, nor in the first moments:
-  applications abort their goals when they are told to end.
-- A goal that a newer one has replaced (an abort while the newer one goes on) is over, and is not sent again.
+- An end that no client requested is withheld while a failure is detected or a recovery is in progress, and in the first
+  moments: applications abort their goals when they receive the signal to end.
+- A goal that a newer one has replaced (it was aborted while the newer one continues) has ended, and is not sent again.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from understudy.action_proxy.client_goals import (
 from understudy.action_proxy.control_state import ControlState, TaskRule
 
 UNDECIDED = 60.0
-"""Seconds after which a goal is rejected that no instance has decided on: its client may have given up long ago."""
+"""Seconds after which a goal that no instance has decided on is rejected: its client may have given up long ago."""
 
 REFUSED = 30.0
 """Seconds for which a goal that was accepted once is offered to a new instance that rejects it."""
@@ -45,7 +45,7 @@ MIRROR_AGAIN = 2.0
 """Seconds between two attempts at a standby."""
 
 KEPT = 900.0
-"""Seconds for which an ended goal's result can be asked for."""
+"""Seconds for which the result of an ended goal is available."""
 
 MOST_KEPT = 128
 """Ended goals that are kept."""
@@ -54,17 +54,17 @@ MOST_BYTES = 4 << 20
 """Bytes (in base64) of the results of ended goals that are kept: the journal is written as a whole."""
 
 JUST_NOW = 10.0
-"""Seconds before a restart for which answers are given again: the last ones may not have gone out."""
+"""Seconds before a restart for which answers are given again: the last ones may not have been sent."""
 
 CANCEL_OK, CANCEL_REJECTED, CANCEL_UNKNOWN, CANCEL_ENDED = range(4)
-"""action_msgs/srv/CancelGoal."""
+"""Return codes of action_msgs/srv/CancelGoal."""
 
 RequestKey = tuple[str, int]
 
 
 @dataclass(frozen=True)
 class GoalAnswer:
-    """Accept or reject a goal."""
+    """The answer that accepts or rejects a goal."""
 
     action: str
     request: RequestKey
@@ -74,7 +74,7 @@ class GoalAnswer:
 
 @dataclass(frozen=True)
 class CancelAnswer:
-    """Say what is being cancelled: ids, and when they were accepted."""
+    """The answer with the goals that are being cancelled: their ids, and when they were accepted."""
 
     action: str
     request: RequestKey
@@ -84,7 +84,7 @@ class CancelAnswer:
 
 @dataclass(frozen=True)
 class ResultAnswer:
-    """Give a result."""
+    """The answer with a result."""
 
     action: str
     request: RequestKey
@@ -97,7 +97,7 @@ Answer = GoalAnswer | CancelAnswer | ResultAnswer
 
 @dataclass(frozen=True)
 class Order:
-    """What an instance is to have."""
+    """A goal that an instance must have."""
 
     id: str
     action: str
@@ -105,12 +105,12 @@ class Order:
     data: str
     cancel: bool = False
     note: str = ""
-    """What it keeps with the goal (see :meth:`GoalLedger.adopt`)."""
+    """What the instance stores with the goal (see :meth:`GoalLedger.adopt`)."""
 
 
 @dataclass
 class _Cancel:
-    """A client's request to cancel goals, some of which an instance has yet to answer."""
+    """A client's request to cancel goals, some of which an instance has not answered yet."""
 
     action: str
     waiting: set[str]
@@ -122,10 +122,10 @@ class GoalLedger:
 
     def __init__(self) -> None:
         self.situation: ControlState | None = None
-        """None until the monitor has said what is so: until then nobody decides."""
+        """None until the monitor has reported the state of control. Until then no decision is made."""
         self.goals: dict[str, Goal] = {}
         self.resent: dict[str, int] = {}
-        """By action, goals that another instance took over."""
+        """Number of goals that another instance took over, by action."""
         self._former: set[str] = set()
         self._invited: set[str] = set()
         self._cancels: dict[RequestKey, _Cancel] = {}
@@ -135,7 +135,7 @@ class GoalLedger:
     # -- what clients do --------------------------------------------------------------------------------------------
 
     def ask(self, action: str, id: str, data: str, request: RequestKey, now: float) -> None:
-        """A client sends a goal. An id that is known is rejected, as by every action server."""
+        """Record a goal from a client. An id that is known is rejected, as every action server does."""
         if id in self.goals:
             self._answers.append(GoalAnswer(action, request, False, 0))
             return
@@ -143,7 +143,8 @@ class GoalLedger:
         self.goals[id] = Goal(id, action, data, self._number, received=now, request=request)
 
     def cancel(self, action: str, id: str, until: int, request: RequestKey, now: float) -> None:
-        """A client cancels a goal, those accepted up to a time (Unix nanoseconds), or, with neither, all."""
+        """Record a client's request to cancel a goal, the goals accepted up to a time (Unix nanoseconds), or, with
+        neither, all."""
         mine = [g for g in self.goals.values() if g.action == action and g.phase is not Phase.PENDING]
         chosen = [g for g in mine if (not id and not until) or g.id == id or (until and g.accepted <= until)]
         open_ones = [goal for goal in chosen if goal.open]
@@ -160,7 +161,7 @@ class GoalLedger:
                 goal.cancels.append(request)
 
     def want_result(self, action: str, id: str, request: RequestKey) -> None:
-        """A client asks for a goal's result."""
+        """Record a client's request for a goal's result."""
         goal = self.goals.get(id)
         if goal is None or goal.action != action or goal.phase is Phase.PENDING:
             self._answers.append(ResultAnswer(action, request, UNKNOWN, ""))
@@ -169,12 +170,12 @@ class GoalLedger:
         if goal.end is not None:
             self._answers.append(ResultAnswer(action, request, goal.end.status, goal.end.result))
 
-    # -- what instances say -----------------------------------------------------------------------------------------
+    # -- reports of instances ----------------------------------------------------------------------------------------
 
     def report(
         self, uid: str, id: str, at: AttemptState, now: float, *, status: int = UNKNOWN, result: str = ""
     ) -> None:
-        """An instance says how one of its goals is. What it does not have any more is passed over."""
+        """Record an instance's report of one of its goals. Reports of goals that it no longer has are ignored."""
         found = self._at(uid, id)
         if found is None:
             return
@@ -200,10 +201,10 @@ class GoalLedger:
             self._orphaned(goal, now)
 
     def adopt(self, uid: str, id: str, note: str, data: str, ended: tuple[int, str] | None, now: float) -> None:
-        """Take up a goal that the active instance has and that is not known here, since the journal was lost.
+        """Adopt a goal that the active instance has and that is not known here, because the journal was lost.
 
-        ``ended`` has the status and the result of one that has ended meanwhile. Raises KeyError, TypeError and ValueError
-        for a note that is none.
+        ``ended`` has the status and the result if the goal has ended in the meantime. Raises KeyError, TypeError and
+        ValueError for an invalid note.
         """
         if uid != self._active or not note:
             return
@@ -221,27 +222,27 @@ class GoalLedger:
             self._finish(goal, GoalEnd(*ended), now)
 
     def answered_cancel(self, uid: str, id: str, accepted: bool, now: float) -> None:
-        """An instance accepts or rejects to cancel a goal."""
+        """Record that an instance accepts or refuses to cancel a goal."""
         found = self._at(uid, id)
         if found is not None and uid == found[0].charge:
             self._cancel_decided(found[0], accepted)
 
     def feedback_of(self, uid: str, id: str) -> Goal | None:
-        """The goal that feedback of an instance is for, where its word counts."""
+        """Return the goal of an instance's feedback, if the instance decides about that goal; otherwise None."""
         found = self._at(uid, id)
         if found is None or uid != self._active or found[0].charge != uid or not found[0].open:
             return None
         return found[0]
 
     def invite(self, uid: str) -> int:
-        """An instance's recovery tree wants the unfinished goals; how many there are."""
+        """Record that an instance's recovery tree requests the unfinished goals. Returns their number."""
         self._invited.add(uid)
         return sum(goal.open and goal.phase is not Phase.PENDING for goal in self.goals.values())
 
-    # -- what the monitor says --------------------------------------------------------------------------------------
+    # -- reports of the monitor --------------------------------------------------------------------------------------
 
     def place(self, situation: ControlState, now: float) -> None:
-        """The monitor says what is so. An older epoch than is known is passed over."""
+        """Apply the state of control from the monitor. A state with an older epoch is ignored."""
         before = self.situation
         if before is not None and situation.epoch < before.epoch:
             return
@@ -261,10 +262,13 @@ class GoalLedger:
                 self._former |= {goal.charge} & known
                 self._orphaned(goal, now)
 
-    # -- what follows -----------------------------------------------------------------------------------------------
+    # -- conclusions -------------------------------------------------------------------------------------------------
 
     def advance(self, now: float) -> list[Answer]:
-        """Draw the conclusions; what is to be answered to clients, once what is known has been kept."""
+        """Draw the conclusions.
+
+        Returns the answers to clients, which the proxy sends after it has stored the ledger.
+        """
         if self.situation is not None:
             for goal in self._in_order():
                 if goal.open:
@@ -280,7 +284,7 @@ class GoalLedger:
         return answers
 
     def due(self, now: float) -> float | None:
-        """When, at the latest, to draw the conclusions again with nothing else happening; None if never."""
+        """Return the latest time for the next :meth:`advance` if nothing else happens; None for never."""
         moments = [goal.ended_at + KEPT for goal in self.goals.values() if not goal.open]
         for goal in self.goals.values():
             if not goal.open:
@@ -293,7 +297,7 @@ class GoalLedger:
         return min(moments, default=None)
 
     def orders(self, uid: str) -> list[Order]:
-        """What an instance is to have, in the order in which clients sent it."""
+        """Return the goals that an instance must have, in the order in which clients sent them."""
         found = []
         for goal in self._in_order():
             attempt = goal.attempts.get(uid)
@@ -306,13 +310,13 @@ class GoalLedger:
         return found
 
     def of_action(self, action: str) -> list[Goal]:
-        """The goals of an action that were accepted, in their order."""
+        """Return the accepted goals of an action, in their order."""
         return [g for g in self._in_order() if g.action == action and g.phase is not Phase.PENDING]
 
-    # -- keeping ----------------------------------------------------------------------------------------------------
+    # -- storage -----------------------------------------------------------------------------------------------------
 
     def to_wire(self) -> dict[str, Any]:
-        """Everything, as one JSON object."""
+        """Return the whole ledger as one JSON object."""
         return {
             "goals": [goal.to_wire() for goal in self._in_order()],
             "resent": self.resent,
@@ -331,11 +335,11 @@ class GoalLedger:
 
     @classmethod
     def from_wire(cls, data: Mapping[str, Any], now: float) -> GoalLedger:
-        """What an earlier proxy kept; what it answered last is answered again, since it may not have gone out.
+        """Read what an earlier proxy stored. Its last answers are given again, since they may not have been sent.
 
-        Who is in control is not taken from it: that may be another by now.
+        The active instance is not read from it, since another may be active by now.
 
-        Raises KeyError, TypeError and ValueError if it is none.
+        Raises KeyError, TypeError and ValueError if it is invalid.
         """
         made = cls()
         made.goals = {goal.id: goal for goal in map(Goal.from_wire, data["goals"])}
@@ -368,7 +372,7 @@ class GoalLedger:
 
     @property
     def _mirrors(self) -> set[str]:
-        """Standbys that are given every goal: those that run in full, and one whose recovery tree asked for them."""
+        """Standbys that receive every goal: the executing ones, and one whose recovery tree requested the goals."""
         peers = self.situation.peers if self.situation else ()
         wanted = {peer.uid for peer in peers if peer.executing or peer.uid in self._invited}
         return wanted - self._former - {self._active}
@@ -390,7 +394,10 @@ class GoalLedger:
                 self._answers.append(GoalAnswer(goal.action, goal.request, True, goal.accepted))
 
     def _rejected(self, goal: Goal, now: float) -> None:
-        """The active instance rejects a goal: that is its answer, but not to one that another had accepted."""
+        """Handle a rejection by the active instance.
+
+        It is the answer to the client, unless another instance had accepted the goal.
+        """
         if goal.phase is Phase.PENDING:
             if self._settled:
                 self._drop(goal)
@@ -406,14 +413,14 @@ class GoalLedger:
         del self.goals[goal.id]
 
     def _give_up(self, goal: Goal, now: float) -> None:
-        """Reject or abort a goal whose action is no task any more."""
+        """Reject or abort a goal whose action is no longer a task."""
         if goal.phase is Phase.PENDING:
             self._drop(goal)
         else:
             self._finish(goal, GoalEnd(ABORTED, ""), now)
 
     def _orphaned(self, goal: Goal, now: float) -> None:
-        """The instance that worked on a goal does so no longer."""
+        """Handle that the instance that worked on a goal is no longer active."""
         goal.charge = ""
         if goal.phase is Phase.PENDING:
             return
@@ -426,7 +433,7 @@ class GoalLedger:
         goal.unasked = None
 
     def _replaced(self, goal: Goal) -> bool:
-        """Whether a newer goal went on when this one was ended."""
+        """Whether a newer goal continued when this one was ended."""
         return any(
             other.action == goal.action
             and other.number > goal.number
@@ -483,13 +490,16 @@ class GoalLedger:
                 self._mirror(goal, uid, now)
 
     def _may_move(self, goal: Goal, rule: TaskRule) -> bool:
-        """Whether a goal that no instance works on may be given to the one in control now."""
+        """Whether a goal that no instance works on may be given to the active one."""
         if rule.on_failover != "Tree" or goal.phase is Phase.PENDING or not goal.attempts:
             return True
         return self._settled or self._active in self._invited
 
     def _move(self, goal: Goal, active: str, now: float) -> None:
-        """Put the active instance in charge of a goal: it goes on there if it is mirrored, else it is sent."""
+        """Put the active instance in charge of a goal.
+
+        If it already has the goal as a mirror it continues, otherwise the goal is sent.
+        """
         attempt = goal.attempts.get(active)
         lost = attempt is not None and attempt.at is AttemptState.LOST
         if lost and attempt is not None and attempt.after > now:
@@ -506,7 +516,7 @@ class GoalLedger:
             goal.attempt(uid)
 
     def _forget(self, now: float) -> None:
-        """Forget ended goals in time: first the oldest."""
+        """Forget ended goals after some time, the oldest first."""
         ended = sorted((g for g in self.goals.values() if not g.open), key=lambda g: g.ended_at, reverse=True)
         size = 0
         for index, goal in enumerate(ended):

@@ -17,7 +17,7 @@ from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 _logger = logging.getLogger(__name__)
 
 RETRY = 1.0
-"""Seconds after which what an agent refused, or did not answer, is asked again."""
+"""Seconds after which a request is repeated that an agent refused or did not answer."""
 
 WITHIN = 10.0
 """Seconds for an answer: the agent asks its instance to cancel, which may take a while."""
@@ -34,29 +34,29 @@ class Listener(Protocol):
     """Receives what an instance reports."""
 
     def orders(self, uid: str) -> Sequence[Order]:
-        """What the instance is to have."""
+        """Return the goals that the instance must have."""
 
     def found(self, uid: str, goal: Mapping[str, Any]) -> None:
-        """A goal that the instance has, maybe of an earlier proxy."""
+        """Called for a goal that the instance has, maybe from an earlier proxy."""
 
     def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
-        """How one of its goals is."""
+        """Called with the state of one of its goals."""
 
     def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
-        """Whether it cancels one."""
+        """Called with the instance's answer to a cancel."""
 
     def fed_back(self, uid: str, id: str, data: bytes) -> None:
-        """Feedback of one, as a serialized message."""
+        """Called with the feedback of a goal, as a serialized message."""
 
     def invited(self, uid: str) -> None:
-        """Its recovery tree wants the unfinished goals."""
+        """Called when its recovery tree requests the unfinished goals."""
 
     def troubled(self, uid: str, action: str, problem: str) -> None:
-        """Why it cannot be given a goal of an action; empty when it was."""
+        """Called with the reason why it cannot receive a goal of an action; empty once it has received one."""
 
 
 class InstanceLink:
-    """One instance. Keeps at it until closed."""
+    """The connection to one instance. Retries until closed."""
 
     def __init__(self, peer: Peer, workload: str, listener: Listener) -> None:
         self.peer, self._listener = peer, listener
@@ -65,7 +65,7 @@ class InstanceLink:
         self._sent: dict[str, str] = {}
         """By id, the note with which the agent has the goal."""
         self._mine: set[str] = set()
-        """Goals that were ordered and have not ended: what is ordered no longer is cancelled."""
+        """Goals that were ordered and have not ended. A goal that is no longer ordered is cancelled."""
         self._cancelled: set[str] = set()
         self._invitations: list[int] = []
         self._link = AgentLink(
@@ -80,11 +80,11 @@ class InstanceLink:
         self._task = asyncio.create_task(self._run(), name=f"goals of {peer.pod}")
 
     def wake(self) -> None:
-        """Look at the orders again."""
+        """Read the orders again."""
         self._wake.set()
 
     async def close(self) -> None:
-        """Let go of it."""
+        """Close the connection."""
         self._task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await self._task
@@ -92,7 +92,7 @@ class InstanceLink:
 
     def _changed(self, link: AgentLink) -> None:
         if not link.connected:
-            # What happens meanwhile is missed: everything is asked for again.
+            # Events without a connection are lost, so everything is requested again.
             self._asked = False
             self._sent.clear()
             self._cancelled.clear()
@@ -157,7 +157,7 @@ class InstanceLink:
                     self._cancelled.discard(order.id)
                     await self._send(order)
             except AgentRefused as error:
-                refused = error  # other goals, such as those of another action, do not suffer for it
+                refused = error  # other goals, for example of another action, continue
         invitations, self._invitations = self._invitations, []
         for number in dict.fromkeys(invitations):
             await self._link.request("resent", {"number": number}, within=WITHIN)
@@ -174,7 +174,7 @@ class InstanceLink:
             "data": order.data,
             "note": order.note,
         }
-        # Noted before the answer: what becomes of it may be told first.
+        # Noted before the answer, because the first event about the goal may arrive before it.
         self._sent[order.id] = order.note
         try:
             await self._link.request("goal", body, within=WITHIN)

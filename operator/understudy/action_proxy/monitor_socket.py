@@ -1,7 +1,7 @@
-"""The socket over which the monitor reports the state of control, and the proxy the state of its tasks.
+"""The socket on which the monitor reports the state of control, and the proxy reports the state of its tasks.
 
-A Unix socket in a folder that only the two containers share. One JSON object a line: ``{"situation": ...}`` to the proxy,
-``{"report": ...}`` back on every change.
+It is a Unix socket in a folder that only the two containers share. Each line is one JSON object: ``{"situation": ...}``
+to the proxy, and ``{"report": ...}`` back on every change.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from understudy.action_proxy.control_state import ControlState
 _logger = logging.getLogger(__name__)
 
 MOST = 1 << 20
-"""Bytes of one line."""
+"""Largest size of a line, in bytes."""
 
 
 class MonitorSocket:
@@ -30,11 +30,11 @@ class MonitorSocket:
         self._writers: set[asyncio.StreamWriter] = set()
 
     async def listen(self, path: Path) -> asyncio.Server:
-        """Raises OSError, also if there is a file already."""
+        """Listen at a path. Raises OSError, also if the file exists already."""
         return await asyncio.start_unix_server(self._connected, path, limit=MOST)
 
     def tell(self) -> None:
-        """Say how the tasks are doing."""
+        """Report the state of the tasks."""
         line = json.dumps({"report": self._report()}).encode() + b"\n"
         for writer in self._writers:
             with contextlib.suppress(OSError, RuntimeError):

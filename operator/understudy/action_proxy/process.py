@@ -22,7 +22,8 @@ _logger = logging.getLogger(__name__)
 STATE = Path("/var/lib/understudy")
 
 HUNG = 20.0
-"""Seconds without a turn after which the thread that serves ROS hangs. It blocks for a tenth of a second at most."""
+"""Seconds without activity after which the thread that serves ROS counts as stuck. It blocks for a tenth of a second at
+most."""
 
 
 def main(argv: list[str]) -> int:
@@ -35,14 +36,14 @@ def main(argv: list[str]) -> int:
     state = Path(os.environ.get("UNDERSTUDY_STATE", STATE)) / "tasks"
     state.mkdir(parents=True, exist_ok=True)
     socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
-    socket.unlink(missing_ok=True)  # of an earlier proxy
+    socket.unlink(missing_ok=True)  # left by an earlier proxy
     port = int(os.environ.get("UNDERSTUDY_TASKS_PORT", names.TASKS_PORT))
     asyncio.run(_run(workload, state, socket, port))
     return 0
 
 
 def health(silent_for: float) -> tuple[int, str]:
-    """The page by which a proxy that hangs is told: answered by the loop, and about the thread that serves ROS."""
+    """Return the health page. The event loop answers it, and it reports whether the thread that serves ROS is stuck."""
     if silent_for > HUNG:
         return 503, f"the ROS thread has been stuck for {silent_for:.0f} s\n"
     return 200, "ok\n"

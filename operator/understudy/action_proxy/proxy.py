@@ -1,7 +1,7 @@
 """The task proxy: serves the workload's actions to clients, and has the instances work on their goals.
 
-Whatever happens is noted in the ledger; what follows is kept in the journal first and done then, so that a process that
-is killed at any time continues from there.
+Every event is recorded in the ledger. The conclusions are stored in the journal first and carried out then, so that a
+process that is killed at any time continues from there.
 """
 
 from __future__ import annotations
@@ -34,22 +34,23 @@ from understudy.ros.runtime.service_exchange import RequestId
 _logger = logging.getLogger(__name__)
 
 RECENT = 60.0
-"""Seconds after its end for which a goal of an earlier proxy is taken up, since its client may wait for the result."""
+"""Seconds after its end in which a goal of an earlier proxy is adopted, since its client may be waiting for the
+result."""
 
 SLACK = 0.002
-"""Seconds after a moment in the ledger at which it is looked at, so that the clock has surely passed it."""
+"""Seconds after a deadline of the ledger at which the proxy wakes, so that the clock has surely passed the deadline."""
 
 
 @dataclass
 class _Served:
-    """One action, and what was said of it last."""
+    """One action, and its last report."""
 
     rule: TaskRule
     server: ActionServer | None = None
     """None until it is open."""
     problem: str = ""
     troubles: dict[str, str] = field(default_factory=dict)
-    """By the UID of an instance, why it cannot be given goals."""
+    """By the UID of an instance, why it cannot receive goals."""
     statuses: list[KnownGoal] | None = None
     unsent: list[Answer] = field(default_factory=list)
 
@@ -58,10 +59,10 @@ class Proxy:
     """Implements :class:`understudy.action_proxy.instance_link.Listener`."""
 
     def __init__(self, node: ServedNode, journal: GoalJournal) -> None:
-        """Go on from what the journal has."""
+        """Continue with the contents of the journal."""
         self._node, self._journal = node, journal
         self.on_report: Callable[[], None] = lambda: None
-        """Called when there is something new to tell the monitor."""
+        """Called when there is a new report for the monitor."""
         self._ledger, self._rules = journal.load()
         self._served: dict[str, _Served] = {}
         self._links: dict[str, InstanceLink] = {}
@@ -74,11 +75,11 @@ class Proxy:
     # -- the monitor ------------------------------------------------------------------------------------------------
 
     def place(self, situation: ControlState) -> None:
-        """Go on under these circumstances."""
+        """Apply a state of control from the monitor."""
         self._ledger.place(situation, time.time())
         if (present := self._ledger.situation) is None or present != situation:
             return
-        # What follows for tasks that are no more is answered by their servers, while they are there.
+        # The answers for tasks that were removed need their servers, which still exist here.
         self._conclude()
         self._rules = situation.rules
         self._serve()
@@ -86,7 +87,7 @@ class Proxy:
         self._conclude()
 
     def report(self) -> dict[str, Any]:
-        """What the monitor is told: how each task is doing."""
+        """Return the report for the monitor: the state of each task."""
         tasks = []
         for served in self._served.values():
             goals = self._ledger.of_action(served.rule.action)
@@ -112,14 +113,14 @@ class Proxy:
         for task in list(self._tasks):
             task.cancel()
 
-    # -- what instances say -----------------------------------------------------------------------------------------
+    # -- reports of instances ----------------------------------------------------------------------------------------
 
     def orders(self, uid: str) -> Sequence[Order]:
-        """What an instance is to have."""
+        """Return the goals that an instance must have."""
         return self._ledger.orders(uid)
 
     def found(self, uid: str, goal: Mapping[str, Any]) -> None:
-        """A goal that the instance has: taken up if it is not known and its end, if it has one, is recent."""
+        """Adopt a goal that the instance has, if it is not known here and has not ended long ago."""
         ended = None
         if goal["state"] == "ended":
             if goal.get("ago", 0.0) > RECENT:
@@ -133,30 +134,30 @@ class Proxy:
             _logger.error("goal %s of an earlier proxy cannot be adopted: %r", goal["id"], error)
 
     def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
-        """How one of its goals is."""
+        """Record the state of one of the instance's goals."""
         self._ledger.report(uid, id, at, time.time(), status=status, result=result)
         self._conclude()
 
     def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
-        """Whether it cancels one."""
+        """Record the instance's answer to a cancel."""
         self._ledger.answered_cancel(uid, id, accepted, time.time())
         self._conclude()
 
     def fed_back(self, uid: str, id: str, data: bytes) -> None:
-        """Feedback of one: passed on where its word counts, under the client's id."""
+        """Pass on the feedback of a goal under the client's id, if the instance decides about that goal."""
         goal = self._ledger.feedback_of(uid, id)
         served = self._served.get(goal.action) if goal else None
         if goal is not None and served is not None and served.server is not None:
             served.server.publish_feedback(renamed(data, goal.id))
 
     def invited(self, uid: str) -> None:
-        """Its recovery tree wants the unfinished goals."""
+        """Record that the instance's recovery tree requests the unfinished goals."""
         count = self._ledger.invite(uid)
         _logger.info("a recovery tree asks for %d goals", count)
         self._conclude()
 
     def troubled(self, uid: str, action: str, problem: str) -> None:
-        """Why it cannot be given a goal of an action; empty when it was."""
+        """Record why the instance cannot receive a goal of an action; empty once it has received one."""
         if (served := self._served.get(action)) is not None:
             served.troubles[uid] = problem
             self._tell()
@@ -182,7 +183,7 @@ class Proxy:
     # -- inside -----------------------------------------------------------------------------------------------------
 
     def _conclude(self) -> None:
-        """Draw the conclusions, keep them, and do what follows."""
+        """Draw the conclusions, store them, and carry them out."""
         now = time.time()
         answers = self._ledger.advance(now)
         try:
@@ -232,7 +233,7 @@ class Proxy:
             self.on_report()
 
     def _serve(self) -> None:
-        """Have a server for each task, and for no other action."""
+        """Open a server for each task, and close those of other actions."""
         rules: Mapping[str, TaskRule] = {rule.action: rule for rule in self._rules}
         for action in [a for a, served in self._served.items() if rules.get(a) != served.rule]:
             gone = self._served[action]
@@ -266,7 +267,7 @@ class Proxy:
         self._conclude()
 
     def _link(self, situation: ControlState) -> None:
-        """Have a connection to each instance's agent, and to no other."""
+        """Open a connection to each instance's agent, and close other connections."""
         wanted: Mapping[str, Peer] = {peer.uid: peer for peer in situation.peers}
         for uid, link in list(self._links.items()):
             now = wanted.get(uid)

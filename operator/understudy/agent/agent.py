@@ -192,8 +192,10 @@ class Agent:
         }
 
     async def configure(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Accept a health tree, and the address that probes go to. Repeating the same request changes nothing. Raises
-        Refused."""
+        """Accept a health tree, and the address that probes go to. Repeating the same request changes nothing.
+
+        Raises Refused.
+        """
         configuration = {key: body.get(key) for key in ("tree", "outputs", "grace")}
         if "form" in body:
             configuration["form"] = body["form"]
@@ -218,8 +220,10 @@ class Agent:
         self._aim(probe)
 
     async def start(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Start the held containers, and bind the pod to the workload that requested it. Can be repeated. Raises
-        Refused."""
+        """Start the held containers, and bind the pod to the workload that requested it. Can be repeated.
+
+        Raises Refused.
+        """
         if not self._identity.held:
             raise Refused(f"pod {self._identity.pod} is not held: its containers started with it")
         if not self._memory.workload:
@@ -275,8 +279,10 @@ class Agent:
         return bound
 
     async def give_way(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Another instance is active: a container of this pod that restarts must not reach the robot. Raises
-        Refused."""
+        """Another instance is active: a container of this pod that restarts must not reach the robot.
+
+        Raises Refused.
+        """
         try:
             self._strengths.give_way()
         except OSError as error:

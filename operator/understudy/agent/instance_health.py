@@ -174,8 +174,10 @@ class InstanceHealth:
         on_change: Callable[[], None],
         on_writers: Callable[[Iterable[bytes]], object] = lambda gids: None,
     ) -> None:
-        """``on_change`` is called when anything but the counts of the outputs changes. ``on_writers`` is called now and
-        then with the GIDs of this pod's writers of outputs."""
+        """``on_change`` is called when anything but the counts of the outputs changes.
+
+        ``on_writers`` is called now and then with the GIDs of this pod's writers of outputs.
+        """
         self.judgement = InstanceJudgement()
         self._node_name = "understudy_agent_" + re.sub(r"[^a-zA-Z0-9_]", "_", pod)
         self._on_change = on_change

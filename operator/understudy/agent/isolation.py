@@ -163,8 +163,9 @@ class Isolation:
             self._attempts.close()
 
     def _evaluate_safely(self, now: float) -> None:
-        """Evaluate, whatever error occurs: nothing else would freeze an isolated application. A restarted agent could not
-        either, because it does not know that anybody has ever answered.
+        """Evaluate, whatever error occurs: nothing else would freeze an isolated application.
+
+        A restarted agent could not either, because it does not know that anybody has ever answered.
         """
         for evaluate in (self._evaluate, self._evaluate_without_answers):
             try:

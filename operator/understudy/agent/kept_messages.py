@@ -28,8 +28,10 @@ def stamped(sample: KeptSample) -> bytes:
 
 
 def deserialized(sample: KeptSample) -> Any:
-    """Return the message itself. It loads rclpy. Raises CallFailed if the bytes are not of its type, or the type is not
-    installed."""
+    """Return the message itself. It loads rclpy.
+
+    Raises CallFailed if the bytes are not of its type, or the type is not installed.
+    """
     from rclpy.serialization import deserialize_message
 
     from understudy.ros.actions.instance_calls import CallFailed

@@ -51,6 +51,8 @@ class PodIdentity:
         )
 
     def token(self) -> bytes:
-        """Return the secret shared with the monitor. It is read each time, since a Secret can change. Raises
-        OSError."""
+        """Return the secret shared with the monitor. It is read each time, since a Secret can change.
+
+        Raises OSError.
+        """
         return self.token_file.read_bytes().strip()

@@ -50,8 +50,10 @@ class PosePublication:
         """Outcome of the last publication; None for a message that is not to be propagated."""
 
     def message(self) -> bytes:
-        """Return the message's bytes. It loads rclpy. Raises CallFailed, also if a pose must not be published without
-        propagation."""
+        """Return the message's bytes. It loads rclpy.
+
+        Raises CallFailed, also if a pose must not be published without propagation.
+        """
         from understudy.agent.kept_messages import stamped
         from understudy.ros.actions.instance_calls import CallFailed
 
@@ -133,8 +135,10 @@ def _pose(pose: Any) -> Pose:
 
 @contextlib.asynccontextmanager
 async def present(caller: InstanceCaller, sample: KeptSample, within: float) -> AsyncIterator[PosePublication]:
-    """Provide a kept message for as long as it is published. Waits for odometry first, for a part of ``within``
-    seconds."""
+    """Provide a kept message for as long as it is published.
+
+    Waits for odometry first, for a part of ``within`` seconds.
+    """
     from understudy.ros.actions.instance_calls import CallFailed
 
     motion = sample.motion

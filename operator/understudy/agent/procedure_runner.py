@@ -31,8 +31,10 @@ Restore = Callable[..., Awaitable[RestoreReport]]
 
 
 def places_of(data: object) -> Mapping[str, str]:
-    """Return where the nodes of a tree were written, from the monitor's request; empty for the short form. Raises
-    ValueError."""
+    """Return where the nodes of a tree were written, from the monitor's request; empty for the short form.
+
+    Raises ValueError.
+    """
     if data is None:
         return {}
     if not isinstance(data, Mapping):
@@ -91,8 +93,10 @@ class InstanceActions:
         return await self.caller.wait_sample(topic, type_name, within)
 
     async def restore_state(self, only: Sequence[str] | None, within: float) -> None:
-        """Restore the kept state that came with the request. State that is too old or was never kept is reported, and
-        is no failure."""
+        """Restore the kept state that came with the request.
+
+        State that is too old or was never kept is reported, and is no failure.
+        """
         report = await self.restore(self.state, within=within, only=only or ())
         self.report = self.report.merged(report)
         if report.problem:

@@ -30,8 +30,10 @@ class StandbyExpectation:
 
     @classmethod
     def from_wire(cls, data: object) -> StandbyExpectation | None:
-        """Read a ``configure`` request; None for an instance that is judged by its health tree alone. Raises
-        ValueError."""
+        """Read a ``configure`` request; None for an instance that is judged by its health tree alone.
+
+        Raises ValueError.
+        """
         if data is None:
             return None
         if not isinstance(data, Mapping):

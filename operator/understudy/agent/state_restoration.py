@@ -106,8 +106,10 @@ class StateRestorer:
         await self._caller().bring_to(node.node, node.state, within)
 
     async def _say(self, sample: KeptSample, within: float) -> PoseOutcome | None:
-        """Publish a message until the instance has it. Returns the outcome for a pose that is to be propagated. Raises
-        CallFailed."""
+        """Publish a message until the instance has it. Returns the outcome for a pose that is to be propagated.
+
+        Raises CallFailed.
+        """
         from understudy.ros.runtime.lean_imports import rclpy_imported
 
         end = time.monotonic() + within

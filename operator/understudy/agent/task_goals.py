@@ -98,8 +98,10 @@ class TaskGoals:
         return {"goal": self.goal, "cancel": self.cancel, "goals": self.list, "resent": self.resent}
 
     async def goal(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Send a goal to the instance when its server is present. Repeating the request changes nothing. Raises
-        Refused."""
+        """Send a goal to the instance when its server is present. Repeating the request changes nothing.
+
+        Raises Refused.
+        """
         id, action, type_name, data = _checked(body)
         note = str(body.get("note", ""))
         known = self._records.get(id)
@@ -112,8 +114,10 @@ class TaskGoals:
         self._forget()
 
     async def cancel(self, body: Mapping[str, Any], peer: Peer) -> dict[str, Any]:
-        """Ask the instance to cancel a goal. Returns whether it accepts, and whether the goal is known at all. Raises
-        Refused."""
+        """Ask the instance to cancel a goal. Returns whether it accepts, and whether the goal is known at all.
+
+        Raises Refused.
+        """
         record = self._records.get(str(body.get("goal")))
         if record is None or record.state not in _OPEN:
             return {"known": record is not None and record.state == "ended", "accepted": False}

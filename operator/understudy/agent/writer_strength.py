@@ -48,8 +48,10 @@ class WriterStrengths:
             _logger.error("%s cannot be read, continuing without: %s", directory / NAME, error)
 
     def saw(self, writers: Iterable[bytes]) -> bool:
-        """Note the GIDs of the instance's writers. Returns whether the range changed. A full volume must not end an
-        agent."""
+        """Note the GIDs of the instance's writers. Returns whether the range changed.
+
+        A full volume must not end an agent.
+        """
         processes = {gid[_PROCESS].hex() for gid in writers}
         if not processes:
             return False
@@ -77,8 +79,10 @@ class WriterStrengths:
         return self.range != before
 
     def give_way(self) -> None:
-        """Prevent processes that start from now on from being heard by the robot. Running ones are not changed. Raises
-        OSError."""
+        """Prevent processes that start from now on from being heard by the robot. Running ones are not changed.
+
+        Raises OSError.
+        """
         path = self._directory / names.PROFILES_KEY
         with contextlib.suppress(FileNotFoundError):
             text = path.read_text()

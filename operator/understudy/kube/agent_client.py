@@ -25,8 +25,10 @@ ANSWER = 5.0  # seconds
 
 
 class AgentGone(ConnectionError):
-    """There is no connection to the agent, or it was lost before the answer came. The agent may have carried out the
-    request."""
+    """There is no connection to the agent, or it was lost before the answer came.
+
+    The agent may have carried out the request.
+    """
 
 
 class AgentRefused(Exception):
@@ -194,8 +196,10 @@ class AgentLink:
             await self._task
 
     async def request(self, op: str, body: Mapping[str, Any], *, within: float = ANSWER) -> dict[str, Any]:
-        """Request an operation and wait at most ``within`` seconds for the answer. Raises AgentRefused and
-        AgentGone."""
+        """Request an operation and wait at most ``within`` seconds for the answer.
+
+        Raises AgentRefused and AgentGone.
+        """
         writer = self._writer
         if writer is None:
             raise AgentGone(f"agent {self.host}: {self.problem}")

@@ -97,8 +97,10 @@ async def establish(client: Client, resource: Resource, namespace: str, body: Ob
 async def overwrite(
     client: Client, resource: Resource, namespace: str, body: Object, *, live: Object, manager: str
 ) -> Object:
-    """Apply over exactly this live object, which is ours, and not over a later one of the same name. Raises
-    ApiError."""
+    """Apply over exactly this live object, which is ours, and not over a later one of the same name.
+
+    Raises ApiError.
+    """
     exact = {**body, "metadata": {**body["metadata"], "uid": live["metadata"]["uid"]}}
     return await client.apply(resource, namespace, exact, manager=manager)
 

@@ -70,8 +70,10 @@ async def _reread(client: Client, pod: Object) -> Object:
 
 
 async def answered(ask: Callable[[], Awaitable[T]]) -> T:
-    """Return the API server's answer, repeating the request until there is one. Raises ApiError if the API server
-    refuses."""
+    """Return the API server's answer, repeating the request until there is one.
+
+    Raises ApiError if the API server refuses.
+    """
     retry = RETRY_FIRST
     while True:
         try:

@@ -55,8 +55,10 @@ class ApiError(Exception):
 
     @property
     def passing(self) -> bool:
-        """Whether the error says nothing about the request: the server was busy or failed. It may even have carried out
-        the request."""
+        """Whether the error says nothing about the request: the server was busy or failed.
+
+        It may even have carried out the request.
+        """
         return self.status == 429 or (self.status >= 500 and not self.malformed)
 
     @property
@@ -140,8 +142,10 @@ TABLE = "application/json;as=Table;v=v1;g=meta.k8s.io,application/json"
 
 @dataclass(frozen=True)
 class Part:
-    """A part of a list. Its objects are parsed one after the other, since all of them at once take ten times the size
-    of the text."""
+    """A part of a list.
+
+    Its objects are parsed one after the other, since all of them at once take ten times the size of the text.
+    """
 
     head: Object
     """The list without its objects."""
@@ -271,8 +275,10 @@ class Client:
         body: Any = None,
         content_type: str = "application/json",
     ) -> Object:
-        """Send one request and return the object in the answer. Raises ApiError, aiohttp.ClientError or
-        TimeoutError."""
+        """Send one request and return the object in the answer.
+
+        Raises ApiError, aiohttp.ClientError or TimeoutError.
+        """
         headers, data = {}, None
         if body is not None:
             headers["Content-Type"] = content_type
@@ -390,8 +396,10 @@ class Client:
         kind: str = MERGE,
         subresource: str | None = None,
     ) -> Object:
-        """Patch an object. A ``metadata.resourceVersion`` in a merge patch makes it fail with 409 if another writer
-        came first."""
+        """Patch an object.
+
+        A ``metadata.resourceVersion`` in a merge patch makes it fail with 409 if another writer came first.
+        """
         return await self.request("PATCH", resource.path(namespace, name, subresource), body=body, content_type=kind)
 
     async def apply(

@@ -30,8 +30,10 @@ class LeadershipLost(Exception):
 
 @dataclass(frozen=True)
 class Timing:
-    """When a lease is renewed, given up and taken over, in seconds. The defaults are those of Kubernetes' own
-    components."""
+    """When a lease is renewed, given up and taken over, in seconds.
+
+    The defaults are those of Kubernetes' own components.
+    """
 
     lasts: float = 15.0
     """A lease that is unchanged for so long may be taken over."""
@@ -85,8 +87,10 @@ class Lease:
             await asyncio.sleep(self._timing.every)
 
     async def keep(self) -> None:
-        """Renew the lease forever. Raises LeadershipLost if that fails for too long or another candidate has taken
-        it."""
+        """Renew the lease forever.
+
+        Raises LeadershipLost if that fails for too long or another candidate has taken it.
+        """
         while True:
             await asyncio.sleep(self._timing.every)
             assert self._renewed is not None, "acquire it first"

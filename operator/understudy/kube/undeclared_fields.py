@@ -47,8 +47,10 @@ def lacking(resource: Resource, fields: Iterable[str], writer: str) -> str:
 
 
 def without(body: Object, fields: Sequence[str]) -> Object:
-    """Return a copy of an object without some fields. Each is a path as the API server writes it: ``.a.b``,
-    ``.list[0].b``, ``.list[type="x"].b``."""
+    """Return a copy of an object without some fields.
+
+    Each is a path as the API server writes it: ``.a.b``, ``.list[0].b``, ``.list[type="x"].b``.
+    """
     found = copy.deepcopy(body)
     for path in fields:
         *way, last = _STEP.finditer(path)

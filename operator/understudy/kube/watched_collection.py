@@ -35,8 +35,10 @@ class Reflector:
         cached: bool = False,
         on_change: Callable[[], None] | None = None,
     ) -> None:
-        """``on_change`` is called whenever an object is new, changed or deleted. ``cached`` says how the collection is
-        listed."""
+        """``on_change`` is called whenever an object is new, changed or deleted.
+
+        ``cached`` says how the collection is listed.
+        """
         self._client, self._resource, self._namespace = client, resource, namespace
         self._labels, self._fields, self._cached = labels, fields, cached
         self._on_change = on_change

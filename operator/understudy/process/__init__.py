@@ -1,4 +1,4 @@
-"""What every long-running process of ours shares: logs, HTTP pages, CPU scheduling.
+"""What all long-running processes share: logs, HTTP pages, CPU scheduling.
 
-It knows neither Kubernetes nor ROS.
+It depends neither on Kubernetes nor on ROS.
 """

@@ -1,4 +1,4 @@
-"""Being woken in time on a node whose processors are all busy."""
+"""CPU scheduling that wakes a process in time on a node whose processors are all busy."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ import struct
 _logger = logging.getLogger(__name__)
 
 SLICE = 100_000
-"""Nanoseconds at a time that a process asks for which does little and must do it at once; Linux allows no shorter ones."""
+"""Length of the time slice, in nanoseconds, that a process requests if its work is short and urgent. Linux allows no
+shorter one."""
 
 _NUMBERS = {"x86_64": (314, 315), "aarch64": (274, 275)}
-"""Of the system calls sched_setattr and sched_getattr, which the C library has no names for."""
+"""Numbers of the system calls sched_setattr and sched_getattr, for which the C library has no functions."""
 
 _ATTRIBUTES = struct.Struct("=IIQiIQQQII")
-"""struct sched_attr of sched_setattr(2): size, policy, flags, nice, priority, runtime (ns), deadline, period, and the two
-utilization clamps.
-"""
+"""struct sched_attr of sched_setattr(2): size, policy, flags, nice, priority, runtime (ns), deadline, period, and the
+two utilization clamps."""
 
 
 def ask_for_short_slices() -> bool:
-    """Have this process, and the threads that it starts from now on, run as soon as it is woken.
+    """Request that this process, and the threads that it starts from now on, run as soon as they are woken.
 
-    Linux lets a process that asks for less time at once go before one that is running (EEVDF, from 6.12 on; older kernels
-    take no notice). No privilege is needed and no share of the processor gained. Returns whether the kernel took it.
+    Linux runs a process that requests a shorter slice before the one that is running (EEVDF, from 6.12 on; older
+    kernels ignore the request). It needs no privilege, and the process gains no share of the processor. Returns whether
+    the kernel accepted it.
     """
     numbers = _NUMBERS.get(platform.machine())
     if numbers is None:
@@ -36,13 +37,14 @@ def ask_for_short_slices() -> bool:
     if libc.syscall(get_number, 0, found, _ATTRIBUTES.size, 0) != 0:
         return _refused()
     _, policy, _, nice, *_ = _ATTRIBUTES.unpack(found.raw)
-    if policy != 0:  # SCHED_OTHER; somebody chose something else for this process
+    if policy != 0:  # SCHED_OTHER; somebody chose another policy for this process
         return False
     wanted = _ATTRIBUTES.pack(_ATTRIBUTES.size, policy, 0, nice, 0, SLICE, 0, 0, 0, 0)
     return libc.syscall(set_number, 0, wanted, 0) == 0 or _refused()
 
 
 def _refused() -> bool:
-    # As under a seccomp profile that allows no sched_setattr: everything works, only later on a node without a free processor.
+    # For example, a seccomp profile forbids sched_setattr. Everything works, only later on a node without a free
+    # processor.
     _logger.info("no short time slices here: errno %d", ctypes.get_errno())
     return False

@@ -13,18 +13,18 @@ PLAIN = "text/plain; charset=utf-8"
 JSON, HTML = "application/json", "text/html; charset=utf-8"
 
 Answer = tuple[int, str] | tuple[int, str | Path, str]
-"""A status, a text or a file, and what that is if it is not plain text."""
+"""A status, a text or a file, and the content type if it is not plain text."""
 
 Page = Callable[[], Answer]
 
 _REASONS = {200: "OK", 404: "Not Found", 405: "Method Not Allowed", 503: "Service Unavailable"}
 _TIMEOUT = 5.0  # seconds for a request to arrive
-_PIECE = 1 << 18  # bytes of a file that are sent at a time
-_PATIENCE = 30.0  # seconds for one of them to be taken
+_PIECE = 1 << 18  # bytes of a file that are sent at once
+_PATIENCE = 30.0  # seconds for the client to receive one of these pieces
 
 
 async def serve(pages: Mapping[str, Page], port: int, *, host: str = "0.0.0.0") -> asyncio.Server:
-    """Serve pages by path, for GET and HEAD, one request a connection."""
+    """Serve pages by path, for GET and HEAD, with one request per connection."""
 
     async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -63,7 +63,7 @@ async def serve(pages: Mapping[str, Page], port: int, *, host: str = "0.0.0.0") 
 
 
 async def _send(writer: asyncio.StreamWriter, path: Path) -> None:
-    """A file, piece by piece: it may be larger than what this process should take of memory."""
+    """Send a file in pieces: it may be larger than the memory that this process should use."""
     with await asyncio.to_thread(path.open, "rb") as file:
         while piece := await asyncio.to_thread(file.read, _PIECE):
             writer.write(piece)

@@ -1,4 +1,4 @@
-"""The tracker: where robots with ArUco markers are, and how fast they move, as a camera sees them.
+"""The tracker: finds robots with ArUco markers in the images of a camera, and how fast they move.
 
 It publishes poses and judges nothing.
 """

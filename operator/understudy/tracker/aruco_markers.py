@@ -9,17 +9,19 @@ from numpy.typing import NDArray
 from understudy.tracker.image_messages import Gray
 
 Corners = NDArray[np.float64]
-"""The corners of a marker's black square in pixels, 4 x 2: from its own upper left on, clockwise as seen."""
+"""The corners of a marker's black square in pixels, 4 x 2: clockwise in the image, beginning with the marker's own
+upper left one."""
 
 THRESHOLD_WINDOW = 13
-"""Pixels over which it is looked what is dark: one window is found as surely as three at the usual sizes, for a third of the work."""
+"""Size in pixels of the window of the adaptive threshold. At the usual sizes one window finds markers as surely as
+three, for a third of the work."""
 
 
 class Detector:
-    """Of one set of markers."""
+    """Detects the markers of one dictionary."""
 
     def __init__(self, dictionary: str) -> None:
-        """``dictionary`` by OpenCV's name."""
+        """``dictionary`` is OpenCV's name of it."""
         parameters = cv2.aruco.DetectorParameters()
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_CONTOUR
         parameters.adaptiveThreshWinSizeMin = parameters.adaptiveThreshWinSizeMax = THRESHOLD_WINDOW
@@ -27,7 +29,10 @@ class Detector:
         self._detector = cv2.aruco.ArucoDetector(known, parameters)
 
     def find(self, image: Gray) -> dict[int, Corners]:
-        """The markers in an image by their numbers. One that is there twice cannot be distinguished, and is not found."""
+        """Return the markers in an image by their numbers.
+
+        A number that appears twice is left out, since the two cannot be distinguished.
+        """
         corners, numbers, _ = self._detector.detectMarkers(image)
         if numbers is None:
             return {}

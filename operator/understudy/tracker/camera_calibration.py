@@ -1,4 +1,5 @@
-"""A camera's calibration out of a file as ROS' camera_calibration writes it, and camera_calibration_parsers reads it (YAML)."""
+"""Reads a camera's calibration from a file (YAML) in the format of ROS' camera_calibration and
+camera_calibration_parsers."""
 
 from __future__ import annotations
 
@@ -11,14 +12,14 @@ from understudy.tracker.configuration import ConfigurationError, from_yaml
 from understudy.tracker.image_messages import MOST_PIXELS, Calibration, Unusable, calibration
 
 FIELD = "camera.device.calibration"
-"""What names the file."""
+"""The field of the configuration that names the file."""
 
 UNSAID = "plumb_bob"
-"""The distortion model of a file that names none, as in old ones."""
+"""The distortion model of a file that names none, which is usual in old files."""
 
 
 def read(file: Path) -> Calibration:
-    """The calibration in a file. Raises ConfigurationError, with the field that is wrong."""
+    """Return the calibration in a file. Raises ConfigurationError with the name of the invalid field."""
     try:
         text = file.read_text()
     except (OSError, UnicodeDecodeError) as error:
@@ -30,7 +31,7 @@ def read(file: Path) -> Calibration:
 
 
 def load(text: str, source: str) -> Calibration:
-    """The same out of its text. Raises ConfigurationError."""
+    """Return the calibration in the text of a file. Raises ConfigurationError."""
     found = from_yaml(text, source, "a file that camera_calibration wrote")
     if not isinstance(found, Mapping):
         raise ConfigurationError(f"{source}: it has no camera_matrix; give a file that camera_calibration wrote")

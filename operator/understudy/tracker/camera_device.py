@@ -1,7 +1,7 @@
 """A camera of this machine, read by OpenCV (V4L). No ROS is needed.
 
-A thread waits for images and keeps the newest; whoever looks for markers takes that one, and does not fall behind. A
-camera's own queue is emptied all the time, since what waits in it is old.
+A thread waits for images and keeps the newest one. The tracker processes only that one, so it does not fall behind. The
+thread empties the camera's own queue all the time, since images that wait in it are old.
 """
 
 from __future__ import annotations
@@ -24,43 +24,45 @@ from understudy.tracker.configuration import Device
 from understudy.tracker.image_messages import Gray, Unusable
 
 AGAIN = 1.0
-"""Seconds after which a camera that has gone, or is not there yet, is looked for again."""
+"""Seconds after which the camera is looked for again if it has gone or does not exist yet."""
 
 EARLY = 0.1
-"""The part of the period between images by which one may come early."""
+"""Fraction of the period between images that an image may be early."""
 
 FASTEST = 240.0
-"""Hz that a video is played at, at most; a file that says more does not know its rate."""
+"""Maximum rate of a video file in Hz. A file with a higher rate does not know its rate, and the configured one is
+used."""
 
 PATTERN = "%"
-"""What is in the path of a numbered sequence of pictures, such as image%04d.png."""
+"""A path with this character is a numbered sequence of pictures, such as image%04d.png."""
 
 
 class Frame(NamedTuple):
-    """An image and when it was taken."""
+    """An image and the time at which it was taken."""
 
     stamp: int
-    """Nanoseconds of Unix time at which it came out of the camera."""
+    """When the image came out of the camera, in Unix nanoseconds."""
     image: Gray
 
 
 class Footage:
-    """Gives the newest image of a camera, and looks for it again if it has gone."""
+    """Provides the newest image of a camera, and looks for the camera again if it has gone."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
-        """``size`` is the width and the height of the images that it is asked for, in pixels."""
+        """``size`` is the width and the height of the images that are requested from the camera, in pixels."""
         self._device, self._size = device, size
         self._newest: Frame | Unusable | None = None
         self._came = threading.Condition()
         self._ended = threading.Event()
-        # A camera that hangs keeps its reader waiting for up to ten seconds; the process need not.
+        # A camera that hangs blocks this thread for up to ten seconds. The process does not have to wait for that.
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self._thread.start()
 
     def take(self, timeout: float) -> Frame | None:
-        """The newest image that was not taken yet, or the next one; None if none comes in so many seconds.
+        """Return the newest image that was not returned yet, or wait for the next one; None if none arrives within
+        ``timeout`` seconds.
 
-        Raises Unusable, with what is wrong, each time that the camera cannot be used.
+        Raises Unusable with the reason, at each call, while the camera cannot be used.
         """
         with self._came:
             self._came.wait_for(lambda: self._newest is not None, timeout)
@@ -70,7 +72,7 @@ class Footage:
         return newest
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the camera."""
         self._ended.set()
         self._thread.join(AGAIN)
 
@@ -90,7 +92,7 @@ class Footage:
             self._came.notify()
 
     def _film(self) -> None:
-        """Keep the newest image for as long as there are more. Raises Unusable."""
+        """Keep the newest image until there are no more. Raises Unusable."""
         period = (1 - EARLY) / self._device.rate
         with _opened(self._device, self._size) as (capture, pause):
             last = -math.inf
@@ -113,7 +115,10 @@ class Footage:
 
 @contextmanager
 def _opened(device: Device, size: tuple[int, int]) -> Iterator[tuple[cv2.VideoCapture, float]]:
-    """What is read, and for how many seconds to wait before each image: a camera has a pace of its own. Raises Unusable."""
+    """Provide the opened source, and the seconds to wait before each image (a camera has its own pace).
+
+    Raises Unusable.
+    """
     camera = _is_camera(device.path)
     capture = cv2.VideoCapture(device.path, cv2.CAP_V4L2 if camera else cv2.CAP_ANY)
     try:
@@ -128,7 +133,7 @@ def _opened(device: Device, size: tuple[int, int]) -> Iterator[tuple[cv2.VideoCa
             rate = capture.get(cv2.CAP_PROP_FPS)
             yield capture, 1 / rate if 1 <= rate <= FASTEST else 1 / device.rate
             return
-        # What a camera codes images as decides which sizes it has, and these which rates.
+        # The image format decides which sizes a camera has, and the size which rates.
         if device.format is not None:
             capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*device.format))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
@@ -140,12 +145,12 @@ def _opened(device: Device, size: tuple[int, int]) -> Iterator[tuple[cv2.VideoCa
 
 
 def _is_camera(path: str) -> bool:
-    """Whether it is a device, and can be opened. Raises Unusable, with why not."""
+    """Whether the path is a device. Raises Unusable with the reason if it cannot be opened."""
     if PATTERN in path:
         return False
     try:
         camera = stat.S_ISCHR(os.stat(path).st_mode)
-        # OpenCV says no more than that it could not.
+        # OpenCV itself reports only that opening failed.
         os.close(os.open(path, (os.O_RDWR if camera else os.O_RDONLY) | os.O_NONBLOCK))
     except OSError as error:
         raise Unusable(refused(path, error)) from error
@@ -153,7 +158,7 @@ def _is_camera(path: str) -> bool:
 
 
 def refused(path: str, error: OSError) -> str:
-    """Why a camera cannot be opened, and the way out."""
+    """Return why a camera cannot be opened, and how to correct that."""
     said = f"camera.device.path: {path} cannot be opened: {error.strerror}"
     match error.errno:
         case errno.ENOENT | errno.ENXIO | errno.ENODEV:

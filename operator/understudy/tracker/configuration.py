@@ -47,14 +47,14 @@ Dictionary = Literal[
     "DICT_APRILTAG_36h10",
     "DICT_APRILTAG_36h11",
 ]
-"""OpenCV's names of sets of markers."""
+"""OpenCV's names of marker dictionaries."""
 
 LONGEST = 10.0
-"""Seconds that the window of a velocity may have."""
+"""Maximum length of a velocity's window, in seconds."""
 
 
 class ConfigurationError(ValueError):
-    """A configuration that cannot be used; the text has a line for each problem."""
+    """A configuration that cannot be used. The text has a line for each problem."""
 
 
 def _duration(value: object) -> float:
@@ -255,17 +255,17 @@ class Configuration(_Part):
 
 
 def from_yaml(text: str, source: str, right: str) -> Any:
-    """What a text says; ``right`` is what it should be. Raises ConfigurationError."""
+    """Parse a text; ``right`` says what is expected. Raises ConfigurationError."""
     try:
         return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-45 is a ValueError
+    except (yaml.YAMLError, ValueError) as error:  # a date such as 2020-13-45 raises ValueError
         raise ConfigurationError(f"{source} is no YAML: {error}") from error
     except RecursionError as error:
         raise ConfigurationError(f"{source}: lists and mappings are nested too deeply; give {right}") from error
 
 
 def load(text: str, source: str = "the configuration") -> Configuration:
-    """A configuration out of YAML. Raises ConfigurationError with everything that is wrong."""
+    """Return the configuration in a YAML text. Raises ConfigurationError with everything that is wrong."""
     found = from_yaml(text, source, "a mapping with camera and markers")
     if not isinstance(found, Mapping):
         kind = "nothing" if found is None else type(found).__name__
@@ -277,7 +277,7 @@ def load(text: str, source: str = "the configuration") -> Configuration:
 
 
 def read(file: Path) -> Configuration:
-    """A configuration out of a file. Raises ConfigurationError."""
+    """Return the configuration in a file. Raises ConfigurationError."""
     try:
         text = file.read_text()
     except OSError as error:
@@ -293,7 +293,7 @@ def read(file: Path) -> Configuration:
 
 
 def _problem(entry: Any) -> str:
-    """A problem of pydantic's in one line: the field, what was found, what would be right."""
+    """Return a pydantic error in one line: the field, what was found, what is expected."""
     place = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in entry["loc"]).removeprefix(".")
     message, found = entry["msg"].removeprefix("Value error, "), entry["input"]
     if entry["type"] == "missing":
@@ -306,7 +306,7 @@ def _problem(entry: Any) -> str:
 
 
 def _siblings(place: tuple[int | str, ...]) -> list[str]:
-    """The fields of the part at a place."""
+    """Return the names of the fields of the part at a place."""
     model: type[BaseModel] = Configuration
     inner: dict[str, type[BaseModel]] = {
         "camera": Camera,

@@ -1,7 +1,7 @@
-"""From a marker's corners in the image to the robot's pose on the floor.
+"""Computes the robot's pose on the floor from a marker's corners in the image.
 
-The ray through the marker's middle is cut with the plane that the marker is known to move in. A pose out of the corners
-alone (solvePnP) would have to tell how far away it is by how large it looks, which is wrong by centimetres.
+The ray through the marker's centre is intersected with the plane in which the marker is known to move. A pose from the
+corners alone (solvePnP) would derive the distance from the marker's size in the image, which is wrong by centimetres.
 """
 
 from __future__ import annotations
@@ -21,29 +21,30 @@ from understudy.tracker.image_messages import Calibration
 Matrix = NDArray[np.float64]
 
 MISFIT = 0.25
-"""The part by which a marker may look larger or smaller than it is, at its height; what differs more is something else."""
+"""Relative error of a marker's apparent size, at its height, above which it is not the configured marker."""
 
 _OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""From a camera's optical axes (z ahead, x to the right) to its body's (x ahead, y to the left), REP 103."""
+"""Rotation from a camera's optical axes (z ahead, x to the right) to those of its body (x ahead, y to the left), REP
+103."""
 
 _STEP = 0.05
-"""Pixels by which corners are moved to see what that does to a pose."""
+"""Step in pixels with which corners are moved to find the effect on a pose."""
 
 
 class Misfit(ValueError):
-    """What was found is not the marker that it is taken for, or not where it should be; the text says why."""
+    """What was found is not the configured marker, or is not where it should be. The text says why."""
 
 
 @dataclass(frozen=True)
 class View:
-    """Where a camera is in the world: what its optical axes are there, and its place in m."""
+    """The place of a camera in the world: the directions of its optical axes, and its position in m."""
 
     axes: Matrix
     place: Matrix
 
 
 def view_of(pose: CameraPose) -> View:
-    """The view of a camera whose pose is given."""
+    """Return the view of a camera with a known pose."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in (pose.roll, pose.pitch, pose.yaw))
     body = np.array(
         [
@@ -56,7 +57,8 @@ def view_of(pose: CameraPose) -> View:
 
 
 def square(size: float, x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Matrix:
-    """The corners of a marker that lies flat, in the order of Corners: at a yaw of 0 its right edge is ahead (+x)."""
+    """Return the corners of a marker that lies flat, in the order of Corners: at a yaw of 0 its right edge is ahead
+    (+x)."""
     half = size / 2
     flat = np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
     c, s = math.cos(yaw), math.sin(yaw)
@@ -65,10 +67,10 @@ def square(size: float, x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: flo
 
 
 def view_by(references: list[tuple[Reference, Corners]], calibration: Calibration) -> View:
-    """The view of a camera that sees markers on the floor whose places are known. Raises Misfit."""
+    """Return the view of a camera that sees markers at known places on the floor. Raises Misfit."""
     world = np.concatenate([square(r.size, r.x, r.y, r.z, r.yaw) for r, _ in references])
     rays = calibration.rays(np.concatenate([corners for _, corners in references]))
-    # Without distortion and with a focal length of 1, so that every model of a camera is served alike.
+    # Without distortion and with a focal length of 1, so that the same code handles every camera model.
     found, rotation, shift = cv2.solvePnP(world, rays, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
     if not found:
         raise Misfit("the reference markers give no pose of the camera")
@@ -86,7 +88,7 @@ def view_by(references: list[tuple[Reference, Corners]], calibration: Calibratio
 
 
 MOST_MISS = 5.0
-"""Pixels that a reference may be from where it should be seen."""
+"""Maximum distance in pixels between a reference marker and where it should be seen."""
 
 
 class Placed(NamedTuple):
@@ -98,12 +100,15 @@ class Placed(NamedTuple):
     heading: float
     """rad"""
     covariance: Matrix
-    """3 x 3, of the three."""
+    """3 x 3, of x, y and heading."""
 
 
 def place(corners: Corners, marker: Marker, calibration: Calibration, view: View, noise: float) -> Placed:
-    """The robot whose marker is seen. ``noise`` is the standard deviation of a corner in pixels. Raises Misfit."""
-    # The corners as they were found, and each of their eight numbers moved a little, all at once.
+    """Return the pose of the robot whose marker is seen. ``noise`` is the standard deviation of a corner in pixels.
+
+    Raises Misfit.
+    """
+    # Nine sets of corners at once: as they were found, and with each of their eight numbers moved a little.
     moved = np.repeat(corners[None], 9, axis=0)
     for index in range(8):
         moved[index + 1].flat[index] += _STEP
@@ -132,7 +137,7 @@ def place(corners: Corners, marker: Marker, calibration: Calibration, view: View
 
 
 def _pose(points: Matrix, marker: Marker) -> tuple[float, float, float]:
-    """x, y and heading of the robot by its marker's corners on their plane."""
+    """Return x, y and heading of the robot from its marker's corners in their plane."""
     # The middle is where the diagonals cross.
     first, second = points[2] - points[0], points[3] - points[1]
     along = _cross(points[1] - points[0], second) / _cross(first, second)

@@ -1,4 +1,7 @@
-"""Images and calibrations as ROS says them, as arrays. No ROS is needed: messages are whatever has their fields."""
+"""Converts ROS images and calibrations to arrays.
+
+No ROS is needed: any object with the fields of the message is accepted.
+"""
 
 from __future__ import annotations
 
@@ -17,17 +20,17 @@ ENCODINGS: dict[str, tuple[int, int | None]] = {
     "rgba8": (4, cv2.COLOR_RGBA2GRAY),
     "bgra8": (4, cv2.COLOR_BGRA2GRAY),
 }
-"""Bytes of a pixel, and how it becomes gray (names as in sensor_msgs/image_encodings.hpp)."""
+"""Bytes per pixel, and the conversion to gray (names as in sensor_msgs/image_encodings.hpp)."""
 
 MOST_PIXELS = 64_000_000
 
 
 class Unusable(ValueError):
-    """An image or a calibration that cannot be used; the text says why."""
+    """An image or a calibration that cannot be used. The text says why."""
 
 
 def gray(message: Any) -> Gray:
-    """A sensor_msgs/Image in shades of gray. Raises Unusable."""
+    """Return a sensor_msgs/Image in shades of gray. Raises Unusable."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     if message.encoding not in ENCODINGS:
         raise Unusable(f"its encoding is {message.encoding!r}; {', '.join(ENCODINGS)} can be read")
@@ -37,7 +40,7 @@ def gray(message: Any) -> Gray:
     if step < width * depth:
         raise Unusable(f"its step of {step} bytes is less than a row of {width} pixels has in {message.encoding}")
     data: NDArray[np.uint8] = np.frombuffer(message.data, np.uint8)
-    # The last row need not be padded.
+    # The last row may lack its padding.
     if data.size < step * (height - 1) + width * depth:
         raise Unusable(f"it has {data.size} bytes of the {step * height} that its size says")
     shape, strides = (height, width, depth), (step, depth, 1)
@@ -48,7 +51,7 @@ def gray(message: Any) -> Gray:
 
 
 class Calibration(NamedTuple):
-    """How a camera's pixels look into space (sensor_msgs/CameraInfo)."""
+    """The projection of a camera (sensor_msgs/CameraInfo)."""
 
     matrix: NDArray[np.float64]
     distortion: NDArray[np.float64]
@@ -57,7 +60,8 @@ class Calibration(NamedTuple):
     height: int
 
     def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Where rays through pixels (n x 2) meet the plane one metre before the camera, without distortion."""
+        """Return where rays through pixels (n x 2) meet the plane one metre in front of the camera, without
+        distortion."""
         points = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
         if self.fisheye:
             found = cv2.fisheye.undistortPoints(points, self.matrix, self.distortion)
@@ -73,11 +77,11 @@ MODELS = {
     "equidistant": (4,),
     "fisheye": (4,),
 }
-"""Distortion models (sensor_msgs/distortion_models.hpp) and how many numbers they have."""
+"""Distortion models (sensor_msgs/distortion_models.hpp), and how many coefficients they may have."""
 
 
 def calibration(message: Any) -> Calibration:
-    """A sensor_msgs/CameraInfo of images that are not rectified. Raises Unusable."""
+    """Return the calibration of a sensor_msgs/CameraInfo, for images that are not rectified. Raises Unusable."""
     matrix = np.array(message.k, np.float64).reshape(3, 3)
     if not np.isfinite(matrix).all() or matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or matrix[2, 2] != 1:
         raise Unusable("its matrix k is that of no camera: the camera is not calibrated")

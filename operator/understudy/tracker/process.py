@@ -1,4 +1,4 @@
-"""``understudy tracker FILE``: the tracker's process; with ``--check`` it only says whether the file can be used."""
+"""``understudy tracker FILE``: the tracker's process. With ``--check`` it only checks whether the file can be used."""
 
 from __future__ import annotations
 
@@ -16,13 +16,16 @@ from understudy.tracker.configuration import ConfigurationError, read
 _logger = logging.getLogger(__name__)
 
 TURN = 0.5
-"""Seconds after which it is looked whether the process is to end."""
+"""Seconds between checks of whether the process should end."""
 
 NEEDS = {"cv2": "opencv-python-headless", "rclpy": "ros-jazzy-rclpy"}
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM or SIGINT. Exit status 2 if it is not told what to do, or cannot be used as it is installed."""
+    """Run until SIGTERM or SIGINT.
+
+    Returns 2 if the configuration is missing or wrong, or a package is not installed.
+    """
     parser = argparse.ArgumentParser(
         prog="understudy tracker",
         description="Publishes where robots with ArUco markers are and how fast they move, as a camera sees them.",
@@ -61,7 +64,7 @@ def main(argv: list[str]) -> int:
         signal.signal(number, lambda *_: told.set())
     import cv2
 
-    cv2.setNumThreads(1)  # an image is small; threads would cost more than they save
+    cv2.setNumThreads(1)  # an image is small, so threads would cost more than they save
     tracker = Tracker(configuration)
     names = ", ".join(f"{marker.name} on {marker.base}" for marker in configuration.markers)
     _logger.info("tracking %s by %s", names, configuration.camera.source)

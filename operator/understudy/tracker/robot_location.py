@@ -1,4 +1,4 @@
-"""Images in, poses and velocities of robots out; all of the tracker but its place in the ROS graph."""
+"""Finds poses and velocities of robots in images: all of the tracker except its ROS node."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from understudy.tracker.floor_projection import Misfit, Placed, View, place, vie
 from understudy.tracker.image_messages import Calibration, Gray, Unusable
 
 REFERENCE_IMAGES = 20
-"""Images with all reference markers in them over which these are averaged, once: neither they nor the camera move."""
+"""Number of images with all reference markers that are averaged, once: neither the markers nor the camera move."""
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Sighting:
     corners: Corners
     placed: Placed
     velocity: Velocity | None
-    """None until it has been seen for long enough."""
+    """None until the robot has been seen for long enough."""
 
 
 class Locator:
-    """Finds the robots of a configuration."""
+    """Finds the robots of a configuration in images."""
 
     def __init__(self, configuration: Configuration) -> None:
         self._configuration = configuration
@@ -40,16 +40,16 @@ class Locator:
         self._references: list[list[Corners]] = []
         pose = configuration.camera.pose
         self.view: View | None = view_of(pose) if pose is not None else None
-        """Where the camera is; None until its reference markers have told."""
+        """The place of the camera; None until the reference markers have shown it."""
         self.problems: list[str] = []
-        """What was wrong with the last image."""
+        """Problems of the last image."""
 
     def calibrate(self, calibration: Calibration) -> None:
-        """How the camera's pixels look into space."""
+        """Set the projection of the camera."""
         self._calibration = calibration
 
     def see(self, image: Gray, stamp: float) -> list[Sighting]:
-        """The robots in an image, which was taken at a time in seconds. Raises Unusable."""
+        """Return the robots in an image that was taken at ``stamp`` (seconds). Raises Unusable."""
         calibration = self._calibration
         if calibration is None:
             raise Unusable(f"nothing was received on {self._configuration.camera.calibration} yet")

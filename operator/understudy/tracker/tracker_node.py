@@ -1,4 +1,4 @@
-"""The tracker's node: images and their calibration in, poses and odometry out."""
+"""The tracker's node: subscribes to images and their calibration, and publishes poses and odometry."""
 
 from __future__ import annotations
 
@@ -29,23 +29,24 @@ from understudy.tracker.robot_location import Locator, Sighting
 _logger = logging.getLogger(__name__)
 
 SAY_AGAIN = 30.0
-"""Seconds after which a problem that is still there is logged again."""
+"""Seconds after which a problem that persists is logged again."""
 
 WITHOUT_IMAGE = 20
-"""Calibrations, of which one comes with each image, after the last image."""
+"""Number of calibrations without an image after which missing images are reported. One calibration comes with each
+image."""
 
 _FIGURE = re.compile(r"[0-9.]+")
-"""What differs from one image to the next while a problem stays."""
+"""The parts of a problem's text that differ between images while the problem is the same."""
 
 FIXED = 1e-6
-"""m2, rad2 and their like for speeds: the variance of what a robot on the floor cannot do, such as flying."""
+"""Variance of motions that a robot on the floor cannot make, such as flying: m2, rad2, and the same for speeds."""
 
 
 class Tracker:
-    """Joins the ROS graph, and serves it while it is turned."""
+    """Joins the ROS graph. It works only while :meth:`turn` is called."""
 
     def __init__(self, configuration: Configuration, *, context: Context | None = None) -> None:
-        """In a context that is there already, or in one of its own.
+        """Join in a given context, or in one of its own.
 
         Raises ConfigurationError if a device's calibration cannot be used.
         """
@@ -76,14 +77,14 @@ class Tracker:
         self._without_image = 0
 
     def _subscribe(self) -> None:
-        # A reader that asks for no more than best effort matches every camera. Only the newest image is of use.
+        # A best-effort reader matches every camera. Only the newest image is useful.
         reliability = ReliabilityPolicy.RELIABLE if self._camera.reliable else ReliabilityPolicy.BEST_EFFORT
         newest = QoSProfile(depth=1, reliability=reliability)
         self.node.create_subscription(Image, self._camera.source, self.on_image, newest)
         self.node.create_subscription(CameraInfo, self._camera.calibration, self.on_calibration, newest)
 
     def turn(self, timeout: float) -> None:
-        """Serve what has come, or wait so many seconds for something."""
+        """Process what has arrived, or wait for something for ``timeout`` seconds."""
         if self._device is None:
             self._executor.spin_once(timeout_sec=timeout)
             return
@@ -97,7 +98,7 @@ class Tracker:
             self._see(frame.image, Time(sec=seconds, nanosec=rest))
 
     def close(self) -> None:
-        """Leave the graph, and let go of the camera."""
+        """Leave the graph, and close the camera."""
         if self._device is not None:
             self._device.close()
         self._executor.shutdown()
@@ -105,11 +106,11 @@ class Tracker:
         self._context.try_shutdown()
 
     def on_calibration(self, message: Any) -> None:
-        """Take a calibration (sensor_msgs/msg/CameraInfo)."""
+        """Apply a calibration (sensor_msgs/msg/CameraInfo)."""
         self._without_image += 1
         if self._without_image >= WITHOUT_IMAGE:
             self._problem(self._no_images())
-        # It comes with each image, and is nearly always the same.
+        # A calibration comes with each image, and is nearly always the same.
         info = (message.width, message.height, message.distortion_model, tuple(message.k), tuple(message.d))
         if info == self._info:
             return
@@ -130,7 +131,7 @@ class Tracker:
         return f"{text}nobody publishes there, or images are lost on the way, as large ones may be: set camera.reliable to true"
 
     def on_image(self, message: Any) -> None:
-        """Find the markers in an image (sensor_msgs/msg/Image), and publish where the robots are."""
+        """Find the markers in an image (sensor_msgs/msg/Image), and publish the poses of the robots."""
         self._without_image = 0
         stamp = message.header.stamp
         if not stamp.sec and not stamp.nanosec:
@@ -177,7 +178,7 @@ class Tracker:
 
 
 def pose_of(sighting: Sighting, frame: str, stamp: Any) -> Any:
-    """Where a robot was seen, as geometry_msgs/PoseWithCovarianceStamped; ``stamp`` as in a header."""
+    """Return the pose of a robot as geometry_msgs/PoseWithCovarianceStamped; ``stamp`` as in a header."""
     message = PoseWithCovarianceStamped()
     message.header.stamp, message.header.frame_id = stamp, frame
     _fill_pose(message.pose, sighting.placed)
@@ -185,7 +186,7 @@ def pose_of(sighting: Sighting, frame: str, stamp: Any) -> Any:
 
 
 def odometry_of(sighting: Sighting, frame: str, stamp: Any) -> Any | None:
-    """The same with its velocity, as nav_msgs/Odometry; None while that is not known yet."""
+    """Return the same with its velocity, as nav_msgs/Odometry; None while the velocity is not known."""
     if sighting.velocity is None:
         return None
     message = Odometry()

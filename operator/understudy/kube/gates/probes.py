@@ -287,8 +287,10 @@ class ProbeReceiver:
             asyncio.get_running_loop().remove_reader(self._socket.fileno())
 
     def _arrived(self) -> None:
-        """Read what has arrived. While no caller waits, delay the next read, so that a burst does not wake this process
-        each time."""
+        """Read what has arrived.
+
+        While no caller waits, delay the next read, so that a burst does not wake this process each time.
+        """
         self._take()
         if not self._waiting:
             self._look_away()
