@@ -1,1 +1,1 @@
-"""The operator: pure functions from what is observed to what should exist, and the shell that applies the result."""
+"""The operator: pure functions from observed state to desired objects, and the shell that applies the result."""

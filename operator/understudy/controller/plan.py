@@ -1,4 +1,4 @@
-"""What the pure functions answer: the writes that would make the cluster as it should be."""
+"""The result of the pure functions: the writes that bring the cluster to its desired state."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from understudy.kube.client import MERGE, Object, Resource
 
 @dataclass(frozen=True)
 class Apply:
-    """An object that should be just so, whole."""
+    """A complete object that should exist exactly as given."""
 
     resource: Resource
     body: Object
@@ -18,24 +18,24 @@ class Apply:
 
 @dataclass(frozen=True)
 class Create:
-    """An object to make once and then leave alone."""
+    """An object that the operator creates once and does not change afterwards."""
 
     resource: Resource
     body: Object
     counted: bool = False
-    """Whether it's one of a number that must not be exceeded: remembered until it is observed."""
+    """Whether a maximum number of such objects must not be exceeded. The operator then counts it before it is observed."""
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A patch on exactly one object (by UID)."""
+    """A patch on exactly one object, identified by its UID."""
 
     resource: Resource
     item: Object
     body: Object
     subresource: str | None = None
     kind: str = MERGE
-    """What sort of patch it is: its content type."""
+    """The patch type: its content type."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +50,12 @@ Write = Apply | Create | Patch | Delete
 
 
 UNANSWERED = "WebhookUnavailable"
-"""Reason of a Problem that says nothing of the object: whoever is to judge what is written doesn't answer."""
+"""Reason of a Problem that says nothing about the object: an admission webhook that must review the write does not answer."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Something that keeps an object from being accepted or built."""
+    """A problem that prevents an object from being accepted or built."""
 
     reason: str
     message: str
@@ -63,27 +63,27 @@ class Problem:
 
 @dataclass
 class Plan:
-    """The writes, in order."""
+    """Writes, in order."""
 
     writes: list[Write] = field(default_factory=list)
     again_after: float | None = None
-    """Seconds until it should be looked at again though nothing changes."""
+    """Seconds until the object is reconciled again even if nothing changes; None for never."""
 
     def later(self, delay: float) -> None:
-        """Look again after so many seconds at the latest."""
+        """Reconcile again after at most this number of seconds."""
         self.again_after = delay if self.again_after is None else min(self.again_after, delay)
 
 
 @dataclass(frozen=True)
 class Images:
-    """The image of everything that Understudy runs itself, and how its own pods get it and a place."""
+    """The image of everything that Understudy itself runs, and how its pods pull it and are scheduled."""
 
     monitor: str
     pull_policy: str = "IfNotPresent"
     pull_secrets: tuple[str, ...] = ()
     """Names of the pull Secrets in the namespace of the workload."""
     priority_class: str = ""
-    """PriorityClass of monitors and discovery servers; an agent is in a pod of the user's."""
+    """PriorityClass of monitors and discovery servers. It does not apply to agents, which run in the user's pods."""
 
 
 def priority(images: Images) -> Object:

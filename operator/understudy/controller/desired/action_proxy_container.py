@@ -1,4 +1,4 @@
-"""What tasks ask of a workload's pods: endpoints that only the pod's own agent reaches, and a proxy in front of all."""
+"""The objects that tasks need: action endpoints that only an instance's own agent reaches, and one proxy in front of all."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from understudy.ros.rmw import MIDDLEWARE
 
 
 def proxied(spec: RobotWorkloadSpec) -> bool:
-    """Whether there is a task proxy: pods of a referred controller can't be kept from serving under the plain name."""
+    """Whether a workload has an action proxy. Pods of a referred controller cannot be prevented from serving under the plain name."""
     return bool(spec.tasks) and spec.workload_ref is None
 
 
 def instance_profiles(spec: RobotWorkloadSpec) -> str:
-    """The DDS profiles of the instances; empty where they need none."""
+    """Return the DDS profiles of the instances; empty if they need none."""
     return MIDDLEWARE.instance_settings(spec.tasks if proxied(spec) else [], spec.outputs, spec.gate.reflex)
 
 
 def profiles_map(workload: str, profiles: str) -> Object:
-    """The ConfigMap that instances mount."""
+    """Return the ConfigMap that instances mount."""
     return {
         "apiVersion": "v1",
         "kind": "ConfigMap",
@@ -33,7 +33,7 @@ def profiles_map(workload: str, profiles: str) -> Object:
 
 
 def problem(workload: str, spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str:
-    """Why the tasks have no proxy, or one that can't do all; empty if it can."""
+    """Return why the tasks have no proxy, or one that cannot do everything; empty if there is no problem."""
     if spec.tasks and spec.workload_ref is not None:
         return (
             f"spec.tasks: the pods of {spec.workload_ref.kind} {spec.workload_ref.name} serve {_actions(spec)} "

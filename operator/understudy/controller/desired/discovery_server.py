@@ -1,4 +1,4 @@
-"""The managed ROS discovery server of a workload: a Deployment and the Service whose address everyone gets."""
+"""The managed ROS discovery server of a workload: a Deployment, and the Service whose address all processes use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TOLERATIONS: list[Object] = [
     {"key": f"node.kubernetes.io/{state}", "operator": "Exists", "effect": "NoExecute", "tolerationSeconds": 10}
     for state in ("not-ready", "unreachable")
 ]
-"""On a lost node it is replaced after 10 s, not after the five minutes that are the default."""
+"""After the loss of its node, the server is replaced after 10 s instead of the default of five minutes."""
 
 
 def _labels(workload: str) -> dict[str, str]:
@@ -22,7 +22,7 @@ def _labels(workload: str) -> dict[str, str]:
 
 
 def service(workload: str, address: str | None = None) -> Object:
-    """The Service. ``address`` is one to ask for again: running processes know no other."""
+    """Return the Service. ``address`` is a former address to request again, because running processes know no other."""
     spec: Object = {
         "selector": _labels(workload),
         "ports": [
@@ -45,7 +45,7 @@ def service(workload: str, address: str | None = None) -> Object:
 
 
 def deployment(workload: str, images: Images, address: str) -> Object:
-    """The server, with the Service's address: it tells it as its own, which stays when its pod is another."""
+    """Return the server's Deployment. The server announces the Service's address, which stays when the pod changes."""
     command = MIDDLEWARE.discovery_command(address, names.DISCOVERY_PORT)
     container = {
         "name": "discovery",
@@ -85,6 +85,6 @@ def deployment(workload: str, images: Images, address: str) -> Object:
 
 
 def address(service_: Object | None) -> str | None:
-    """The address of a Service, once it has one."""
+    """Return the address of a Service, or None if it has none yet."""
     found: str | None = ((service_ or {}).get("spec") or {}).get("clusterIP")
     return found if found and found != "None" else None

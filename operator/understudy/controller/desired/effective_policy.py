@@ -1,6 +1,7 @@
-"""Which strategies are in force for a workload: its policy's own, those that were chosen for it, or those of its situation.
+"""Determines which strategies are in force: those of the policy, those selected for the workload, or those of its situation.
 
-What the monitor was told last is the memory of it, by which it stays while a policy can't be followed, and in the midst of a recovery.
+The settings that the operator last wrote for the monitor also serve as memory. The operator keeps to them while the
+policy is missing or invalid, and during a recovery.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from understudy.kube.client import Object
 
 
 def strategies(observed: Observed) -> list[Strategy]:
-    """The strategies in force, in order. For a policy that can be followed."""
+    """Return the strategies in force, in order. The policy must be valid."""
     policy = observed.policy
     assert policy is not None
     found = chosen(observed)
@@ -26,9 +27,9 @@ def strategies(observed: Observed) -> list[Strategy]:
 
 
 def order(observed: Observed, name: str | None = None) -> Order | None:
-    """The order of strategies that the workload's policy comes to, where it leaves that and can be followed.
+    """Return the order of strategies for the workload, or None if its policy does not leave the order open, or is missing or invalid.
 
-    ``name`` is a situation's (empty for none), in which it may be another than the one in force; that it is where none is given.
+    ``name`` is the name of a situation (empty for none). By default, it is the situation in force.
     """
     policy = observed.policy
     if (
@@ -39,7 +40,7 @@ def order(observed: Observed, name: str | None = None) -> Order | None:
         return None
     name = situation(observed) if name is None else name
     found = situation_strategies.find(policy_reader.spec(policy), name) if name else None
-    # A pool that isn't accepted any more has still what it had: what counts on it goes on.
+    # A pool that is no longer accepted keeps its pods, so a workload that already uses it may continue to do so.
     before = {choice.name for choice in observed.told_pools}
     usable = {pool: item for pool, item in observed.serving.items() if observed.refused(pool) is None or pool in before}
     requirements = found.requirements if found is not None else None
@@ -47,10 +48,11 @@ def order(observed: Observed, name: str | None = None) -> Order | None:
 
 
 def chosen(observed: Observed) -> list[Strategy] | None:
-    """The strategies that were chosen for the workload, or are for its situation; None where its policy says them.
+    """Return the strategies that were selected for the workload or belong to its situation; None if its policy lists them.
 
-    Those that it has stay while its policy can't be followed, and in the midst of a recovery, which goes by places in the order. Between
-    two recoveries that failed they don't: what was changed may be what helps.
+    The current ones stay while the policy is missing or invalid. They also stay during a recovery, which identifies a
+    strategy by its position in the order. They may change between two failed recoveries, because the change may be what
+    helps.
     """
     policy = observed.policy
     if policy is not None and not strategy_selection.varies(policy):
@@ -64,7 +66,11 @@ def chosen(observed: Observed) -> list[Strategy] | None:
 
 
 def counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
-    """The pools of the strategies in force; with situations also of those that the monitor was told of last, and of those asked for."""
+    """Return the pools of the strategies in force.
+
+    With situations, these include the pools of the situation that the monitor was last given, and of the one that it
+    reports.
+    """
     found = set(named_pools(chosen))
     policy = observed.policy
     if policy is not None and situation_strategies.has_some(policy):
@@ -74,17 +80,18 @@ def counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
 
 
 def named_pools(strategies: Sequence[Strategy]) -> list[str]:
-    """The pools that strategies take instances from, in order."""
+    """Return the pools from which strategies take instances, in order."""
     return list(dict.fromkeys(one.pool_ref.name for one in strategies if one.pool_ref is not None))
 
 
-# -- by the robot's situation -----------------------------------------------------------------------------------------
+# -- situations of the robot ---------------------------------------------------------------------------------------
 
 
 def situation(observed: Observed) -> str:
-    """The situation whose strategies are in force; empty for none.
+    """Return the situation whose strategies are in force; empty for none.
 
-    It is another one than the monitor says until the first strategy of that one could be carried out, and in the midst of a recovery.
+    The strategies of the situation that the monitor reports come into force when the first of them can run, but not
+    during a recovery.
     """
     policy = observed.policy
     if policy is None or not situation_strategies.has_some(policy):
@@ -96,7 +103,7 @@ def situation(observed: Observed) -> str:
 
 
 def lacking(observed: Observed) -> str:
-    """Why the strategies of the situation that the monitor says aren't in force yet; empty where they are, or none has any."""
+    """Return why the strategies of the reported situation are not in force yet; empty if they are, or if there are no situations."""
     policy = observed.policy
     if policy is None or not situation_strategies.has_some(policy):
         return ""
@@ -104,13 +111,13 @@ def lacking(observed: Observed) -> str:
 
 
 def _told(observed: Observed, policy: Object) -> str:
-    """The situation of whose strategies the monitor was told last."""
+    """Return the situation whose strategies the monitor was last given."""
     settings = observed.told
     return situation_strategies.known(policy, settings.situation if settings is not None else None)
 
 
 def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strategy] | None:
-    """The strategies of a situation (empty for none); None where the policy can't be followed."""
+    """Return the strategies of a situation (empty for none), or None if the policy is invalid."""
     if strategy_selection.is_auto(policy):
         found = order(observed, name)
         return strategy_selection.strategies(policy, found) if found is not None else None
@@ -122,7 +129,7 @@ def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strateg
 
 
 def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
-    """Why the first strategy of a situation couldn't be carried out now, of those that ever could; None where it could."""
+    """Return why the first strategy of a situation cannot run now, or None. Strategies that can never run are skipped."""
     if observed.told_recovering:
         return "a recovery is in progress"
     asked = _of_situation(observed, policy, name)

@@ -1,4 +1,4 @@
-"""What a workload's monitor is told: the settings that it reads from a ConfigMap, also as they change."""
+"""The settings of a workload's monitor. The monitor reads them from a ConfigMap, also when they change."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from understudy.kube.client import Object
 
 
 def config_map(observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> Object:
-    """The ConfigMap from which the monitor reads them."""
+    """Return the ConfigMap with the monitor's settings."""
     assert understanding.spec is not None
     workload = observed.workload
     kind, name = source(observed, understanding)
@@ -42,7 +42,7 @@ def config_map(observed: Observed, understanding: Understanding, environment: Ma
         situation=_situation(observed),
         upstream=dependency_graph.upstream(observed.dependencies, kube_objects.name(workload)),
     )
-    # sorted and indented, since people read it when they look for why
+    # Sorted and indented, because people read it to find the cause of a problem.
     text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
     return {
         "apiVersion": "v1",
@@ -53,8 +53,9 @@ def config_map(observed: Observed, understanding: Understanding, environment: Ma
 
 
 def choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
-    """The pools that the strategies name and that serve the workload, those in force first. While the policy can't be followed, as
-    they were.
+    """Return the pools that the strategies name and that serve the workload, those in force first.
+
+    While the policy is missing or invalid, these are the last known pools.
     """
     assert understanding.spec is not None
     if understanding.policy_problem is not None:
@@ -68,7 +69,8 @@ def choices(observed: Observed, understanding: Understanding) -> list[PoolChoice
         if name not in served:
             continue
         if observed.refused(name) is not None:
-            # Its standbys were made and brought up by what was accepted before, and are judged by that.
+            # Its standbys were created and initialized with the settings that were last accepted, and are judged by
+            # these.
             found += [present[name]] if name in present else []
             continue
         pool = pool_reader.spec(served[name])
@@ -89,14 +91,14 @@ def choices(observed: Observed, understanding: Understanding) -> list[PoolChoice
 
 
 def source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
-    """Kind and name of the controller that makes the pods of the workload itself."""
+    """Return kind and name of the controller that creates the workload's own pods."""
     assert understanding.spec is not None
     reference = understanding.spec.workload_ref
     return (reference.kind, reference.name) if reference else ("ReplicaSet", kube_objects.name(observed.workload))
 
 
 def _situation(observed: Observed) -> str | None:
-    """What the monitor is told: the situation of the strategies that it is told of; None for none."""
+    """Return the situation whose strategies the settings contain, or None."""
     if observed.policy is None:
         settings = observed.told
         return settings.situation if settings is not None else None

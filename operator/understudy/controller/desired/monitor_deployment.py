@@ -1,4 +1,4 @@
-"""The monitor of a workload: its Deployment, and an account that may do no more than protect this one workload."""
+"""The monitor of a workload: its Deployment, and a ServiceAccount that can do no more than protect this workload."""
 
 from __future__ import annotations
 
@@ -20,26 +20,27 @@ from understudy.kube.gates.base import GateKind
 from understudy.ros.rmw import MIDDLEWARE
 
 STATE_DIR = "/var/lib/understudy"
-# Of a busy node's processors it gets its share by this, and in a recovery it needs more at once than what it uses (15m).
+# The request determines its share of a busy node's processors. In a recovery it briefly needs more than its average use
+# (15m).
 _REQUESTS = {"cpu": "50m", "memory": "96Mi"}
 _TASKS_REQUESTS = {"cpu": "20m", "memory": "96Mi"}
-_DISTANCE = 100  # the loss of one node must not take both the pod in control and the one that replaces it
+_DISTANCE = 100  # the loss of one node must not take both the active instance and its monitor, which replaces it
 _TASKS_MOUNT: Object = {"name": "tasks", "mountPath": names.TASKS_DIR}
 _RBAC = "rbac.authorization.k8s.io"
 
 KEPT_VOLUME = "kept"
-"""Volume of a PersistentVolumeClaim for kept state."""
+"""Volume with a PersistentVolumeClaim for kept state."""
 
 
 def claimed(deployment: Object | None) -> str | None:
-    """The claim that a monitor has its kept state on; None where that is in an emptyDir."""
+    """Return the claim on which a monitor has its kept state, or None if the state is in an emptyDir."""
     volumes = deployment["spec"]["template"]["spec"].get("volumes") or [] if deployment else []
     found = (v["persistentVolumeClaim"]["claimName"] for v in volumes if v["name"] == KEPT_VOLUME)
     return next(found, None)
 
 
 def labels(workload: str) -> dict[str, str]:
-    """Labels of the monitor's pods."""
+    """Return the labels of the monitor's pods."""
     return {names.COMPONENT: "monitor", names.MONITORED: workload}
 
 
@@ -55,11 +56,11 @@ def deployment(
     tasks: bool = False,
     claim: str | None = None,
 ) -> Object:
-    """The monitor. Its readers have the gated ports, so that it sees what the robot sees.
+    """Return the monitor's Deployment. Its readers have the gated ports, so that it sees what the robot sees.
 
-    ``profiles`` is the text of the profile file: when that changes, a process that has read it must start again.
-    ``gate`` is the kind of the workload's gate, ``tasks`` whether there is a task proxy beside it, ``claim`` the PersistentVolumeClaim
-    for kept state.
+    ``profiles`` is the text of the profile file: if it changes, a process that has read it must restart.
+    ``gate`` is the kind of the workload's gate; ``tasks`` says whether the pod has an action proxy; ``claim`` is the
+    PersistentVolumeClaim for kept state.
     """
     fixed = {
         "UNDERSTUDY_WORKLOAD": workload,
@@ -107,7 +108,7 @@ def deployment(
         shared.append({"name": _TASKS_MOUNT["name"], "emptyDir": {}})
     owned: Object = {}
     if claim:
-        # A policy serves many workloads, and its claim all of their monitors: each has a folder of its own.
+        # A policy serves many workloads, and its claim serves all their monitors, so each has its own folder.
         container["volumeMounts"].append({"name": KEPT_VOLUME, "mountPath": f"{STATE_DIR}/kept", "subPath": workload})
         shared.append({"name": KEPT_VOLUME, "persistentVolumeClaim": {"claimName": claim}})
         group = HARDENED["runAsGroup"]
@@ -156,9 +157,10 @@ def deployment(
 def _tasks(
     workload: str, namespace: str, settings: MonitorSettings, images: Images, environment: Mapping[str, str]
 ) -> Object:
-    """The task proxy: a process of its own, since it must answer clients while the monitor is busy with a failure.
+    """Return the container of the action proxy.
 
-    It has no profiles: two processes of a pod can't have the same gated ports, and its servers are in no partition.
+    It is a separate process, because it must answer clients while the monitor is busy with a failure. It has no
+    profiles: two processes of a pod cannot have the same gated ports, and its servers are in no partition.
     """
     fixed = {
         "UNDERSTUDY_WORKLOAD": workload,
@@ -174,7 +176,7 @@ def _tasks(
         "args": ["tasks"],
         "env": [{"name": key, "value": value} for key, value in sorted(fixed.items())],
         "ports": [{"name": "tasks", "containerPort": names.TASKS_PORT, "protocol": "TCP"}],
-        # Its restart loses no goal and still costs seconds: on a busy node it is given a minute.
+        # A restart loses no goal but takes seconds, so a busy node has a minute.
         "livenessProbe": {
             "httpGet": {"path": "/healthz", "port": names.TASKS_PORT},
             "initialDelaySeconds": 10,
@@ -189,11 +191,11 @@ def _tasks(
 
 
 def asks_by_name(workload: Object, *deployments: Object | None) -> bool:
-    """Whether the monitor asks for its policy alone, and for who waits only where there is a pool: in all these Deployments.
+    """Whether the monitor of all these Deployments reads only its own policy, and other gates only if there is a pool.
 
-    One before 0.2.0 asks for all of the namespace. An image of a user's own may be of such a version for long after an upgrade of the
-    operator, and without that right it would watch nothing once it starts anew. So it's the monitor that says of which version its
-    image is.
+    A monitor before 0.2.0 reads all policies of the namespace. A user's own image may contain such a version long after
+    an upgrade of the operator, and without that right it would watch nothing after its next start. So this relies on
+    the image that the monitor reports in the workload's status.
     """
     said = ((workload.get("status") or {}).get("monitor") or {}).get("image")
     images = {item["spec"]["template"]["spec"]["containers"][0].get("image") for item in deployments if item}
@@ -209,11 +211,12 @@ def access(
     upstream: Sequence[str] = (),
     gate: GateKind = registry.DEFAULT,
 ) -> list[tuple[str, Object]]:
-    """The monitor's account, role and binding, each with its kind.
+    """Return the monitor's ServiceAccount, Role and RoleBinding, each with its kind.
 
-    ``source`` is kind and name of the controller that replaces pods; ``policy`` the FailurePolicy that it reads, None for one that
-    doesn't ask by name (asks_by_name); ``pools`` are the shared pools whose agents it may command; ``upstream`` the workloads that it
-    depends on, of which it may read how they are; ``gate`` is the kind of its gate.
+    ``source`` is kind and name of the controller that replaces pods. ``policy`` is the FailurePolicy that the monitor
+    reads, or None for a monitor that does not read it by name (see asks_by_name).
+    ``pools`` are the shared pools whose agents it may command. ``upstream`` are the workloads that it depends on and
+    whose health it may read. ``gate`` is the kind of its gate.
     """
     source_kind, source_name = source
     tokens = [names.agent_secret(workload), *(names.pool_secret(pool) for pool in sorted(pools))]
@@ -231,7 +234,7 @@ def access(
         _rule("", ["events"], ["list", "create", "patch"]),
     ]
     if pools or policy is None:
-        # The gates of others tell who else waits for a pod of a shared pool.
+        # The gates of other workloads show which of them wait for a pod of a shared pool.
         rules += [_rule(one.group, [one.plural], ["list", "watch"]) for one in registry.GATE_RESOURCES]
     if source_kind == "ReplicaSet":
         rules.append(_rule("apps", ["replicasets/scale"], ["get", "patch"], [source_name]))
@@ -261,7 +264,7 @@ def access(
 
 
 def commanded(role: Object | None) -> frozenset[str]:
-    """The shared pools whose agents a monitor may command by its role."""
+    """Return the shared pools whose agents a monitor may command, according to its Role."""
     rules = (role or {}).get("rules") or []
     found = (name for rule in rules if "secrets" in rule["resources"] for name in rule.get("resourceNames") or [])
     ending = names.pool_secret("")

@@ -1,7 +1,8 @@
-"""Nodes that are to be emptied, while the instance in control of a robot runs on one of them.
+"""Node drains while the active instance runs on the node.
 
-Evictions of that instance wait, by a PodDisruptionBudget, until its monitor has handed over to an understudy on another node, or until
-they have waited for as long as the workload says. The operator sees the nodes and tells the monitor, whose rights stay small.
+A PodDisruptionBudget delays evictions of that instance until its monitor has switched over to an understudy on another
+node, or until the workload's time limit has passed. The operator watches the nodes and informs the monitor, so that the
+monitor needs few rights.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ CONDITION = "Draining"
 
 
 def seen(observed: Observed) -> Drain | None:
-    """What a monitor is told of the node of its instance in control, where that is to be emptied."""
+    """Return the drain that is reported to the monitor, if the node of its active instance is cordoned."""
     active, cordoned = observed.active, observed.cordoned
     if active is None or (node := leaving_nodes.of(active)) not in cordoned:
         return None
@@ -36,17 +37,17 @@ def seen(observed: Observed) -> Drain | None:
 
 @dataclass(frozen=True)
 class Hold:
-    """Whether evictions of the instance in control wait."""
+    """Whether evictions of the active instance are delayed."""
 
     reason: str
     message: str
     holds: bool = False
     until: float | None = None
-    """When they no longer do, in unix seconds; None while nothing is drained."""
+    """End of the delay, in Unix seconds; None while no node is drained."""
 
 
 def hold(observed: Observed, understanding: Understanding) -> Hold:
-    """Whether evictions of the instance in control wait for an understudy, and else why not."""
+    """Return whether evictions of the active instance are delayed for an understudy, and the reason if not."""
     assert understanding.spec is not None
     active, asked = observed.active, understanding.spec.draining
     if active is None:
@@ -62,7 +63,7 @@ def hold(observed: Observed, understanding: Understanding) -> Hold:
     if other := next(
         (kube_objects.name(b) for b in observed.budgets if pool_evictions.selects(b, kube_objects.labels(active))), None
     ):
-        # With two of them Kubernetes refuses every eviction, for good.
+        # With two budgets, Kubernetes refuses every eviction permanently.
         return Hold(
             "OtherBudget",
             f"PodDisruptionBudget {other}, which Understudy does not manage, selects the instance and decides alone",
@@ -77,7 +78,7 @@ def hold(observed: Observed, understanding: Understanding) -> Hold:
 
 
 def _falls_back(observed: Observed, understanding: Understanding) -> bool:
-    """Whether its policy has a pool that serves it. While that can't be followed, whether it had."""
+    """Whether its policy has a pool that serves it. While the policy is missing or invalid, whether it had one."""
     if understanding.policy_problem is not None:
         return bool(observed.told_pools)
     served = observed.serving
@@ -85,16 +86,16 @@ def _falls_back(observed: Observed, understanding: Understanding) -> bool:
 
 
 def budget(workload: str, active: Object) -> Object:
-    """The budget by which an eviction of the instance in control is refused for now (429), as whoever drains tries again.
+    """Return the budget that makes the API server refuse an eviction of the active instance for now (429); drain tools then retry.
 
-    An instance that isn't ready doesn't wait: what isn't well fails over anyway.
+    An instance that is not ready does not wait, because an unhealthy instance fails over anyway.
     """
     chosen = {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(active)}
     return pool_evictions.keeping(names.in_control(workload), 1, chosen)
 
 
 def conditions(observed: Observed, understanding: Understanding) -> list[Condition]:
-    """The condition that tells of it, while a node is drained."""
+    """Return the condition Draining; empty unless the node is drained."""
     active, drain = observed.active, seen(observed)
     if understanding.spec is None or drain is None or active is None:
         return []

@@ -1,4 +1,4 @@
-"""Where a reflex is refused: it must not let a robot follow two instances at once, or none."""
+"""Refuses an unsafe reflex: it must not let a robot follow two instances at the same time, or none."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from understudy.ros.rmw import MIDDLEWARE
 
 
 def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
-    """Why the reflex that a workload asks for is unsafe, and what to do; None if it isn't."""
+    """Return why the reflex of a workload is unsafe, and how to correct it; None if it is safe."""
     reflex = spec.gate.reflex
     if reflex is None:
         return None

@@ -1,4 +1,4 @@
-"""The standbys of a workload's own: how many of which pool it is to have, and the writes by which it has them."""
+"""The standbys of one workload: how many of which pool it should have, and the writes to get there."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from understudy.kube.client import PODS, REPLICA_SETS, Object
 
 
 def wanted(observed: Observed, pool: str) -> int:
-    """How many standbys of a pool the workload is to have now."""
+    """Return how many standbys of a pool the workload should have now."""
     return _kept(observed, pool) + degraded_measures.prewarmed(observed.workload, observed.policy, pool)
 
 
 def _kept(observed: Observed, pool: str) -> int:
-    """How many standbys of a pool the workload is to have always: none where others were chosen for it."""
+    """Return how many standbys of a pool the workload should always have: none if other strategies were selected for it."""
     chosen = effective_policy.chosen(observed)
     if chosen is not None and pool not in effective_policy.counted_on(observed, chosen):
         return 0
@@ -37,12 +37,12 @@ def _kept(observed: Observed, pool: str) -> int:
 
 
 def own_stands_by(observed: Observed) -> bool:
-    """Whether a pod that the workload's own controller makes waits as a standby while another one drives."""
+    """Whether a pod of the workload's own controller waits as a standby while another pod is active."""
     return stand_ins.may_stand_in(observed.workload, observed.policy)
 
 
 def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str, fresh: Fresh) -> None:
-    """As many standbys of a pool as the workload is to have, of the present template."""
+    """Keep as many standbys of a pool as the workload should have, with the current template."""
     workload, gate, built = observed.workload, observed.gate, understanding.builts[pool]
     owner = kube_objects.owner("RobotWorkload", workload)
     if observed.refused(pool) is not None:
@@ -56,7 +56,7 @@ def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str
     ]
     want, spared = wanted(observed, pool), 0
     if not own_stands_by(observed):
-        # what a referred controller makes instead of the failed pod has no agent, so it can't be the standby
+        # The pod with which a referred controller replaces the failed one has no agent, so it cannot be the standby.
         want += sum(kube_objects.is_active(pod, gate) for pod in mine) if want else 0
     elif want:
         more, replaced = _renewed(observed, understanding, pool, mine, want)
@@ -85,12 +85,13 @@ def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str
 def _renewed(
     observed: Observed, understanding: Understanding, pool: str, mine: Sequence[Object], want: int
 ) -> tuple[int, list[Object]]:
-    """How many standbys more there are to be while a pod that stands in for one is replaced, and which of these pods go now.
+    """Return how many extra standbys to keep while a pod that stands in for a standby is replaced, and which of these pods to delete.
 
-    What the workload's own controller has made of an old template, or what is on a node that is about to go, waits like any standby, and
-    like one it goes when another is ready. That is a standby more, which is spared until the controller's next pod is ready. Where it
-    stands in for none, as when a pod of a shared pool drives, there are as many standbys as are wanted besides it: it goes for its
-    template alone, when a pool's are ready.
+    A pod of the workload's own controller that has an old template, or is on a node that is about to go, waits like any
+    standby. Like a standby, it is deleted when another one is ready. So there is one extra standby, which is kept until
+    the controller's next pod is ready.
+    If the pod stands in for no standby (for example, if a pod of a shared pool is active), the wanted standbys exist
+    besides it. It is then deleted only because of its template, when a pool's standbys are ready.
     """
     gate, present = observed.gate, instance_pod.template_hash(understanding.builts[pool])
     if observed.active is None or kube_objects.labels(observed.active).get(names.SOURCE) == "workload":
@@ -115,23 +116,24 @@ def _renewed(
         and not leaving_nodes.on(pod, observed.leaving)
     ]
     live = observed.owned.get(("replicasets", kube_objects.name(observed.workload)))
-    # Before the controller has the present template, it would make another of the old one.
+    # Before the controller has the current template, it would create another pod of the old one.
     go = len(ready) >= want and live is not None and _template_of(live) == own and not _held(observed)
-    # Where a template has its pods placed on such a node again, the next one is newer than those in its place: it would never end.
+    # If a template always places its pods on such a node, the next pod is newer than the standbys that replace it.
+    # Without this check, the replacement would never end.
     newest = max(map(kube_objects.created, ready), default=0.0)
     going = outdated + [pod for pod in moving if kube_objects.created(pod) < newest]
     return int(pool == displaced), going if go else []
 
 
 def _held(observed: Observed) -> bool:
-    """Whether no standby is deleted: in a recovery or a planned switchover, which may be about to take any of them."""
+    """Whether no standby may be deleted: a recovery or a planned switchover may be about to use any of them."""
     return observed.recovering or observed.handing_over
 
 
 def _spared(observed: Observed, pool: str) -> int:
-    """How many standbys more than are wanted stay where there are more: one while what is to stand in for one isn't ready.
+    """Return how many extra standbys are kept: one while the pod that is to stand in for a standby is not ready.
 
-    It isn't told by their number whether there are: while one is replaced elsewhere, both are there.
+    The number of standbys does not show this: while one is being replaced on another node, both exist.
     """
     if stand_ins.displaced(observed.gate, observed.pods) != pool:
         return 0
@@ -139,7 +141,10 @@ def _spared(observed: Observed, pool: str) -> int:
 
 
 def _first_kept(observed: Observed, understanding: Understanding, displaced: str) -> str:
-    """The pool by whose standbys a pod goes that stands in for none: the first that keeps some, unless the displaced one does."""
+    """Return the pool whose standbys decide when a pod that stands in for none is deleted.
+
+    It is the first pool that keeps standbys. It is empty if there is none, or if the displaced pool keeps some.
+    """
     kept = [
         name
         for name in sorted(understanding.builts)
@@ -149,16 +154,16 @@ def _first_kept(observed: Observed, understanding: Understanding, displaced: str
 
 
 def _template_of(replica_set: Object) -> str:
-    """The hash of the template that a ReplicaSet makes pods from."""
+    """Return the hash of the template from which a ReplicaSet creates pods."""
     found: str = (replica_set["spec"]["template"]["metadata"].get("labels") or {}).get(names.TEMPLATE_HASH, "")
     return found
 
 
 def scale(made: Plan, observed: Observed) -> None:
-    """One pod of the template, or none while a pod of a shared pool drives and nobody wants another as a standby.
+    """Scale the workload's ReplicaSet to one pod, or to none while a pod of a shared pool is active and no standby is needed.
 
-    While the gate is closed the monitor may be at it, so it stays as it is; and while a switchover is asked for or under way, for
-    which a pod may be started beside the one that drives.
+    The scale does not change while the gate is closed, because the monitor may be changing it. It also does not change
+    while a switchover is requested or in progress, for which a pod may be started besides the active one.
     """
     live = observed.owned.get(("replicasets", kube_objects.name(observed.workload)))
     if live is None or observed.gate is None or not kube_objects.active(observed.gate)[0]:
@@ -174,10 +179,10 @@ def scale(made: Plan, observed: Observed) -> None:
 
 
 def awaited(observed: Observed, understanding: Understanding) -> str | None:
-    """Why the ReplicaSet doesn't get the present template yet, or None.
+    """Return why the ReplicaSet does not receive the current template yet, or None.
 
-    A restart must not fall for a template that can't start: where there are standbys, one of the new template is ready
-    first. While a standby is in control there is none to go first.
+    A restart must not fail because of a template that cannot start. So if there are standbys, one of the new template
+    must be ready first. While a standby is active, there is none to go first.
     """
     built, live = (
         understanding.builts.get(""),
@@ -208,9 +213,9 @@ def awaited(observed: Observed, understanding: Understanding) -> str | None:
 
 
 def sweep(made: Plan, observed: Observed) -> None:
-    """Delete standbys of pools that don't serve the workload any more."""
+    """Delete standbys of pools that no longer serve the workload."""
     if _held(observed):
-        made.later(committed_recovery.LASTS)  # it may have been given up, which nothing tells
+        made.later(committed_recovery.LASTS)  # the recovery may have been abandoned, which nothing reports
         return
     serving_now = observed.standby_pools
     for pod in observed.pods:

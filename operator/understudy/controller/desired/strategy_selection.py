@@ -1,7 +1,7 @@
-"""The order of a workload's strategies where its policy leaves it to be chosen, from objects as they are.
+"""Selects the order of a workload's strategies, if its policy leaves the order open. Takes the objects as the API has them.
 
-The one place in which requirements become strategies: operator, ``understudy check`` and ``understudy recommend`` all ask here, and
-the monitor is told what came of it.
+This is the only place where requirements become strategies. The operator, ``understudy check`` and ``understudy
+recommend`` all use it, and the monitor receives the result.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from understudy.kube.client import Object
 
 
 def is_auto(policy: Object) -> bool:
-    """Whether a policy leaves its strategies to be chosen."""
+    """Whether a policy leaves its strategies to be selected."""
     return _auto(policy) is not None
 
 
 def varies(policy: Object) -> bool:
-    """Whether which strategies are in force is decided for each workload: by what is required, or by its situation."""
+    """Whether the strategies in force differ between workloads, because of requirements or situations."""
     return is_auto(policy) or situation_strategies.has_some(policy)
 
 
@@ -42,9 +42,9 @@ def order(
     cpu: Mapping[Way, Figure] | None = None,
     sharing: Mapping[str, int] | None = None,
 ) -> Order | None:
-    """The order for a workload by a policy, with the pools that serve it. None where the policy's requirements aren't understood.
+    """Return the order for a workload, a policy and the pools that serve the workload; None if the policy's requirements are invalid.
 
-    ``requirements`` are taken instead of the policy's; ``cpu`` is what waiting instances were measured to use, and ``sharing`` how many
+    ``requirements`` replaces those of the policy. ``cpu`` is the measured use of standbys. ``sharing`` is how many
     workloads each shared pool serves.
     """
     spec = _mapping(policy, "spec")
@@ -67,7 +67,7 @@ def order(
 
 
 def strategies(policy: Object, order: Order) -> list[Strategy]:
-    """The strategies that stand for a policy's Auto, each with the time that this one gives."""
+    """Return the strategies that replace a policy's Auto, each with the times that Auto gives."""
     auto = _auto(policy)
     given = {} if auto is None else {key: auto[key] for key in ("verifyWithin",) if key in auto}
     found = []
@@ -89,7 +89,7 @@ def _auto(policy: Object) -> Mapping[str, Any] | None:
 
 
 def _candidate(name: str, pool: Object, sharing: int) -> Candidate | None:
-    """What a pool offers; None where it is empty, or doesn't fit the kind."""
+    """Return what a pool offers; None if it has no pods, or is invalid."""
     try:
         spec = FallbackPoolSpec.model_validate(pool.get("spec") or {})
     except ValidationError:

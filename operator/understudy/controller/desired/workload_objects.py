@@ -1,7 +1,7 @@
-"""RobotWorkloads: from what is so to what should be.
+"""RobotWorkloads: from the observed state to the desired objects.
 
-A spec that can't be followed changes nothing: what protects the robot already stays as it is. A policy that can't be
-followed keeps only what was derived from it; the rest is kept up.
+A spec that has a problem changes nothing: what already protects the robot stays. If the policy is missing or invalid,
+only the objects that were derived from it stay unchanged. The others are still maintained.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ from understudy.ros.rmw import MIDDLEWARE
 _BY_KIND: dict[str, Resource] = {"ServiceAccount": SERVICE_ACCOUNTS, "Role": ROLES, "RoleBinding": ROLE_BINDINGS}
 
 SWEPT = (DEPLOYMENTS, SERVICES)
-"""Of these, what a workload controls and no longer needs is deleted (the discovery server)."""
+"""Resources of which a workload's unneeded objects are deleted (the discovery server)."""
 
 
 def plan(observed: Observed, understanding: Understanding, images: Images, fresh: Fresh) -> Plan:
-    """The writes for a workload."""
+    """Return the writes for a workload."""
     made = Plan()
     workload, spec = observed.workload, understanding.spec
     if kube_objects.deleted(workload):
         return made
     if not observed.rivals:
-        # Else both would put their labels on the same pods, by turns, and shut out who drives each time.
+        # With rivals, both workloads would label the same pods in turns, and each time fence the active instance.
         made.writes += workload_reference.labelling(kube_objects.name(workload), observed.pods, observed.reference)
     if understanding.problem is not None or spec is None:
         return made
@@ -84,7 +84,7 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
 
 
 def abandoned(workload: str, pods: Sequence[Object]) -> Plan:
-    """The writes for a workload that is gone: referred pods lose our labels; the rest is collected with their owner."""
+    """Return the writes for a deleted workload: referred pods lose Understudy's labels. Kubernetes collects the owned objects."""
     return Plan(writes=list(workload_reference.unlabelling(workload, pods, keep=frozenset())))
 
 
@@ -106,7 +106,7 @@ def _discover(made: Plan, observed: Observed, spec: RobotWorkloadSpec, images: I
 
 
 def _remembered_address(observed: Observed) -> str | None:
-    """The address of a Service that somebody deleted: the robot's processes have it still."""
+    """Return the address of a deleted Service, because the robot's processes still use it."""
     found = observed.owned.get(("configmaps", names.robot_env(kube_objects.name(observed.workload))))
     server = MIDDLEWARE.discovery_server((found or {}).get("data") or {})
     host, colon, port = server.rpartition(":")
@@ -130,7 +130,7 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
 
 
 def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
-    """The budget of the instance in control. While none is, in a recovery, it stays as it is: it selects nothing then."""
+    """Maintain the budget of the active instance. During a recovery, when none is active, it stays unchanged and selects nothing."""
     found, active, name = (
         node_drain.hold(observed, understanding),
         observed.active,
@@ -198,10 +198,10 @@ def _monitor(
 
 
 def _commanded(observed: Observed, understanding: Understanding) -> list[str]:
-    """The shared pools whose agents the monitor commands: those of its strategies, and those that it has pods of, or may have.
+    """Return the shared pools whose agents the monitor commands: those of its strategies, and those of pods that it has or may have.
 
-    A claimed pod stays when its pool is deleted, or is no longer used. What a monitor may write on its pods gives it no right
-    that it hasn't had, and that its pool's selector doesn't give it.
+    A claimed pod stays when its pool is deleted or no longer used. The labels that a monitor may write on its pods give
+    it no new right: the pools of these pods count only if it had the right before, or if the pool's selector gives it.
     """
     chosen = {
         choice.name for choice in monitor_config.choices(observed, understanding) if choice.readiness == "Uninitialized"
@@ -213,7 +213,7 @@ def _commanded(observed: Observed, understanding: Understanding) -> list[str]:
 
 
 def _sweep(made: Plan, observed: Observed) -> None:
-    """Delete what the workload controls and no longer needs."""
+    """Delete the objects that the workload controls and no longer needs."""
     wanted = {(w.resource.plural, kube_objects.name(w.body)) for w in made.writes if isinstance(w, Apply)}
     swept = {resource.plural: resource for resource in SWEPT}
     for (plural, name), item in sorted(observed.owned.items()):

@@ -1,4 +1,4 @@
-"""What a RobotWorkload's spec comes to: whether it can be followed, and the pods that it asks for."""
+"""Evaluates a RobotWorkload's spec: whether it is valid, and which pods it needs."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from understudy.trees.languages.procedure_notations import composed
 
 @dataclass(frozen=True)
 class Understanding:
-    """What a workload's spec comes to."""
+    """The result of evaluating a workload's spec."""
 
     spec: RobotWorkloadSpec | None = None
     problem: Problem | None = None
-    """Why its spec can't be followed."""
+    """Why its spec cannot be followed."""
     policy_problem: Problem | None = None
     template: Mapping[str, Any] = field(default_factory=dict)
     environment: Mapping[str, str] | None = None
-    """ROS environment; None while the discovery server's address isn't known."""
+    """ROS environment; None while the address of the discovery server is unknown."""
     profiles: str = ""
-    """DDS profiles of the instances; empty where they need none."""
+    """DDS profiles of the instances; empty if they need none."""
     builts: Mapping[str, Object] = field(default_factory=dict)
-    """Built pod templates: of its own ReplicaSet ("") and of the standbys of each pool."""
+    """Built pod templates: of the workload's own ReplicaSet ("") and of the standbys of each pool."""
 
 
 def understand(observed: Observed, images: Images) -> Understanding:
-    """What a workload's spec comes to, before the API server has judged its template."""
+    """Evaluate a workload's spec, before the API server validates its template."""
     workload = observed.workload
     name, namespace = kube_objects.name(workload), workload["metadata"]["namespace"]
     try:
@@ -101,14 +101,14 @@ def understand(observed: Observed, images: Images) -> Understanding:
 
 
 def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
-    """A pod by which the API server can judge the template; None where none was built."""
+    """Return a pod with which the API server can validate the template; None if no template was built."""
     if not understanding.builts:
         return None
     return instance_pod.trial(understanding.builts[min(understanding.builts)], "RobotWorkload", observed.workload)
 
 
 def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:
-    """Why the workload's policy can't be followed."""
+    """Return why the workload's policy cannot be used, or None."""
     name = spec.failure_policy_ref.name
     policy = observed.policies.get(name)
     if policy is None:
@@ -124,7 +124,7 @@ def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | No
 
 
 def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
-    """The tree that brings a pool's standbys up, in the short form as text; empty where there is none, or the pool isn't accepted."""
+    """Return the tree that initializes a pool's standbys, as text in the short form; empty if there is none or the pool is invalid."""
     if observed.refused(pool) is not None:
         return ""
     parsed = pool_reader.spec(observed.pools[pool])

@@ -1,1 +1,1 @@
-"""What the operator reads of the cluster around a workload, and what follows from it alone. Pure."""
+"""The state of the cluster around a workload as the operator reads it, and what follows from it alone. Pure."""

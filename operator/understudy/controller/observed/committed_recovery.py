@@ -1,4 +1,4 @@
-"""The recovery beside a workload's gate: its monitor writes it with the first commit, which is before its status says anything of it."""
+"""The recovery record at a workload's gate. The monitor writes it with the first commit, before its status mentions the recovery."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from understudy.kube.client import Object
 
 
 def beside(gate: Object | None) -> Committed | None:
-    """The recovery beside a gate; None where there is none, or it can't be read."""
+    """Return the recovery at a gate; None if there is none or it cannot be read."""
     text = kube_objects.notes(gate).get(names.RECOVERY, "") if gate is not None else ""
     return _read(text)
 
 
 def under_way(workload: Object, gate: Object | None, now: float) -> bool:
-    """Whether a recovery stands beside the gate that the workload's status doesn't tell of yet."""
+    """Whether the gate has a recovery in progress that the workload's status does not report yet."""
     told = (workload.get("status") or {}).get("recoveries") or []
     return recoveries.under_way(
         beside(gate), ((one.get("id", ""), (one.get("moments") or {}).get("detected")) for one in told), now

@@ -1,4 +1,4 @@
-"""What a policy asks for while a workload is degraded, as the operator reads it. Whether it is degraded the monitor says."""
+"""The actions of a policy for a degraded workload, as the operator reads them. The monitor determines whether it is degraded."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from understudy.kube.client import Object
 
 
 def degraded(workload: Object) -> bool:
-    """Whether a workload's monitor says that it is degraded.
+    """Whether a workload's monitor reports that it is degraded.
 
-    By the condition, which stays while the workload fails and recovers: what was made ready for that moment is there in it.
+    This uses the condition, which stays while the workload fails and recovers: the standby that was prepared for that
+    moment is then in use.
     """
     conditions = (workload.get("status") or {}).get("conditions") or []
     return any(c["type"] == "Degraded" and c["status"] == "True" for c in conditions)
 
 
 def paused(workload: Object) -> bool:
-    """Whether a workload's monitor says that it is to be left alone."""
+    """Whether a workload's monitor reports that it is paused."""
     conditions = (workload.get("status") or {}).get("conditions") or []
     return any(c["type"] == "Paused" and c["status"] == "True" for c in conditions)
 
 
 def actions(policy: Object | None) -> list[Action]:
-    """The actions of a policy; none where it has none, or doesn't fit the present kind."""
+    """Return the actions of a policy; empty if it has none or is invalid."""
     if not ((policy or {}).get("spec") or {}).get("degraded"):
-        return []  # nothing to parse for the many that have none
+        return []  # most policies have none, so there is nothing to parse
     assert policy is not None
     try:
         found = policy_reader.spec(policy).degraded
@@ -37,10 +38,10 @@ def actions(policy: Object | None) -> list[Action]:
 
 
 def prewarms(policy: Object | None) -> list[str]:
-    """The pools of which a policy wants a standby more while a workload is degraded."""
+    """Return the pools of which a policy adds a standby while a workload is degraded."""
     return [action.prewarm.pool_ref.name for action in actions(policy) if action.prewarm is not None]
 
 
 def prewarmed(workload: Object, policy: Object | None, pool: str) -> bool:
-    """Whether a workload is to have a standby more of a pool now."""
+    """Whether a workload should have an additional standby of a pool now."""
     return degraded(workload) and pool in prewarms(policy)

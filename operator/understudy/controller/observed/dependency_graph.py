@@ -1,6 +1,6 @@
-"""Which workloads depend on which others: whether that can be followed, and all that one depends on, in order.
+"""Dependencies between workloads: whether they are valid, and everything that a workload depends on, in order.
 
-Names alone, so that files can be checked by the same functions as objects.
+These functions use names alone, so that they can check files as well as objects.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from understudy.controller.plan import Problem
 from understudy.kube.client import Object
 
 RESOLVED = "DependenciesResolved"
-"""The condition that says whether a workload's dependencies are followed."""
+"""The condition that reports whether a workload's dependencies are used."""
 
 Graph = Mapping[str, Sequence[str]]
-"""By name, what each workload depends on."""
+"""The dependencies of each workload, by name."""
 
 
 def named(workload: Object) -> list[str]:
-    """The workloads that one depends on, in order, as far as its spec can be read."""
+    """Return the names of the workloads that a workload depends on, in order, as far as its spec can be read."""
     spec = workload.get("spec")
     entries = spec.get("dependsOn") if isinstance(spec, Mapping) else None
     found = [one.get("name") for one in entries if isinstance(one, Mapping)] if isinstance(entries, list) else []
@@ -30,14 +30,14 @@ def named(workload: Object) -> list[str]:
 
 
 def graph(workloads: Iterable[Object]) -> dict[str, list[str]]:
-    """What each of the workloads of a namespace depends on, but for those that are on their way out."""
+    """Return the dependencies of each workload of a namespace, without workloads that are being deleted."""
     return {kube_objects.name(one): named(one) for one in workloads if not kube_objects.deleted(one)}
 
 
 def circle(known: Graph, name: str) -> list[str] | None:
-    """A shortest way from a workload over those that it depends on back to itself, such as ``[a, b, a]``; None where there is none.
+    """Return a shortest path from a workload over its dependencies back to itself, such as ``[a, b, a]``; None if there is none.
 
-    It begins with the first name in the order of letters, so that it reads the same whichever of its members is asked about.
+    It starts with the alphabetically first name, so that it is the same for each of its members.
     """
     before: dict[str, str] = {}
     queue = deque([name])
@@ -58,7 +58,7 @@ def circle(known: Graph, name: str) -> list[str] | None:
 
 
 def upstream(known: Graph, name: str) -> list[Upstream]:
-    """All that a workload depends on, directly or through others, each after what it depends on itself; none where that is a circle."""
+    """Return all direct and indirect dependencies of a workload, each after its own dependencies; empty if there is a cycle."""
     if first_circle(known, name) is not None:
         return []
     left = [one for one in _reached(known, name) if one != name]
@@ -70,12 +70,12 @@ def upstream(known: Graph, name: str) -> list[Upstream]:
 
 
 def first_circle(known: Graph, name: str) -> list[str] | None:
-    """The circle that a workload is in, or else one that is among those that it depends on."""
+    """Return the cycle that contains a workload, or else a cycle among its dependencies; None if there is none."""
     return next((found for one in _reached(known, name) if (found := circle(known, one)) is not None), None)
 
 
 def _reached(known: Graph, name: str) -> Iterator[str]:
-    """A workload and all that it depends on, the nearest first."""
+    """Yield a workload and all its dependencies, the nearest first."""
     seen, queue = {name}, deque([name])
     while queue:
         at = queue.popleft()
@@ -87,12 +87,12 @@ def _reached(known: Graph, name: str) -> Iterator[str]:
 
 
 def drawn(found: Sequence[str]) -> str:
-    """A circle as people read it."""
+    """Return a cycle as text."""
     return " -> ".join(found)
 
 
 def problem(known: Graph, name: str, namespace: str) -> Problem | None:
-    """Why a workload's dependencies, or some of them, aren't followed."""
+    """Return why some or all of a workload's dependencies are not used, or None."""
     found = first_circle(known, name)
     if found is not None:
         where = "" if name in found else f"{name} depends on a cycle: "
@@ -117,7 +117,7 @@ def problem(known: Graph, name: str, namespace: str) -> Problem | None:
 
 
 def resolved(known: Graph, workload: Object) -> list[Condition]:
-    """Whether a workload's dependencies are followed; nothing where it has none."""
+    """Return the condition for a workload's dependencies; empty if it has none."""
     name, generation = kube_objects.name(workload), kube_objects.generation(workload)
     if not known.get(name):
         return []

@@ -1,4 +1,4 @@
-"""Health trees in ConfigMaps: found by the policy's reference, and checked before any monitor goes by them."""
+"""Health trees in ConfigMaps: found by the policy's reference, and checked before any monitor uses them."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ FIELD = "spec.monitoring.configMapKeyRef"
 
 
 def reference(policy: Object) -> str:
-    """The ConfigMap that a policy's health tree is in; empty where it is in the policy."""
+    """Return the ConfigMap with a policy's health tree; empty if the tree is in the policy."""
     monitoring = (policy.get("spec") or {}).get("monitoring") or {}
     found: str = (monitoring.get("configMapKeyRef") or {}).get("name", "")
     return found
 
 
 def lent(config_map: Object) -> bool:
-    """Whether the owner of a ConfigMap lets policies read it."""
+    """Whether the owner of a ConfigMap permits policies to read it."""
     return kube_objects.labels(config_map).get(names.HEALTH_TREE) == "true"
 
 
 def find(monitoring: Monitoring, config_maps: Mapping[str, Object], namespace: str) -> TreeInForce | Problem | None:
-    """The tree that a policy's reference stands for, or why there is none; None where the tree is in the policy."""
+    """Return the tree that a policy refers to, or the problem with it; None if the tree is in the policy."""
     referred = monitoring.config_map_key_ref
     if referred is None:
         return None
@@ -69,7 +69,7 @@ def _text(referred: TreeReference, config_maps: Mapping[str, Object], namespace:
 
 @functools.lru_cache(maxsize=512)
 def _loaded(form: str, text: str, name: str, key: str, grace: float) -> tuple[str, str]:
-    """The tree as JSON, or what is wrong with it."""
+    """Return the tree as JSON, and the problem with it; one of the two is empty."""
     try:
         tree: Any = load_text(form, text, path=f"ConfigMap {name}, {key}", grace=grace)
     except TreeError as error:

@@ -1,4 +1,4 @@
-"""Reading Kubernetes objects as plain dictionaries."""
+"""Functions that read Kubernetes objects as plain dictionaries."""
 
 from __future__ import annotations
 
@@ -12,44 +12,44 @@ from understudy.api.base import API_VERSION
 from understudy.kube.client import Object
 
 MANAGED_BY = {"app.kubernetes.io/managed-by": "understudy"}
-"""On everything the operator makes, so that one list per resource finds it all."""
+"""Label of every object that the operator creates, so that one list per resource finds them all."""
 
 
 def name(item: Object) -> str:
-    """The object's name."""
+    """Return the object's name."""
     text: str = item["metadata"]["name"]
     return text
 
 
 def uid(item: Object) -> str:
-    """The object's UID."""
+    """Return the object's UID."""
     text: str = item["metadata"].get("uid", "")
     return text
 
 
 def labels(item: Object) -> dict[str, str]:
-    """The object's labels."""
+    """Return the object's labels."""
     return item["metadata"].get("labels") or {}
 
 
 def notes(item: Object) -> dict[str, str]:
-    """The object's annotations."""
+    """Return the object's annotations."""
     return item["metadata"].get("annotations") or {}
 
 
 def generation(item: Object) -> int | None:
-    """The generation of the object's spec."""
+    """Return the generation of the object's spec."""
     found: int | None = item["metadata"].get("generation")
     return found
 
 
 def deleted(item: Object) -> bool:
-    """Whether the object is on its way out."""
+    """Whether the object is being deleted."""
     return bool(item["metadata"].get("deletionTimestamp"))
 
 
 def owner(kind: str, item: Object) -> Object:
-    """The owner reference for what an object of ours controls. It never blocks its deletion."""
+    """Return the owner reference for objects that a RobotWorkload or FallbackPool controls. It never blocks the owner's deletion."""
     return {
         "apiVersion": API_VERSION,
         "kind": kind,
@@ -61,12 +61,12 @@ def owner(kind: str, item: Object) -> Object:
 
 
 def alive(pod: Object) -> bool:
-    """Whether a pod counts: not on its way out and not ended."""
+    """Whether a pod counts: it is not being deleted and has not ended."""
     return not deleted(pod) and (pod.get("status") or {}).get("phase") not in ("Failed", "Succeeded")
 
 
 def ended(pod: Object) -> bool:
-    """Whether a pod has ended for good, such as by eviction, and only remains as a record."""
+    """Whether a pod has ended permanently, for example by eviction, and only remains as a record."""
     return not deleted(pod) and (pod.get("status") or {}).get("phase") in ("Failed", "Succeeded")
 
 
@@ -77,29 +77,29 @@ def ready(pod: Object) -> bool:
 
 
 def created(item: Object) -> float:
-    """When the object was created, in unix seconds; 0 where it isn't known."""
+    """Return when the object was created, in Unix seconds; 0 if unknown."""
     text = item["metadata"].get("creationTimestamp")
     return datetime.fromisoformat(text.replace("Z", "+00:00")).timestamp() if text else 0.0
 
 
 def sort_key(item: Object) -> tuple[float, str]:
-    """Oldest first, and always in the same order."""
+    """Return a sort key: oldest first, and always in the same order."""
     return created(item), name(item)
 
 
 def active(gate: Object | None) -> tuple[str, str]:
-    """Name and UID of the pod in control by a gate's annotations; empty while the gate is closed or isn't there."""
+    """Return name and UID of the active pod from a gate's annotations; empty while the gate is closed or missing."""
     found = notes(gate) if gate is not None else {}
     return found.get(names.ACTIVE, ""), found.get(names.ACTIVE_UID, "")
 
 
 def is_active(pod: Object, gate: Object | None) -> bool:
-    """Whether a pod is the one in control."""
+    """Whether a pod is the active one."""
     return bool(uid(pod)) and active(gate)[1] == uid(pod)
 
 
 def hint(found: str, known: Iterable[str]) -> str:
-    """A hint at what was meant, for the end of a message."""
+    """Return a suggestion of the intended name, for the end of a message."""
     candidates = sorted(known)
     close = difflib.get_close_matches(found, candidates, n=1)
     if close:
@@ -111,5 +111,5 @@ def hint(found: str, known: Iterable[str]) -> str:
 
 
 def frozen(mapping: Mapping[str, Any] | None) -> dict[str, Any]:
-    """A shallow copy, also of nothing."""
+    """Return a shallow copy; an empty one for None."""
     return dict(mapping or {})

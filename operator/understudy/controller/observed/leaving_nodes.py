@@ -1,4 +1,4 @@
-"""Nodes whose pods are about to go: those that are emptied, and those that were lost."""
+"""Nodes whose pods are about to go: nodes that are being drained, and lost nodes."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 
 _EMPTIED = frozenset({"ToBeDeletedByClusterAutoscaler", "karpenter.sh/disrupted"})
-"""Taints by which those that remove nodes mark the ones that they are about to empty. ``kubectl drain`` cordons."""
+"""Taints of autoscalers on nodes that they are about to drain. ``kubectl drain`` cordons a node instead."""
 
 _LOST = frozenset({"node.kubernetes.io/not-ready", "node.kubernetes.io/unreachable"})
-"""Taints of a node of which nothing is known any more; its pods are evicted a while later."""
+"""Taints of a node that no longer reports. Its pods are evicted some time later."""
 
 
 def is_cordoned(node: Object) -> bool:
-    """Whether a node is to be emptied, or takes no new pods at least: it may be emptied the moment after."""
+    """Whether a node is being drained, or at least accepts no new pods: it may be drained a moment later."""
     return bool((node.get("spec") or {}).get("unschedulable")) or _tainted(node, _EMPTIED)
 
 
 def is_leaving(node: Object) -> bool:
-    """Whether a node's pods are better replaced elsewhere: it takes no new ones, or was lost."""
+    """Whether a node's pods should be replaced on other nodes: it accepts no new pods, or was lost."""
     return is_cordoned(node) or _tainted(node, _LOST)
 
 
 def leaving(found: Collection[Object]) -> frozenset[str]:
-    """The names of those among all nodes; none where no node is left that others could be put on."""
+    """Return the names of such nodes; empty if there is no other node for their pods."""
     names = frozenset(kube_objects.name(node) for node in found if is_leaving(node))
     return names if len(names) < len(found) else frozenset()
 
@@ -35,7 +35,7 @@ def _tainted(node: Object, taints: Collection[str]) -> bool:
 
 
 def of(pod: Object) -> str:
-    """The node that a pod is on; empty while it is on none."""
+    """Return the node of a pod; empty if it has none yet."""
     found: str | None = (pod.get("spec") or {}).get("nodeName")
     return found or ""
 

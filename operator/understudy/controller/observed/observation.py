@@ -1,4 +1,4 @@
-"""What is so around a workload, as it was read, and what follows from it alone."""
+"""The observed state around a workload, and what follows from it alone."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from understudy.kube.client import CONFIG_MAPS, Object
 from understudy.kube.gates import registry
 
 WAITING = ("Initialized", "Executing")
-"""The readinesses at which a standby of a workload's own waits."""
+"""The readiness levels of a workload's own standbys."""
 
 _UNDER_WAY: tuple[Phase, ...] = ("Preparing", "Switching")
-"""The phases of a planned switchover in which an understudy is used for it."""
+"""The phases of a planned switchover that use an understudy."""
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What is so around a workload."""
+    """The observed state around a workload."""
 
     workload: Object
     now: float
     policies: Mapping[str, Object] = field(default_factory=dict)
     """All FailurePolicies of the namespace."""
     config_maps: Mapping[str, Object] = field(default_factory=dict)
-    """The ConfigMaps of the namespace that policies may read, and ours."""
+    """The ConfigMaps of the namespace that policies may read, and those of Understudy."""
     pools: Mapping[str, Object] = field(default_factory=dict)
     """All FallbackPools of the namespace."""
     held_policies: Mapping[str, Object] = field(default_factory=dict)
     """The network policies of the pools' held pods, by pool."""
     owned: Mapping[tuple[str, str], Object] = field(default_factory=dict)
-    """What the workload controls besides pods, by plural and name."""
+    """Objects that the workload controls, except pods, by plural and name."""
     pods: Sequence[Object] = ()
     """Pods with the workload's label."""
     monitors: Sequence[Object] = ()
@@ -48,33 +48,33 @@ class Observed:
     unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
     """Held pods, by pool."""
     reference: workload_reference.Referred | None = None
-    """What ``workloadRef`` names; None where there is a template."""
+    """The object of ``workloadRef``; None if the workload has a template."""
     rivals: Sequence[str] = ()
     """Older RobotWorkloads that refer to the same controller."""
     expected: Mapping[str, int] = field(default_factory=dict)
-    """By pool, standbys that were created and haven't been observed yet."""
+    """Number of standbys that were created but not yet observed, by pool."""
     dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    """What each workload of the namespace depends on; empty where this one depends on none."""
+    """The dependencies of each workload of the namespace; empty if this workload has none."""
     resized: Object | None = None
-    """The pod in control, whole, while the workload is degraded and its policy gives it more then."""
+    """The complete active pod, while the workload is degraded and its policy then gives it more resources; None otherwise."""
     cordoned: frozenset[str] = frozenset()
-    """The nodes of the cluster that are to be emptied."""
+    """The nodes of the cluster that are being drained or are cordoned."""
     budgets: Sequence[Object] = ()
-    """PodDisruptionBudgets of the namespace that aren't ours."""
+    """PodDisruptionBudgets of the namespace that Understudy did not create."""
     leaving: frozenset[str] = frozenset()
     """The nodes whose pods are about to go."""
     going: frozenset[str] = frozenset()
-    """The shared pools that are gone and have pods that may be claimed yet, of those whose agents the monitor may command."""
+    """The deleted shared pools that still have claimable pods, of those whose agents the monitor may command."""
 
     @property
     def policy(self) -> Object | None:
-        """The workload's policy."""
+        """The workload's policy, or None."""
         name = ((self.workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
         return self.policies.get(name)
 
     @property
     def serving(self) -> dict[str, Object]:
-        """The pools whose selector matches the workload, and that can be kept."""
+        """The pools whose selector matches the workload, except those that are being deleted."""
         return {
             name: pool
             for name, pool in self.pools.items()
@@ -87,12 +87,12 @@ class Observed:
         return {name: pool for name, pool in self.serving.items() if pool_reader.readiness(pool) in WAITING}
 
     def refused(self, pool: str) -> Problem | None:
-        """Why a pool isn't accepted. Nothing is made for it then, and what there is of it stays as it was."""
+        """Return why a pool is not accepted, or None. No pods are created for such a pool, and its existing ones stay unchanged."""
         return pool_reader.problem(self.pools[pool])
 
     @property
     def told(self) -> WorkloadSettings | None:
-        """What the monitor was told last."""
+        """The settings that the operator last wrote for the monitor; None if missing or unreadable."""
         present = self.owned.get((CONFIG_MAPS.plural, names.settings(kube_objects.name(self.workload))))
         text = ((present or {}).get("data") or {}).get("settings.json")
         try:
@@ -102,24 +102,24 @@ class Observed:
 
     @property
     def told_pools(self) -> list[PoolChoice]:
-        """The pools that the monitor was told of last."""
+        """The pools in the monitor's last settings."""
         told = self.told
         return told.pools if told is not None else []
 
     @property
     def gate(self) -> Object | None:
-        """The gate object."""
+        """The gate object, or None."""
         resource = registry.of(self.workload).resource
         return self.owned.get((resource.plural, names.gate(kube_objects.name(self.workload))))
 
     @property
     def active(self) -> Object | None:
-        """The pod in control."""
+        """The active pod, or None."""
         return next((p for p in self.pods if kube_objects.is_active(p, self.gate) and kube_objects.alive(p)), None)
 
     @property
     def instances(self) -> list[Object]:
-        """The workload's pods, of a referred controller also those that aren't labelled yet."""
+        """The workload's pods, including those of a referred controller that are not labelled yet, oldest first."""
         found = {kube_objects.uid(pod): pod for pod in self.pods}
         if self.reference is not None:
             found |= {kube_objects.uid(pod): pod for pod in self.reference.pods}
@@ -127,26 +127,27 @@ class Observed:
 
     @property
     def told_recovering(self) -> bool:
-        """Whether the monitor says that it is recovering: beside the gate first, and in the status if that takes long."""
+        """Whether the monitor reports a recovery: first at the gate, and in the status if the recovery takes long."""
         health = (self.workload.get("status") or {}).get("health")
         return health == "Recovering" or committed_recovery.under_way(self.workload, self.gate, self.now)
 
     @property
     def recovering(self) -> bool:
-        """Whether a recovery is under way, as far as can be seen from here."""
+        """Whether a recovery is in progress, as far as the operator can see."""
         epoch = kube_objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
         return self.told_recovering or (epoch != "0" and not kube_objects.active(self.gate)[0])
 
     @property
     def handing_over(self) -> bool:
-        """Whether a planned switchover is asked for, or its understudy is being prepared or takes over, by what the monitor says.
+        """Whether a planned switchover is requested, or the monitor reports that its understudy is being prepared or takes over.
 
-        One for a drain that waits isn't under way: it may wait for as long as its node is to be emptied, for what is made meanwhile.
+        A switchover that waits, for a drain, does not count. It may wait as long as the drain lasts, for a pod that is
+        created meanwhile.
         """
         asked = kube_objects.notes(self.workload).get(names.SWITCHOVER)
         return bool(asked and asked != self.switchover.get("handled")) or self.switchover.get("phase") in _UNDER_WAY
 
     @property
     def switchover(self) -> Mapping[str, Any]:
-        """What the monitor says of the last planned switchover; nothing where there was none."""
+        """The monitor's report of the last planned switchover; empty if there was none."""
         return (self.workload.get("status") or {}).get("switchover") or {}

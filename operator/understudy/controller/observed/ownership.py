@@ -1,4 +1,4 @@
-"""What marks an object as ours."""
+"""Marks objects as Understudy's own."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ from understudy.kube.client import Object
 
 
 def ours(body: Object, owner: Object, parent: Object) -> Object:
-    """An object with its namespace, its owner and the label by which all of ours are found."""
+    """Return an object with its namespace, its owner, and the label with which Understudy finds its objects."""
     made = nobodys(body, parent["metadata"]["namespace"])
     return {**made, "metadata": {**made["metadata"], "ownerReferences": [owner]}}
 
 
 def nobodys(body: Object, namespace: str) -> Object:
-    """The same without an owner: nothing but the operator deletes it."""
+    """Return the same without an owner, so that only the operator deletes it."""
     metadata = body["metadata"]
     labels = {**(metadata.get("labels") or {}), **kube_objects.MANAGED_BY}
     return {**body, "metadata": {**metadata, "namespace": namespace, "labels": labels}}
 
 
 def controls(uid: str, item: Object) -> bool:
-    """Whether the object with that UID is the item's controller."""
+    """Whether the object with this UID is the item's controller."""
     return apply.owned_by(item, uid)
 
 
 def token(name: str, value: str) -> Object:
-    """A Secret with the token of agents."""
+    """Return a Secret with the agents' token."""
     return {
         "apiVersion": "v1",
         "kind": "Secret",

@@ -1,4 +1,4 @@
-"""Why a pod doesn't run, and what would put it right."""
+"""Determines why a pod does not run, and how to correct it."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _SAME = {"ErrImagePull": "ImagePullBackOff", "ImageInspectError": "ImagePullBack
 
 @dataclass(frozen=True)
 class Trouble:
-    """What keeps a pod from running."""
+    """A problem that prevents a pod from running."""
 
     reason: str
     message: str
 
 
 def trouble(pod: Object) -> Trouble | None:
-    """Why a pod can't start, or None while it runs or merely hasn't started yet."""
+    """Return why a pod cannot start, or None if it runs or has merely not started yet."""
     if not kube_objects.alive(pod):
         return None
     status = pod.get("status") or {}
@@ -54,12 +54,12 @@ def trouble(pod: Object) -> Trouble | None:
 
 
 def first(pods: Sequence[Object]) -> Trouble | None:
-    """Why one of several pods can't start: that of the first that can't."""
+    """Return the problem of the oldest pod that cannot start, or None."""
     return next((found for pod in sorted(pods, key=kube_objects.sort_key) if (found := trouble(pod))), None)
 
 
 def _crashing(pod: Object, entry: Object) -> bool:
-    """Whether a container is only between two crashes, so that what is told doesn't change with each."""
+    """Whether a container is between two crashes. It then counts as crashing, so that the report does not change with each crash."""
     terminated = (entry.get("lastState") or {}).get("terminated") or {}
     again = entry.get("restartCount", 0) >= _CRASHES and terminated.get("exitCode", 0) != 0
     return again and not kube_objects.ready(pod)
@@ -74,7 +74,7 @@ def _told(pod: Object, reason: str, container: str, what: str, found: Object) ->
 
 
 def _steady(words: str, pod: str) -> str:
-    """The kubelet's words without what changes from one try to the next, so that a condition doesn't."""
+    """Return the kubelet's message without the parts that change with each attempt, so that the condition does not change."""
     if words.startswith("back-off "):
         return ""
     words = words.removesuffix(".").replace(f'"{pod}"', "the pod")

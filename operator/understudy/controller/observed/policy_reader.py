@@ -1,4 +1,4 @@
-"""Reads FailurePolicies: their specs, whether they can be followed, and which pools and which health tree they name."""
+"""Reads FailurePolicies: their specs, whether they are valid, and which pools and health tree they name."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ _MOST_PROBLEMS = 10
 
 
 def spec(policy: Object) -> FailurePolicySpec:
-    """The policy's spec. Raises ValidationError where a stored one doesn't fit the present kind."""
+    """Return the policy's spec. Raises ValidationError if a stored spec does not match the current API."""
     return FailurePolicySpec.model_validate(policy.get("spec") or {})
 
 
 def invalid(error: ValidationError) -> str:
-    """What doesn't fit a kind, field by field."""
+    """Return the validation errors of a spec, field by field."""
     return "; ".join(
         f"spec.{'.'.join(str(part) for part in found['loc'])}: {found['msg']}"
         for found in error.errors()[:_MOST_PROBLEMS]
@@ -36,7 +36,7 @@ def invalid(error: ValidationError) -> str:
 
 
 def problem(policy: Object, config_maps: Mapping[str, Object]) -> Problem | None:
-    """Why a policy can't be followed, or None. Missing pools don't count: the next strategy is used then.
+    """Return why a policy is invalid, or None. Missing pools do not count, because the next strategy is then used.
 
     ``config_maps`` are those of its namespace.
     """
@@ -59,7 +59,7 @@ def problem(policy: Object, config_maps: Mapping[str, Object]) -> Problem | None
 
 
 def procedures_problem(*found: tuple[str, Procedure | Check | None]) -> str | None:
-    """What is wrong with procedures and checks, each with its path; None where nothing is."""
+    """Return the problems of procedures and checks, which are given with their paths; None if there are none."""
     problems = [
         problem
         for path, tree in found
@@ -88,7 +88,7 @@ def _tree_problem(form: str, tree: str, grace: float, path: str | None = None) -
 
 
 def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, Written]]:
-    """The trees of ``spec.situations`` and ``spec.degraded`` with their paths."""
+    """Yield the trees of ``spec.situations`` and ``spec.degraded`` with their paths."""
     for index, situation in enumerate(parsed.situations):
         if situation.when.given:
             yield f"spec.situations[{index}].when", situation.when
@@ -105,14 +105,14 @@ def _inline_problem(tree: Written, path: str, grace: float) -> str | None:
 
 
 def named_pools(policy: Object) -> list[str]:
-    """The pools that the policy's strategies name, in order, and then those of its situations."""
+    """Return the pools that the policy's strategies name, in order, followed by those of its situations."""
     strategies = (policy.get("spec") or {}).get("strategies") or []
     always = [s["poolRef"]["name"] for s in strategies if (s.get("poolRef") or {}).get("name")]
     return [*always, *situation_strategies.named_pools(policy)]
 
 
 def tree_in_force(policy: Object, config_maps: Mapping[str, Object]) -> Object | None:
-    """The health tree that monitors go by where it comes from a ConfigMap: while that has no good one, the last that was."""
+    """Return the health tree in use if it comes from a ConfigMap, or None. If the ConfigMap has no valid tree, it is the last valid one."""
     try:
         found = health_tree_sources.find(spec(policy).monitoring, config_maps, policy["metadata"]["namespace"])
     except ValidationError:
@@ -124,10 +124,10 @@ def tree_in_force(policy: Object, config_maps: Mapping[str, Object]) -> Object |
 
 
 def storm_guard(policy: Object) -> StormGuard | None:
-    """What it says of storms; None where it says nothing, or doesn't fit the present kind."""
+    """Return the policy's storm guard; None if it has none, or an invalid one."""
     given = ((policy.get("spec") or {}).get("limits") or {}).get("stormGuard")
     if not given:
-        return None  # nothing to parse for the many that have none
+        return None  # most policies have none, so there is nothing to parse
     try:
         return StormGuard.model_validate(given)
     except ValidationError:

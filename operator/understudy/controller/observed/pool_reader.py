@@ -1,4 +1,4 @@
-"""Reads FallbackPools: their specs, whether they can be followed, and which workloads they serve."""
+"""Reads FallbackPools: their specs, whether they are valid, and which workloads they serve."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from understudy.kube.client import Object
 
 
 def problem(pool: Object) -> Problem | None:
-    """Why a pool can't be followed, as far as its own spec says; None if it can."""
+    """Return why a pool's own spec is invalid, or None."""
     try:
         parsed = spec(pool)
     except ValidationError as error:
@@ -25,13 +25,13 @@ def problem(pool: Object) -> Problem | None:
 
 
 def readiness(pool: Object) -> str:
-    """The pool's readiness."""
+    """Return the pool's readiness."""
     found: str = (pool.get("spec") or {}).get("readiness", "")
     return found
 
 
 def spec(pool: Object) -> FallbackPoolSpec:
-    """A pool's spec. Raises ValidationError where a stored one doesn't fit the present kind."""
+    """Return a pool's spec. Raises ValidationError if a stored spec does not match the current API."""
     return FallbackPoolSpec.model_validate(pool.get("spec") or {})
 
 

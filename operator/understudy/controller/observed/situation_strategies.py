@@ -1,7 +1,7 @@
-"""Which strategies are in force by the robot's situation, from objects as they are. In which situation it is the monitor says.
+"""Determines the strategies for the robot's situation, from the objects as the API has them. The monitor reports the situation.
 
-What is in force changes when the first strategy of what is asked for could be carried out, and what was in force is let go only
-after the monitor was told: until then all of it stays, so that there is no moment without protection.
+The strategies change when the first strategy of the new situation can run. The old strategies are given up only after
+the monitor has received the change. Until then the pods of both stay, so that the robot is protected at every moment.
 """
 
 from __future__ import annotations
@@ -13,38 +13,38 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec, Situation, St
 from understudy.kube.client import Object
 
 CONDITION = "SituationCovered"
-"""The condition that says whether the strategies of the present situation are in force."""
+"""The condition that reports whether the strategies of the current situation are in force."""
 
 
 def has_some(policy: Object) -> bool:
-    """Whether a policy has situations. Nothing is parsed for the many that have none."""
+    """Whether a policy has situations. Most policies have none, so nothing is parsed."""
     return bool(_listed(policy))
 
 
 def asked(workload: Object, policy: Object) -> str:
-    """The situation that the monitor says, as far as the policy has it; empty for none."""
+    """Return the situation that the monitor reports, if the policy has it; empty otherwise."""
     said = ((workload.get("status") or {}).get("situation") or {}).get("name", "")
     return known(policy, said)
 
 
 def known(policy: Object, name: str | None) -> str:
-    """The name of a situation, where the policy has it; else empty."""
+    """Return the name of a situation if the policy has it; empty otherwise."""
     found = any(isinstance(one, Mapping) and one.get("name") == name for one in _listed(policy))
     return name if name and found else ""
 
 
 def find(spec: FailurePolicySpec, name: str) -> Situation | None:
-    """A situation by its name; None where there is none."""
+    """Return a situation by its name, or None."""
     return next((one for one in spec.situations if one.name == name), None)
 
 
 def named_pools(policy: Object) -> list[str]:
-    """The pools that the strategies of a policy's situations name, in order."""
+    """Return the pools that the strategies of a policy's situations name, in order."""
     return [name for _, name in pool_paths(policy)]
 
 
 def pool_paths(policy: Object) -> list[tuple[str, str]]:
-    """These, each with the path at which it is named."""
+    """Return these pools, each with the path of its field."""
     return [
         (f"spec.situations[{i}].strategies[{j}].poolRef.name", name)
         for i, situation in enumerate(_listed(policy))
@@ -54,7 +54,10 @@ def pool_paths(policy: Object) -> list[tuple[str, str]]:
 
 
 def told(asked: str, in_force: str, order: str, lacking: str) -> tuple[str, str]:
-    """What is said of it: the reason of the condition, and the message. ``order`` is in force, and ``lacking`` why it is another's."""
+    """Return reason and message of the condition.
+
+    ``order`` is the strategies in force, and ``lacking`` is why they belong to another situation.
+    """
     if asked == in_force:
         if asked:
             return "InForce", f"The robot is in situation {asked}. Strategies in effect: {order}."
@@ -67,7 +70,7 @@ def told(asked: str, in_force: str, order: str, lacking: str) -> tuple[str, str]
 
 
 def first_kept(strategies: Sequence[Strategy], kept: Mapping[str, Any]) -> Strategy | None:
-    """The first of the strategies that may ever be carried out, with the pools that serve the workload and are to have something."""
+    """Return the first strategy that can ever run: it needs no pool, or ``kept`` has a number of pods for its pool."""
     return next((one for one in strategies if one.pool_ref is None or kept.get(one.pool_ref.name)), None)
 
 

@@ -1,4 +1,4 @@
-"""Pods of a workload's own controller that wait as a standby, in the place of a standby that drives."""
+"""Pods of a workload's own controller that stand by in place of a standby that is active."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from understudy.kube.client import Object
 
 
 def may_stand_in(workload: Object, policy: Object | None) -> bool:
-    """Whether a pod that a workload's own controller makes waits as a standby while another one drives.
+    """Whether a pod of a workload's own controller waits as a standby while another pod is active.
 
-    Not what a referred controller makes, which has no agent. Nor where what is in force changes with the situation: as whose
-    standby it waits would change with it.
+    The pods of a referred controller do not, because they have no agent. It is also false if the strategies depend on
+    the situation: the standby for which the pod waits would change with the situation.
     """
     refers = (workload.get("spec") or {}).get("workloadRef") is not None
     return not refers and (policy is None or not situation_strategies.has_some(policy))
 
 
 def displaced(gate: Object | None, pods: Sequence[Object]) -> str:
-    """The pool whose standby drives, by a workload's gate and its pods; empty where another pod does, or none."""
+    """Return the pool whose standby is active, from a workload's gate and pods; empty if another pod or none is active."""
     driving = next((pod for pod in pods if kube_objects.is_active(pod, gate)), None)
     if driving is None or names.CLAIM in kube_objects.notes(driving):
         return ""
@@ -28,7 +28,7 @@ def displaced(gate: Object | None, pods: Sequence[Object]) -> str:
 
 
 def standing_in(pool: str, gate: Object | None, pods: Sequence[Object]) -> list[Object]:
-    """The living pods of a workload's own controller that wait for a pool whose standby drives."""
+    """Return the living pods of a workload's own controller that wait in place of a pool's active standby."""
     if displaced(gate, pods) != pool:
         return []
     return [pod for pod in pods if is_own(pod)]

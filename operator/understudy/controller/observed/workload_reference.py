@@ -16,16 +16,16 @@ from understudy.kube.client import PODS, Object
 
 @dataclass(frozen=True)
 class Referred:
-    """What ``workloadRef`` names."""
+    """The object of ``workloadRef``."""
 
     controller: Object | None = None
-    """The Deployment or StatefulSet; None where it isn't there."""
+    """The Deployment or StatefulSet; None if it does not exist."""
     pods: Sequence[Object] = ()
     """Its pods."""
 
 
 def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[str], namespace: str) -> Problem | None:
-    """Why a referred controller can't be protected, or None."""
+    """Return why a referred controller cannot be protected, or None."""
     told = f"{reference.kind} {reference.name}"
     controller = referred.controller
     if controller is None:
@@ -55,13 +55,13 @@ def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[s
 
 
 def label_keys(referred: Referred) -> frozenset[str]:
-    """The label keys by which the controller (or what it makes) would adopt a pod."""
+    """Return the label keys with which the controller, or an object that it creates, would adopt a pod."""
     selector = ((referred.controller or {}).get("spec") or {}).get("selector") or {}
     return frozenset(requirement["key"] for requirement in selectors.requirements(selector))
 
 
 def controlled(controller: Object, replica_sets: Sequence[Object], pods: Sequence[Object]) -> list[Object]:
-    """The pods that a Deployment (through its ReplicaSets) or a StatefulSet really controls, of those it selects."""
+    """Return the pods that a Deployment (through its ReplicaSets) or a StatefulSet actually controls, of those it selects."""
     controllers = {kube_objects.uid(controller)}
     controllers |= {kube_objects.uid(item) for item in replica_sets if _controller_uid(item) in controllers}
     return [pod for pod in pods if _controller_uid(pod) in controllers]
@@ -73,7 +73,7 @@ def _controller_uid(item: Object) -> str:
 
 
 def labelling(workload: str, pods: Sequence[Object], referred: Referred | None) -> Iterator[Patch]:
-    """Label every instance so that the gate can select it, and take the labels off pods that are none any more."""
+    """Yield patches that label every instance, so that the gate can select it, and remove the labels from other pods."""
     for pod in pods:
         if kube_objects.labels(pod).get(names.SOURCE) == "workload" and not kube_objects.deleted(pod):
             yield from _label(pod, {names.INSTANCE: kube_objects.name(pod)})
@@ -91,9 +91,9 @@ def _label(pod: Object, wanted: Mapping[str, Any]) -> Iterator[Patch]:
 
 
 def unlabelling(workload: str, pods: Sequence[Object], *, keep: Collection[str]) -> Iterator[Patch]:
-    """Take our labels off pods that we labelled and never made.
+    """Yield patches that remove Understudy's labels from pods that it labelled but did not create.
 
-    Pods made by us are left: their own ReplicaSet selects them by these labels and would let go of them.
+    Pods that it created keep them: their own ReplicaSet selects them by these labels, and would release them.
     """
     for pod in pods:
         found = kube_objects.labels(pod)

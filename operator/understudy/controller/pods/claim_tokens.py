@@ -1,10 +1,13 @@
-"""The Secret by which monitors and the agents of a shared pool's pods know each other: who has it, and for how long.
+"""The Secret with which monitors and the agents of a shared pool's pods authenticate each other: who owns it, and how long it exists.
 
-A claimed pod outlives its pool, since it is its workload's by then and drives a robot. Its monitor goes on commanding it by that Secret,
-and its kubelet goes on mounting it. So the Secret belongs to nobody: a pool's would be deleted with the pool by Kubernetes, whether an
-operator is there or not. As the workloads' that have a pod of it, it would take a write after every claim, a list as long as the fleet, and
-an operator that is there between the claim and the pool's deletion. The operator takes it away when nobody needs it any more. Where there
-is no operator by then it is left over, and opens nothing.
+A claimed pod outlives its pool, because it then belongs to its workload and controls a robot. Its monitor still
+commands it with that Secret, and its kubelet still mounts it. So the Secret has no owner.
+- If the pool owned it, Kubernetes would delete it with the pool, whether an operator is running or not.
+- If the workloads with a pod of the pool owned it, every claim would need a write, and the list of owners would be as
+  long as the fleet. An operator would have to run between the claim and the pool's deletion.
+
+The operator deletes the Secret when it is no longer needed. If no operator is running then, the Secret stays, but gives
+no access to anything.
 """
 
 from __future__ import annotations
@@ -20,20 +23,20 @@ from understudy.kube.client import SECRETS, Object
 
 
 def is_of(pool: str, secret: Object) -> bool:
-    """Whether a Secret of that name is the pool's: a workload may have a name by which its own is called so too."""
+    """Whether a Secret of that name is the pool's. A workload's name can be such that its own Secret has the same name."""
     owner = controller_of(secret)
     return kube_objects.labels(secret).get(names.POOL) == pool if owner is None else _is_pool(owner, pool)
 
 
 def keep(pool: str, namespace: str, live: Object | None, token: Callable[[], str]) -> list[Write]:
-    """The writes by which the Secret is there and is nobody's. One that is there keeps its token."""
+    """Return the writes for a Secret without an owner. An existing one keeps its token."""
     if live is None or not is_of(pool, live):
         return [Create(SECRETS, ownership.nobodys(_secret(pool, token()), namespace))]
     return release(pool, live)
 
 
 def release(pool: str, live: Object | None) -> list[Write]:
-    """The writes by which a Secret that is there is nobody's. The pool of an earlier version owned it."""
+    """Return the writes that remove the owner of an existing Secret. In an earlier version, the pool owned it."""
     if live is None or not is_of(pool, live) or controller_of(live) is None:
         return []
     others = [owner for owner in live["metadata"]["ownerReferences"] if not _is_pool(owner, pool)]
@@ -50,9 +53,10 @@ def outlast(
     workloads: Mapping[str, Object],
     token: Callable[[], str],
 ) -> list[Write]:
-    """The writes for the Secret of a pool that is gone, or with ``deleted`` of one that still waits for what holds it.
+    """Return the writes for the Secret of a deleted pool, or, with ``deleted``, of a pool that is being deleted.
 
-    It is needed as long as one of the pool's ``pods`` may be commanded. If it isn't there then, another one is made: agents read it anew.
+    The Secret is needed as long as one of the pool's ``pods`` may be commanded. If it is missing then, another one is
+    created, and the agents read it again.
     """
     needing = [pod for pod in pods if claimable(pod) or _is_commanded(pod, workloads)]
     if any(_is_claimed(pod) for pod in needing):
@@ -63,22 +67,22 @@ def outlast(
 
 
 def pools_of(pods: Sequence[Object]) -> set[str]:
-    """The shared pools from which pods were claimed."""
+    """Return the shared pools from which pods were claimed."""
     return {kube_objects.labels(pod).get(names.POOL, "") for pod in pods if _is_claimed(pod)}
 
 
 def claimable(pod: Object) -> bool:
-    """Whether a pod of a shared pool may be claimed yet, or has been, and that just wasn't seen."""
+    """Whether a pod of a shared pool can still be claimed, or was claimed but the claim was not observed yet."""
     return names.HELD in kube_objects.labels(pod) and kube_objects.alive(pod)
 
 
 def _is_claimed(pod: Object) -> bool:
-    """Whether a pod was claimed and hasn't ended. A standby never is: it was made for its workload, and has that one's token."""
+    """Whether a pod was claimed and has not ended. A standby is never claimed: it was created for its workload, and has its token."""
     return names.CLAIM in kube_objects.notes(pod) and not kube_objects.ended(pod)
 
 
 def _is_commanded(pod: Object, workloads: Mapping[str, Object]) -> bool:
-    """Whether a pod was claimed and there is a monitor for it. The pods of a workload that is gone go too."""
+    """Whether a pod was claimed and has a monitor. The pods of a deleted workload are deleted too."""
     return _is_claimed(pod) and (
         not kube_objects.deleted(pod) or kube_objects.labels(pod).get(names.WORKLOAD) in workloads
     )

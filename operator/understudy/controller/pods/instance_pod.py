@@ -1,7 +1,7 @@
-"""Pods that run a workload's application, made from the user's pod template.
+"""Pods that run a workload's application, built from the user's pod template.
 
-Each gets labels that the gate selects by, the ROS environment of its robot, and the agent as a sidecar. A held pod's
-containers wait for the claim instead of running.
+Each pod receives the labels that the gate selects, the ROS environment of its robot, and the agent as a sidecar. The
+containers of a held pod wait for the claim.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ HARDENED: Object = {
     "capabilities": {"drop": ["ALL"]},
     "seccompProfile": {"type": "RuntimeDefault"},
 }
-"""Security context of our own containers."""
+"""Security context of Understudy's own containers."""
 
 DEFAULT_CONTAINER = "kubectl.kubernetes.io/default-container"
-"""Annotation of a pod: whose logs kubectl shows unless it is told otherwise."""
+"""Annotation of a pod with the container whose logs kubectl shows by default."""
 
 _TOKEN_VOLUME = "understudy-agent-token"
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is made of a template."""
+    """How to build pods from a template."""
 
     workload: str
     """RobotWorkload of the instances; empty for the held pods of a shared pool."""
@@ -53,31 +53,34 @@ class Recipe:
     secret: str
     """Secret with the agents' token."""
     environment: Mapping[str, str] = field(default_factory=dict)
-    """ROS environment of the robot's graph; empty for held pods, which get it with the claim."""
+    """ROS environment of the robot's graph; empty for held pods, which receive it with the claim."""
     pool: str = ""
     held: bool = False
     warm_paths: Sequence[str] = ()
     stripped: frozenset[str] = frozenset()
-    """Label keys that must not be carried: a referred controller would adopt the pods."""
+    """Label keys that the pods must not have, because a referred controller would adopt the pods."""
     profiles: str = ""
-    """DDS profiles of its processes, which are in the workload's ConfigMap; empty where they need none."""
+    """DDS profiles of its processes, from the workload's ConfigMap; empty if they need none."""
     procedure: str = ""
-    """What brings a standby to its pool's readiness, as text. Another one makes other pods, so that the old ones wait as they
-    are until one that the new one has brought up is ready."""
+    """The procedure that brings a standby to its pool's readiness, as text.
+
+    Another procedure results in other pods. So the old ones stay unchanged until a pod that was initialized with the
+    new procedure is ready.
+    """
 
     @property
     def prepared(self) -> bool:
-        """Whether the profiles hold what only the pod itself can put in, before its processes start."""
+        """Whether the profiles contain values that only the pod itself can fill in, before its processes start."""
         return names.STRENGTH_VARIABLE in self.profiles
 
     @property
     def fenced(self) -> bool:
-        """Whether the agent can hold its application while the pod is cut off: where the robot's readers choose by strength."""
+        """Whether the agent can freeze the application while the pod is isolated, for robots whose readers select writers by strength."""
         return self.prepared and not self.held
 
     @property
     def profiles_file(self) -> str:
-        """Where the pod's processes find their profiles."""
+        """The path of the profiles for the pod's processes."""
         return f"{names.AGENT_DIR if self.prepared else names.INSTANCE_PROFILES_DIR}/{names.PROFILES_KEY}"
 
     @property
@@ -88,9 +91,9 @@ class Recipe:
 
 
 def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKind = registry.DEFAULT) -> str | None:
-    """Why no instance can be made from a template, beyond what the API server says itself; None if one can.
+    """Return why no instance can be built from a template, except for what the API server reports itself; None if one can.
 
-    ``path`` is where the template stands, such as ``spec.template``; ``gate`` is the kind of the workload's gate.
+    ``path`` is the location of the template, such as ``spec.template``. ``gate`` is the kind of the workload's gate.
     """
     if words := template_shape.problem(template, path):
         return words
@@ -119,7 +122,7 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
 
 
 def own_profiles(template: Mapping[str, Any]) -> list[str]:
-    """The containers that name DDS profiles of their own, which then count instead of ours."""
+    """Return the containers that set their own DDS profiles, which then replace those of Understudy."""
     return [
         container["name"]
         for container in (template.get("spec") or {}).get("containers") or []
@@ -128,7 +131,7 @@ def own_profiles(template: Mapping[str, Any]) -> list[str]:
 
 
 def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
-    """The pod template of an instance: ``metadata`` (labels, annotations) and ``spec``, without what names one pod."""
+    """Return an instance's pod template: ``metadata`` (labels, annotations) and ``spec``, without the names of a particular pod."""
     spec = copy.deepcopy(dict(template.get("spec") or {}))
     held_names = [c["name"] for c in spec["containers"]] if recipe.held else []
     fenced_names = [c["name"] for c in spec["containers"] if c.get("command")] if recipe.fenced else []
@@ -166,7 +169,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
     if found.get("annotations"):
         metadata["annotations"] = dict(found["annotations"])
     if recipe.profiles:
-        # A process that has read the profiles must start anew to read others.
+        # A process that has read the profiles must restart to read others.
         metadata.setdefault("annotations", {})[names.PROFILES_HASH] = digest(recipe.profiles)
     if recipe.procedure:
         metadata.setdefault("annotations", {})[names.PROCEDURE_HASH] = digest(recipe.procedure)
@@ -176,7 +179,7 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
 
 
 def _accompanies(container: Mapping[str, Any]) -> bool:
-    """Whether an init container runs beside the application (KEP-753). In a held pod it begins before anybody knows for which robot."""
+    """Whether an init container runs beside the application (KEP-753). In a held pod, it starts before the robot is known."""
     return container.get("restartPolicy") == "Always"
 
 
@@ -194,13 +197,13 @@ def _labels(recipe: Recipe) -> dict[str, str]:
 
 
 def template_hash(built: Object) -> str:
-    """The hash of a built template, which its pods carry as a label."""
+    """Return the hash of a built template, which its pods have as a label."""
     found: str = built["metadata"]["labels"][names.TEMPLATE_HASH]
     return found
 
 
 def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
-    """A pod of a built template."""
+    """Return a pod of a built template."""
     metadata = built["metadata"]
     labels = {**metadata["labels"], names.INSTANCE: name}
     annotations = dict(metadata.get("annotations") or {})
@@ -224,15 +227,15 @@ def pod(built: Object, *, name: str, namespace: str, owner: Object) -> Object:
 
 
 def trial(built: Object, kind: str, item: Object) -> Object:
-    """A pod by which the API server can judge the template of an object of ours; it is only ever sent as a dry run."""
+    """Return a pod with which the API server can validate an object's template. It is only sent as a dry run."""
     name, namespace = f"{kube_objects.name(item)}-check", item["metadata"]["namespace"]
     return pod(built, name=name, namespace=namespace, owner=kube_objects.owner(kind, item))
 
 
 def replica_set(built: Object, workload: str) -> Object:
-    """The ReplicaSet that a workload's template becomes. It replaces a deleted pod while the operator is down.
+    """Return the ReplicaSet for a workload's template. It replaces a deleted pod while the operator is down.
 
-    ``replicas`` isn't given: it begins at one, and is then changed only through the scale subresource.
+    ``replicas`` is omitted: it starts at one, and then only the scale subresource changes it.
     """
     selector = {names.WORKLOAD: workload, names.COMPONENT: "instance", names.SOURCE: "workload"}
     return {
@@ -244,10 +247,10 @@ def replica_set(built: Object, workload: str) -> Object:
 
 
 def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Per container, the environment that a claimed pod is started with: ROS, and the template's literals over it.
+    """Return, for each container, the environment of a claimed pod: the ROS environment, overridden by the template's literals.
 
-    Values that refer to others (``$(NAME)``) or to objects (``valueFrom``) are the kubelet's to resolve and stay as
-    the pool's own template has them.
+    Only the kubelet can resolve values that refer to others (``$(NAME)``) or to objects (``valueFrom``). These stay as
+    in the pool's own template.
     """
     return {
         container["name"]: {
@@ -283,7 +286,7 @@ def _profiles_mount(recipe: Recipe) -> Object:
 
 
 def _prepare(recipe: Recipe, fenced: Sequence[str]) -> Object:
-    """The init container that fills in the profiles, before the application's own ones."""
+    """Return the init container that completes the profiles, before the application's own init containers."""
     fences = _plain({names.FENCED_VARIABLE: " ".join(fenced)}) if fenced else []
     return {
         "name": names.INIT_CONTAINER,
@@ -301,9 +304,11 @@ def _prepare(recipe: Recipe, fenced: Sequence[str]) -> Object:
 
 
 def _held(container: Object, recipe: Recipe, scope: freeze_script.Scope) -> Object:
-    """The container waits; its probes would kill it for that, and its hook would wait for a process that isn't.
+    """Return a container that waits for the claim.
 
-    Whether its robot needs it to be held when it's cut off is known with the claim only: the script finds out.
+    Its probes are removed, because they would kill it while it waits. Its postStart hook is removed, because it would
+    wait for a process that does not exist. Only the claim shows whether the robot needs the application to be frozen
+    while the pod is isolated, so the script determines that.
     """
     made = {k: v for k, v in container.items() if k not in ("livenessProbe", "readinessProbe", "startupProbe")}
     if hooks := {k: v for k, v in (container.get("lifecycle") or {}).items() if k != "postStart"}:
@@ -323,7 +328,7 @@ def _held(container: Object, recipe: Recipe, scope: freeze_script.Scope) -> Obje
 
 
 def _fenced(container: Object, scope: freeze_script.Scope) -> Object:
-    """The container's command is begun by a script through which the agent can hold it."""
+    """Return a container whose command is started by a script, through which the agent can freeze it."""
     made = {key: value for key, value in container.items() if key != "args"}
     made["command"] = freeze_script.fenced_command(
         container["name"], container["command"], container.get("args") or [], scope=scope

@@ -1,4 +1,4 @@
-"""How many pods of one kind to make and which to delete: for a workload's standbys and for a pool's held pods alike."""
+"""Determines how many pods to create and which to delete, both for a workload's standbys and for a pool's held pods."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 
 REST_SECONDS = 10.0
-"""A pod that ended (such as one that its node refused) is replaced after so long: no busy loop of refusals."""
+"""Seconds until a pod that ended is replaced. This avoids a busy loop if, for example, a node rejects each pod."""
 
 EXPECTED_SECONDS = 60.0
-"""Seconds after which a pod that nobody has observed counts as never made; a request's own timeout is far shorter."""
+"""Seconds after which an unobserved pod counts as not created. The timeout of a request is far shorter."""
 
 
 @dataclass(frozen=True)
 class Change:
-    """What to do."""
+    """The changes to make."""
 
     create: int = 0
     delete: list[Object] = field(default_factory=list)
@@ -27,12 +27,12 @@ class Change:
 
 @dataclass(frozen=True)
 class Update:
-    """What becomes of pods of an old template."""
+    """How pods of an old template are replaced."""
 
     stay: bool = False
-    """They are as good as new ones, and stay until they are taken."""
+    """Whether they count like new ones, and stay until they are claimed."""
     min_ready: int | None = None
-    """How many that are ready are left to be claimed meanwhile; None where none goes before one is ready in its place."""
+    """How many ready pods stay claimable during the update; None if no pod is deleted before its replacement is ready."""
 
 
 def change(
@@ -48,15 +48,17 @@ def change(
     spared: int = 0,
     update: Update = Update(),
 ) -> Change:
-    """The change that leads to ``want`` pods of the present template.
+    """Return the change that leads to ``want`` pods of the current template.
 
-    ``expected`` pods were created and haven't been observed yet: they count, so a stale read never makes too many. Nothing
-    tells of one that was never made, so it is looked again once it isn't expected any more.
-    ``kept`` pods (the active one) count at any template and are never deleted. Pods of an old template go only as
-    far as ready ones of the present one have come, which is make before break, unless ``update`` says otherwise. So do
-    those that are ``moving``, since their node is about to go: they are replaced elsewhere first. With
-    ``hold`` (a recovery or a switchover is under way, which may be about to use any of them) none is deleted that may still run.
-    ``spared`` more than are wanted stay where there are so many, the best of them; none is made for that.
+    ``expected`` pods were created but not yet observed. They count, so a stale read never creates extra pods. Nothing
+    reports a pod whose creation failed, so the count is repeated when the pod is no longer expected.
+    ``kept`` pods (the active one) count with any template and are never deleted.
+    Pods of an old template are deleted only after ready pods of the current one exist (make before break), unless
+    ``update`` says otherwise. The same holds for ``moving`` pods, whose node is about to go: they are first replaced on
+    other nodes.
+    With ``hold``, no pod that may still run is deleted, because a recovery or a switchover may be about to use any of
+    them.
+    Of the pods beyond ``want``, the best ``spared`` ones stay if they exist; none is created for that.
     """
     ended = [pod for pod in pods if kube_objects.ended(pod) and not kept(pod)]
     resting = [pod for pod in ended if now - kube_objects.created(pod) < REST_SECONDS]
@@ -68,11 +70,11 @@ def change(
     leaving = [pod for pod in fitting if not kept(pod) and moving(pod)]
     rest = max((REST_SECONDS - (now - kube_objects.created(pod)) for pod in resting), default=None)
     again = min((delay for delay in (rest, EXPECTED_SECONDS if expected else None) if delay is not None), default=None)
-    # Where a template has its pods placed on such a node again, twice as many as are wanted are enough.
+    # If a template always places its pods on such a node, twice the wanted number is enough.
     surplus = max(0, len(leaving) - want)
     create = max(0, want - surplus - len(present) - len(resting) - expected)
     if hold:
-        # Only the last one that ended may mean something to it. The others' places are filled, so that they'd be more and more.
+        # Only the last ended pod may matter to a recovery. The others are replaced, so they would accumulate.
         return Change(create=create, delete=sorted(over, key=kube_objects.sort_key)[:-1], again_after=again)
     free = sorted(
         (pod for pod in present if not kept(pod)),
@@ -93,11 +95,11 @@ def _replaced(
     template_hash: str,
     update: Update,
 ) -> list[Object]:
-    """The pods that are to be replaced and aren't needed until the ones in their place are ready."""
+    """Return the pods to replace that are not needed until their replacements are ready."""
     ready = sum(kube_objects.ready(pod) for pod in present)
     missing = max(0, want - ready)
-    # Those whose node is about to go stay until all is well without them: where others are placed there again, as a template may
-    # have it, it would never end if they went one by one.
+    # Pods whose node is about to go stay until all wanted pods are ready without them. If the template places the
+    # replacements on such a node again, replacing them one by one would never end.
     found = [] if missing else list(leaving)
     if update.min_ready is None:
         return found + sorted(outdated, key=lambda pod: not kube_objects.ready(pod))[missing:]
@@ -108,15 +110,15 @@ def _replaced(
 
 
 def hash_of(pod: Object) -> str:
-    """The hash of the template that a pod was made from."""
+    """Return the hash of the template from which a pod was created."""
     return kube_objects.labels(pod).get(names.TEMPLATE_HASH, "")
 
 
 def claimable(unclaimed: Sequence[Object], present: str, update: Update = Update()) -> str:
-    """The template whose held pods may be claimed: the present one as soon as one of it is ready, or as many as are to be.
+    """Return the hash of the template whose held pods may be claimed; empty for any, if those of an old one are as good.
 
-    Until then the one with most ready pods, so that a new template that can't start takes nothing away. Empty for any, where those
-    of an old one are as good.
+    It is the current template as soon as one pod of it is ready, or ``min_ready`` of them. Until then it is the one
+    with the most ready pods, so that a new template that cannot start takes nothing away.
     """
     if update.stay:
         return ""

@@ -1,4 +1,4 @@
-"""On which nodes our pods are to be: away from those with which they would be lost, and off lost ones soon."""
+"""Placement of Understudy's pods: apart from pods that should not be lost with them, and soon away from lost nodes."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from understudy.kube.client import Object
 LOST_SECONDS = 30
 
 _HOSTNAME = "kubernetes.io/hostname"
-_DISTANCE = 100  # the greatest weight: an understudy on the node of the active pod dies with it
-_DISTANCE_OF_MONITOR = 50  # a monitor that dies with the active pod is started elsewhere first, which takes seconds
+_DISTANCE = 100  # the maximum weight: an understudy on the node of the active pod is lost with it
+_DISTANCE_OF_MONITOR = 50  # a monitor lost with the active pod must first start elsewhere, which takes seconds
 
 
 def keep_apart(spec: Object, *, workload: str, pool: str, held: bool) -> None:
-    """Prefer other nodes than those of the other instances (of the workload, or of the shared pool), then than the monitor's.
+    """Prefer nodes without other instances (of the workload, or of the shared pool), and then nodes without the monitor.
 
-    Where a shared pool's pods are to be is left to its template, if that says so.
+    If the template of a shared pool sets a placement, that placement is kept.
     """
     if held and (spec.get("topologySpreadConstraints") or (spec.get("affinity") or {}).get("podAntiAffinity")):
         return
@@ -35,10 +35,10 @@ def keep_apart(spec: Object, *, workload: str, pool: str, held: bool) -> None:
 
 
 def _spread(spec: Object, labels: Mapping[str, str]) -> None:
-    """Have the scheduler count the others on each node, without those that are on their way out.
+    """Add a constraint with which the scheduler counts the other pods on each node, without those that are being deleted.
 
-    For an affinity they are as good as there: with two nodes, of which one has the pod that failed, the next understudy would as soon be
-    beside the one in control. The API server takes one constraint for each pair of these two fields.
+    An affinity counts these too: with two nodes, of which one has the failed pod, the next understudy might be placed
+    beside the active one. The API server accepts one constraint for each pair of these two fields.
     """
     ours = {
         "maxSkew": 1,
@@ -54,13 +54,13 @@ def _spread(spec: Object, labels: Mapping[str, str]) -> None:
 
 
 def away_from(labels: Mapping[str, str], weight: int) -> Object:
-    """A preference for nodes without such pods, as strong as its weight (1 to 100) beside other preferences."""
+    """Return a preference for nodes without such pods. Its weight (1 to 100) is relative to other preferences."""
     term = {"topologyKey": _HOSTNAME, "labelSelector": {"matchLabels": dict(labels)}}
     return {"weight": weight, "podAffinityTerm": term}
 
 
 def leave_lost_nodes(spec: Object) -> None:
-    """On a lost node a pod is replaced after LOST_SECONDS, not after Kubernetes' five minutes without an understudy."""
+    """Replace a pod on a lost node after LOST_SECONDS, instead of Kubernetes' five minutes without an understudy."""
     given = spec.get("tolerations") or []
     spec["tolerations"] = [
         *given,

@@ -1,6 +1,7 @@
-"""Evictions of a shared pool's waiting pods, as ``kubectl drain`` asks for: refused until there are others elsewhere.
+"""Delays evictions of a shared pool's waiting pods, such as those of ``kubectl drain``, until there are pods on other nodes.
 
-A PodDisruptionBudget says so to the API server, and whoever drains tries again until the operator has replaced them.
+A PodDisruptionBudget makes the API server refuse the evictions. Drain tools retry until the operator has replaced the
+pods.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 
 PATIENCE = 120.0
-"""Seconds for which evictions wait at most: what is to come in place of the pods may never come, such as where a quota is used up."""
+"""Maximum delay of evictions, in seconds. The replacements may never start, for example if a quota is exhausted."""
 
 
 def budget(pool: str, least: int) -> Object:
-    """The budget by which so many waiting pods stay. One that isn't ready is nobody's loss."""
+    """Return the budget that keeps at least ``least`` waiting pods. A pod that is not ready may always be evicted."""
     return keeping(names.held(pool), least, {names.POOL: pool, names.HELD: "true"})
 
 
 def keeping(name: str, least: int, chosen: Mapping[str, str]) -> Object:
-    """A budget by which at least so many of the pods with these labels stay; those that aren't ready may always go."""
+    """Return a budget that keeps at least ``least`` pods with these labels. Pods that are not ready may always be evicted."""
     return {
         "apiVersion": "policy/v1",
         "kind": "PodDisruptionBudget",
@@ -38,24 +39,24 @@ def keeping(name: str, least: int, chosen: Mapping[str, str]) -> Object:
 
 
 def is_ours(found: Object) -> bool:
-    """Whether a budget was made for an object of ours."""
+    """Whether a budget belongs to an object of Understudy."""
     owner = controller_of(found)
     return owner is not None and owner.get("apiVersion") == API_VERSION
 
 
 def decided_elsewhere(budgets: Sequence[Object], labels: Mapping[str, str]) -> bool:
-    """Whether a budget of somebody else's selects the pods: with two of them Kubernetes refuses every eviction, for good."""
+    """Whether another owner's budget selects the pods. With two budgets, Kubernetes refuses every eviction permanently."""
     return any(selects(found, labels) for found in budgets)
 
 
 def selects(found: Object, labels: Mapping[str, str]) -> bool:
-    """Whether a budget is for pods with these labels."""
+    """Whether a budget selects pods with these labels."""
     selector = (found.get("spec") or {}).get("selector")
     return selector is not None and selectors.matches(selector, dict(labels))
 
 
 def patience(coming: Sequence[Object], since: float, now: float) -> float:
-    """Seconds for which evictions may still wait for the pods that are to come; 0 where one of them can't."""
+    """Return the seconds for which evictions may still wait for the replacements; 0 if one of these cannot start."""
     if any(trouble(pod) is not None for pod in coming):
         return 0.0
     return max(0.0, PATIENCE - (now - since))

@@ -1,4 +1,4 @@
-"""FallbackPools: what is so around one, what its spec comes to, and the held pods of a shared one."""
+"""FallbackPools: the observed state around a pool, the evaluation of its spec, and the held pods of a shared one."""
 
 from __future__ import annotations
 
@@ -20,66 +20,67 @@ from understudy.kube.client import DISRUPTION_BUDGETS, PODS, Object
 from understudy.kube.gates import isolation
 
 MOVING = "Moving"
-"""The condition that is there while pods are replaced elsewhere."""
+"""The condition that exists while pods are being replaced on other nodes."""
 
 FIRST_THE_CLAIMED = 10.0
-"""Seconds that a claimed pod has to get into control before the one in its place is started, which may be on its node: a
-robot waits for the one, nobody for the other.
+"""Seconds for a claimed pod to become active before its replacement starts, perhaps on the same node.
+
+A robot waits for the claimed pod, and nothing waits for the replacement.
 """
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What is so around a pool."""
+    """The observed state around a pool."""
 
     pool: Object
     workloads: Mapping[str, Object]
     """All RobotWorkloads of the namespace."""
     pods: Sequence[Object]
-    """Pods with the pool's label, whoever owns them now."""
+    """Pods with the pool's label, regardless of their current owner."""
     owned: Mapping[tuple[str, str], Object]
-    """What the pool controls besides pods, by plural and name."""
+    """Objects that the pool controls, except pods, by plural and name."""
     now: float
     source: Mapping[str, Any] | None = None
-    """Pod template of the workload that ``templateFrom`` names, if that has one."""
+    """Pod template of the workload in ``templateFrom``, if it has one."""
     source_selector: Mapping[str, Any] | None = None
     """Selector of that workload's referred controller, if it has one."""
     active: frozenset[str] = frozenset()
-    """UIDs of the pods in control of some robot."""
+    """UIDs of all active pods, of any workload."""
     stand_ins: Sequence[Object] = ()
-    """Pods of its workloads' own controllers that wait where a pod of it drives."""
+    """Pods of its workloads' own controllers that stand by while a pod of this pool is active."""
     expected: int = 0
-    """Pods that were created and haven't been observed yet."""
+    """Number of pods that were created but not yet observed."""
     prewarmed: int = 0
-    """Workloads that are to have a standby more, since they are degraded."""
+    """Number of workloads that should have an additional standby because they are degraded."""
     waiting: Sequence[Waiter] = ()
-    """The workloads that wait for a pod of it, who is served first before the others."""
+    """The workloads that wait for a pod of this pool, in the order in which they are served."""
     spared: int = 0
-    """Workloads that it serves and that have no standby of it, since other strategies were chosen for them."""
+    """Number of workloads that it serves and that need no standby of it, because other strategies were selected."""
     asking: Sequence[Object] = ()
-    """The workloads that take a pod of it when they fail, where its size follows that."""
+    """The workloads that claim a pod of it when they fail, if its size follows the failure rate."""
     leaving: frozenset[str] = frozenset()
     """The nodes whose pods are about to go."""
     budgets: Sequence[Object] = ()
-    """PodDisruptionBudgets of the namespace that aren't ours."""
+    """PodDisruptionBudgets of the namespace that Understudy did not create."""
     secret: Object | None = None
-    """The Secret with the name of the one for its agents."""
+    """The Secret with the name of the pool's agent Secret, or None."""
 
 
 @dataclass(frozen=True)
 class Understanding:
-    """What a pool's spec comes to."""
+    """The result of evaluating a pool's spec."""
 
     spec: FallbackPoolSpec | None = None
     problem: Problem | None = None
     built: Object | None = None
     """The pod template of its held pods, for a shared pool."""
     sized: Sized | None = None
-    """Its size, where it follows the failures."""
+    """Its size, if it follows the failure rate."""
 
 
 def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
-    """The pods that a shared pool holds: still its own, and still held."""
+    """Return the pods that a shared pool holds: it still controls them, and they are still held."""
     return [
         pod
         for pod in pods
@@ -88,19 +89,19 @@ def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
 
 
 def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
-    """The workloads that wait for a pod of a shared pool by what is beside their gates, who is served first before the others."""
+    """Return the workloads that wait for a pod of a shared pool according to their gates, in the order in which they are served."""
     found = []
     for gate in gates:
         if kube_objects.labels(gate).get(names.WAITS_FOR) != pool:
             continue
         one = waiter(kube_objects.notes(gate).get(names.RECOVERY, ""))
-        if one is not None and names.gate(one.workload) == kube_objects.name(gate):  # each speaks for itself only
+        if one is not None and names.gate(one.workload) == kube_objects.name(gate):  # counts only for its own workload
             found.append(one)
     return in_order(found, pool, now)
 
 
 def understand(observed: Observed, images: Images) -> Understanding:
-    """What a pool's spec comes to, before the API server has judged its template."""
+    """Evaluate a pool's spec, before the API server validates its template."""
     pool = observed.pool
     refused = pool_reader.problem(pool)
     if refused is not None and refused.reason == "SpecInvalid":
@@ -149,20 +150,23 @@ def _no_source(source: str, observed: Observed) -> Problem:
 
 @dataclass(frozen=True)
 class Fresh:
-    """Where names and secrets that never were before come from."""
+    """The source of unique names and secrets."""
 
     name: Callable[[str], str]
     token: Callable[[], str] = field(repr=False)
 
 
 def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan:
-    """The writes for a pool whose spec was accepted. Claimed pods are never among them."""
+    """Return the writes for a pool. Claimed pods are never among them.
+
+    If the spec is not accepted, no pods are created or deleted.
+    """
     made = Plan()
     spec, built = understanding.spec, understanding.built
     if understanding.problem is not None or spec is None or built is None or kube_objects.deleted(observed.pool):
         made.writes += claim_tokens.release(kube_objects.name(observed.pool), observed.secret)
         if any(leaving_nodes.on(pod, observed.leaving) for pod in observed.pods):
-            _let_go(made, observed)  # nothing comes in their place
+            _let_go(made, observed)  # there will be no replacements
         return made
     pool, name = observed.pool, kube_objects.name(observed.pool)
     owner = kube_objects.owner("FallbackPool", pool)
@@ -172,7 +176,7 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     living = [pod for pod in held if kube_objects.alive(pod)]
     want = pool_size.wanted(spec, understanding.sized)
     update = _update(spec, want)
-    # Which pods may be claimed is said before others go.
+    # The network policy that names the claimable pods is written before other pods are deleted.
     policy = isolation.held_pods(name, pod_counts.claimable(living, present, update))
     made.writes.append(Apply(isolation.RESOURCE, ownership.ours(policy, owner, pool)))
     change = pod_counts.change(
@@ -187,7 +191,7 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     _hold(made, observed, living, built, want)
     namespace = pool["metadata"]["namespace"]
     waits = _until_driving(observed)
-    # Each claim holds back the one in its own place: where claims keep coming, the pool fills up behind them all the same.
+    # Each claim delays only its own replacement. So the pool still fills up under a steady series of claims.
     due = max(0, change.create - len(waits))
     if change.create > due:
         made.later(min(waits))
@@ -197,7 +201,7 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
     made.writes += [Delete(PODS, pod) for pod in change.delete]
     if change.again_after is not None:
         made.later(change.again_after)
-    for one in observed.waiting:  # a monitor that is gone leaves behind that it waits
+    for one in observed.waiting:  # a monitor that is gone leaves its wait entry behind
         made.later(one.until - observed.now)
     if understanding.sized is not None:
         made.later(pool_size.LOOK_AGAIN)
@@ -205,7 +209,7 @@ def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan
 
 
 def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Object, want: int) -> None:
-    """Have evictions of waiting pods wait for others elsewhere, as long as those may come."""
+    """Delay evictions of waiting pods until others exist on other nodes, as long as those may still start."""
     name = kube_objects.name(observed.pool)
     moving = any(leaving_nodes.on(pod, observed.leaving) for pod in living)
     coming = [pod for pod in living if not kube_objects.ready(pod) and not leaving_nodes.on(pod, observed.leaving)]
@@ -222,21 +226,21 @@ def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Objec
 
 
 def _moving_since(observed: Observed) -> float:
-    """When pods began to be replaced elsewhere, by the pool's status; now where it doesn't say so yet."""
+    """Return since when pods are being replaced on other nodes, from the pool's status; now if it is not there yet."""
     conditions = (observed.pool.get("status") or {}).get("conditions") or []
     said = next((one["lastTransitionTime"] for one in conditions if one["type"] == MOVING), None)
     return datetime.fromisoformat(said).timestamp() if said is not None else observed.now
 
 
 def _let_go(made: Plan, observed: Observed) -> None:
-    """Let waiting pods be evicted."""
+    """Permit evictions of waiting pods."""
     live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.held(kube_objects.name(observed.pool))))
     if live is not None and not kube_objects.deleted(live):
         made.writes.append(Delete(DISRUPTION_BUDGETS, live))
 
 
 def _update(spec: FallbackPoolSpec, want: int) -> pod_counts.Update:
-    """What becomes of pods of an old template, for a pool of such a size."""
+    """Return how pods of an old template are replaced, for a pool of this size."""
     found = spec.update_strategy
     if found is None:
         return pod_counts.Update()
@@ -245,8 +249,10 @@ def _update(spec: FallbackPoolSpec, want: int) -> pod_counts.Update:
 
 
 def _until_driving(observed: Observed) -> list[float]:
-    """Seconds to wait for each of the pods that were claimed just now; nothing of those that drive, have ended or had their time, and
-    where another robot waits for the one that is to be started.
+    """Return the seconds to wait for each pod that was claimed just now.
+
+    Pods that are active, have ended or have had their time do not count. The result is empty if another robot waits for
+    a replacement.
     """
     if observed.waiting:
         return []
@@ -257,22 +263,22 @@ def _until_driving(observed: Observed) -> list[float]:
         and kube_objects.alive(pod)
         and kube_objects.uid(pod) not in observed.active
     ]
-    # By another machine's clock a claim may seem to be of the future: no wait is longer than it can be.
+    # The clock of another machine may put a claim into the future. No wait is longer than the maximum.
     return [min(FIRST_THE_CLAIMED, wait) for wait in waits if wait > 0]
 
 
 def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]:
-    """Held pods that can be claimed now: ready, and of the template that the pool's policy names."""
+    """Return the held pods that can be claimed now: ready, and of the template in the pool's network policy."""
     allowed = claimable_hash(policy)
     return [pod for pod in held if is_claimable(pod, allowed)]
 
 
 def is_claimable(pod: Object, allowed: str) -> bool:
-    """Whether a pod of a shared pool is held, ready and of the template whose hash is allowed; of any where that is empty."""
+    """Whether a pod of a shared pool is held, ready and of the template with the hash ``allowed``; an empty hash allows any."""
     held = kube_objects.labels(pod).get(names.HELD) == "true"
     return held and kube_objects.ready(pod) and (not allowed or pod_counts.hash_of(pod) == allowed)
 
 
 def claimable_hash(policy: Object | None) -> str:
-    """The hash of the template whose pods may be claimed, as kept at the pool's policy; empty if unknown."""
+    """Return the hash of the template whose pods may be claimed, from the pool's network policy; empty if unknown."""
     return kube_objects.notes(policy).get(names.TEMPLATE_HASH, "") if policy else ""

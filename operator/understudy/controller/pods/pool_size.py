@@ -1,7 +1,7 @@
-"""How many pods a shared pool holds: as its spec says, or as the failures of its robots ask for.
+"""The size of a shared pool: given by its spec, or calculated from the failures of its robots.
 
-All that this goes by is in statuses: what was seen in those of the workloads, which their monitors write at a recovery, and the
-pool's present size in its own. So nothing is written for robots that are well, and another operator goes on where one has ended.
+All input is in statuses: the failures in those of the workloads, which their monitors write at a recovery, and the
+current size in the pool's own. So nothing is written for healthy robots, and another operator can continue at any time.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from understudy.kube.client import Object
 
 CONDITION = "Sized"
 SHORT = "AtMaximum"
-"""Its reason where more pods were needed than there may be."""
+"""Reason of the condition if more pods are needed than the maximum."""
 LOOK_AGAIN = 60.0
-"""Seconds after which the size is thought over though nothing was seen: that nothing fails tells something too."""
+"""Seconds after which the size is calculated again without any change: the absence of failures is information too."""
 
 _HOUR = 3600.0
 _LITTLE = 0.1
-"""Figures that only time changes stay as they were written as long as the rate has changed by no more than this share."""
+"""Figures that change only with time are not written again while the rate has changed by at most this share."""
 _SHARED = "Fallback/Uninitialized"
-"""How the strategies that take a pod of a shared pool are called in the record of a recovery."""
+"""The strategy that uses a shared pool's pod, as named in the record of a recovery."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What was seen of the robots that share a pool."""
+    """The observations of the robots that share a pool."""
 
     robots: int = 0
     failures: int = 0
@@ -43,7 +43,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Sized:
-    """A pool's size with all that it came from."""
+    """A pool's size with all figures from which it was calculated."""
 
     spec: Sizing
     rate: Rate
@@ -51,11 +51,11 @@ class Sized:
     said: SizingStatus
     before: CurrentSize | None
     short: bool
-    """Whether its maximum isn't enough for the risk."""
+    """Whether its maximum is too small for the risk."""
 
 
 def size(pool: Object) -> int:
-    """How many unclaimed pods a shared pool is to hold, as far as that was decided."""
+    """Return how many unclaimed pods a shared pool should hold, as last decided."""
     spec = pool.get("spec") or {}
     sizing = spec.get("sizing")
     if sizing is None:
@@ -66,12 +66,12 @@ def size(pool: Object) -> int:
 
 
 def wanted(spec: FallbackPoolSpec, sized: Sized | None) -> int:
-    """How many unclaimed pods a shared pool is to hold now."""
+    """Return how many unclaimed pods a shared pool should hold now."""
     return sized.decision.size if sized is not None else spec.replicas or 0
 
 
 def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: float) -> Sized | None:
-    """The size that the failures of the workloads that take from a pool ask for; None where its spec says it."""
+    """Return the size that follows from the failures of the workloads that claim from a pool; None if its spec gives the size."""
     sizing = spec.sizing
     if sizing is None:
         return None
@@ -88,20 +88,21 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
     before = _held(pool)
     decision = decide_size(aim, found.robots, rate, before, now)
     said = _settled(_stored(pool), _said(found, rate, decision))
-    # Said until it surely isn't so any more, as the size is kept.
+    # Reported until it certainly no longer holds, in the same way as the size is kept.
     short = decision.needed > sizing.max or (_was_short(pool) and decision.safe > sizing.max)
     return Sized(sizing, rate, decision, said, before, short)
 
 
 def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> Seen:
-    """How often workloads have asked for a pod of a pool since then, and for how long they were observed."""
+    """Return how often workloads asked for a pod of a pool since ``begin``, and for how many hours they were observed."""
     robots, failures, hours = 0, 0, 0.0
     for workload in asking:
         since = max(begin, kube_objects.created(workload))
         status = workload.get("status") or {}
         recoveries: list[Object] = status.get("recoveries") or []
         if (status.get("recoveryCount") or 0) > len(recoveries) and recoveries:
-            # Of more than its status keeps, those before are unknown: it was observed from the oldest one that is left.
+            # The status keeps only some recoveries, and earlier ones are unknown. So the observation starts at the
+            # oldest one that is left.
             since, recoveries = max(since, _when(recoveries[-1])), recoveries[:-1]
         robots += 1
         failures += sum(since < _when(one) <= now and _asked(pool, one) for one in recoveries)
@@ -110,28 +111,29 @@ def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> Seen:
 
 
 def _when(recovery: Object) -> float:
-    """When a failure was detected, in unix seconds; 0 where that isn't known."""
+    """Return when a failure was detected, in Unix seconds; 0 if unknown."""
     text = (recovery.get("moments") or {}).get("detected")
     return datetime.fromisoformat(text).timestamp() if text else 0.0
 
 
 def _asked(pool: str, recovery: Object) -> bool:
-    """Whether a recovery took a pod of a pool, or would have if there had been one.
+    """Whether a recovery claimed a pod of a pool, or would have if there had been one.
 
-    A pod is named after its pool. Where there was none, it may have been asked for from another shared pool as well.
+    A pod's name starts with that of its pool. If no pod was available, the recovery may have asked another shared pool
+    as well.
     """
     tried = [one for one in recovery.get("attempts") or [] if one.get("strategy") == _SHARED]
     return any(not one.get("pod") or one["pod"].rpartition("-")[0] == pool for one in tried)
 
 
 def _stored(pool: Object) -> dict[str, Any]:
-    """What the pool's status says of its size; empty where it says nothing."""
+    """Return the sizing part of the pool's status; empty if there is none."""
     found: dict[str, Any] = (pool.get("status") or {}).get("sizing") or {}
     return found
 
 
 def _held(pool: Object) -> CurrentSize | None:
-    """The size that was decided last."""
+    """Return the size that was last decided, or None."""
     found = _stored(pool)
     return CurrentSize(found["size"], datetime.fromisoformat(found["lastChange"]).timestamp()) if found else None
 
@@ -142,13 +144,13 @@ def _was_short(pool: Object) -> bool:
 
 
 def last(pool: Object) -> Object:
-    """What the status said last of its size, for a pool whose spec can't be understood."""
+    """Return the last reported size, for a pool whose spec is invalid."""
     known = _stored(pool)
     return {"sizing": known} if known else {}
 
 
 def status(found: Sized) -> Object:
-    """What the status says of its size."""
+    """Return the size part of the status."""
     return {"sizing": found.said.to_wire()}
 
 
@@ -167,7 +169,7 @@ def _said(of: Seen, rate: Rate, decision: Decision) -> SizingStatus:
 
 
 def _settled(stored: Object, new: SizingStatus) -> SizingStatus:
-    """What is to be said; what was said where only time has gone by, which it does always and would be written always."""
+    """Return the new figures, or the stored ones if only time has passed. Time always passes, so they would always be written."""
     if not stored:
         return new
     old = SizingStatus.model_validate(stored)
@@ -178,7 +180,7 @@ def _settled(stored: Object, new: SizingStatus) -> SizingStatus:
 
 
 def judged(pool: Object, found: Sized) -> Condition:
-    """How many pods there are to be, and why."""
+    """Return the condition with the number of pods and its reasons."""
     generation = kube_objects.generation(pool)
     decision, spec = found.decision, found.spec
     if found.short:
@@ -188,7 +190,7 @@ def judged(pool: Object, found: Sized) -> Condition:
 
 
 def _reason(found: Sized) -> str:
-    """The rate and where it is from."""
+    """Return the rate and its source, as text."""
     spec, said = found.spec, found.said
     robots = "1 robot" if said.robots == 1 else f"{said.robots} robots"
     hours = "1 robot hour" if said.robot_hours == 1 else f"{said.robot_hours:g} robot hours"
@@ -218,7 +220,7 @@ def _outlook(found: Sized) -> str:
 
 
 def change(found: Sized) -> str | None:
-    """What an Event tells of a size that was changed; None where it stays."""
+    """Return the text of the Event for a changed size; None if the size has not changed."""
     if found.before is None or found.before.size == found.decision.size:
         return None
     return f"from {found.before.size} to {found.decision.size} pods: {_reason(found)}"

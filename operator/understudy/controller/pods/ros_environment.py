@@ -1,4 +1,4 @@
-"""The two ConfigMaps that the processes of a robot's side read: their environment, and the settings of their ROS middleware."""
+"""The two ConfigMaps for processes on the robot's side: their environment, and the settings of their ROS middleware."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ PROFILES_FILE = f"{PROFILES_DIR}/{PROFILES_KEY}"
 def config_maps(
     workload: str, environment: Mapping[str, str], outputs: Sequence[Output], reflex: Reflex | None = None
 ) -> list[Object]:
-    """What the robot's side takes in: environment (``envFrom``) and profiles (mounted at PROFILES_DIR).
+    """Return the ConfigMaps with the environment (``envFrom``) and the profiles (mounted at PROFILES_DIR).
 
-    Raises ValueError where the gated ports don't suffice for the outputs.
+    Raises ValueError if there are not enough gated ports for the outputs.
     """
     return [
         {

@@ -1,7 +1,7 @@
-"""Whether a pod template has the shape of one, as far as it is read here.
+"""Checks that a pod template has the right types, in the fields that the operator reads.
 
-The API server keeps a template of ours as it was written, and judges it only by the pods that are made from it. Until then a list may be
-a text, and a text a number.
+The API server stores the template of a RobotWorkload or FallbackPool without a check, and validates only the pods that
+are created from it. Until then, a list may be a string, and a string may be a number.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _PREFERRED = "preferredDuringSchedulingIgnoredDuringExecution"
 
 
 def problem(template: Mapping[str, Any], path: str) -> str | None:
-    """What first isn't as Kubernetes has it, with where it stands under ``path``; None where all is."""
+    """Return the first field under ``path`` that has the wrong type, as a problem; None if there is none."""
     return next(_problems(template.get("spec") or {}, f"{path}.spec"), None)
 
 
@@ -39,7 +39,7 @@ def _container(container: Mapping[str, Any], at: str) -> Iterator[str]:
             yield from _text(part, f"{at}.{key}[{index}]")
     for index, entry in enumerate(container.get("env") or []):
         yield from _text(entry.get("name"), f"{at}.env[{index}].name")
-        if entry.get("value") is not None:  # without one it is empty
+        if entry.get("value") is not None:  # without a value, it is empty
             yield from _text(entry["value"], f"{at}.env[{index}].value")
     yield from _object(container.get("lifecycle"), f"{at}.lifecycle")
 

@@ -1,4 +1,4 @@
-"""Which of our objects must be looked at again after a change that was seen."""
+"""Finds the objects that must be reconciled again after an observed change."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from understudy.kube.gates import isolation, registry
 
 
 class Key(NamedTuple):
-    """One object of ours."""
+    """One object of the three kinds."""
 
     plural: str
     namespace: str
@@ -51,22 +51,25 @@ _PLURALS = {"RobotWorkload": WORKLOADS.plural, "FallbackPool": POOLS.plural}
 
 
 class Affected(NamedTuple):
-    """What a change comes to."""
+    """The effect of a change."""
 
     keys: set[Key]
-    """What it may mean something for; too many do no harm."""
+    """Objects that the change may affect. Extra keys do no harm."""
     is_claim: bool
-    """Whether a workload has taken one of many pods of a shared pool. Until its gate says what came of it, that means nothing to others."""
+    """Whether a workload has claimed one of many pods of a shared pool.
+
+    Until the workload's gate reports the result, the claim does not affect other objects.
+    """
 
 
 def of(sight: Sight, store: Store) -> Affected:
-    """What a change comes to, with the store as it is after it."""
+    """Return the effect of a change. The store already contains the change."""
     plenty = _plenty(sight, store)
     return Affected(set(_keys(sight, store, plenty)), _is_claim(sight, plenty))
 
 
 def keys(sight: Sight, store: Store) -> set[Key]:
-    """The keys of :func:`of`, for who does nothing else with it."""
+    """Return only the keys of :func:`of`."""
     return of(sight, store).keys
 
 
@@ -91,7 +94,7 @@ def _keys(sight: Sight, store: Store, plenty: Collection[str]) -> Iterator[Key]:
             yield from _after_spec(sight, store, namespace)
         elif plural == WORKLOADS.plural:
             if _chosen_anew(sight):
-                for name in store.in_namespace(POOLS, namespace):  # how many standbys it has of each
+                for name in store.in_namespace(POOLS, namespace):  # the number of its standbys in each pool
                     yield Key(POOLS.plural, namespace, name)
             elif _recovered_anew(sight):
                 yield from _sized(store, namespace)
@@ -133,28 +136,28 @@ def _recovered_anew(sight: Sight) -> bool:
 
 
 def _sized(store: Store, namespace: str) -> Iterator[Key]:
-    """The pools whose size follows the failures."""
+    """Yield the pools whose size follows the failure rate."""
     for name, pool in store.in_namespace(POOLS, namespace).items():
         if (pool.get("spec") or {}).get("sizing"):
             yield Key(POOLS.plural, namespace, name)
 
 
 def _depends_anew(sight: Sight) -> bool:
-    """Whether a workload has come or gone, or depends on others than before."""
+    """Whether a workload was created or deleted, or its dependencies have changed."""
     if sight.old is None or sight.new is None or kube_objects.deleted(sight.old) != kube_objects.deleted(sight.new):
         return True
     return dependency_graph.named(sight.old) != dependency_graph.named(sight.new)
 
 
 def _after_health(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
-    """The policy that looks how many of its workloads fail at once."""
+    """Yield the policy that counts how many of its workloads fail at the same time."""
     if sight.old is None or sight.new is None or storm_detection.health(sight.old) == storm_detection.health(sight.new):
         return
     yield from _guard(sight.new, store, namespace)
 
 
 def _after_commit(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
-    """The same where a recovery begins: its gate is the first that tells."""
+    """Yield the same policy if a recovery begins: the workload's gate shows that first."""
     if (
         sight.old is None
         or sight.new is None
@@ -168,7 +171,7 @@ def _after_commit(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
 
 
 def _guard(workload: Object, store: Store, namespace: str) -> Iterator[Key]:
-    """A workload's policy, where it guards against storms."""
+    """Yield the workload's policy if it has a storm guard."""
     policy = store.get(POLICIES, namespace, used_policy(workload))
     if policy is not None and policy_reader.storm_guard(policy) is not None:
         yield Key(POLICIES.plural, namespace, kube_objects.name(policy))
@@ -186,11 +189,11 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
         anew = _depends_anew(sight)
         for name, other in store.in_namespace(WORKLOADS, namespace).items():
             rival = reference(other) and reference(other) == reference(found)
-            if rival or (anew and dependency_graph.named(other)):  # it may depend on this one, or in a circle with it
+            if rival or (anew and dependency_graph.named(other)):  # it may depend on this one, or be in a cycle with it
                 yield Key(WORKLOADS.plural, namespace, name)
     elif sight.resource.plural == POLICIES.plural:
         yield from users(kube_objects.name(found), store, namespace)
-        yield from _sized(store, namespace)  # who takes from them
+        yield from _sized(store, namespace)  # the workloads that claim from them may have changed
     else:
         for name in store.in_namespace(POLICIES, namespace):
             yield Key(POLICIES.plural, namespace, name)
@@ -213,7 +216,7 @@ def _after_pod(sight: Sight, store: Store, namespace: str, plenty: Collection[st
 
 
 def _stood_in_for(workload: str, store: Store, namespace: str) -> Iterator[Key]:
-    """The pool for which a pod of a workload's own controller waits, while a pod of that pool drives."""
+    """Yield the pool whose pod is active while a pod of the workload's own controller stands by for it."""
     item = store.get(WORKLOADS, namespace, workload)
     gate = store.gate(item) if item is not None else None
     if not kube_objects.active(gate)[1]:
@@ -224,19 +227,19 @@ def _stood_in_for(workload: str, store: Store, namespace: str) -> Iterator[Key]:
 
 
 def _plenty(sight: Sight, store: Store) -> Collection[str]:
-    """The shared pools, of those that a pod was or is held for, that have plenty without it."""
+    """Return the shared pools that hold or held this pod and have enough other claimable pods."""
     if sight.resource.plural != PODS.plural:
         return ()
     known = [item for item in (sight.old, sight.new) if item is not None and names.HELD in kube_objects.labels(item)]
-    # Mostly it is the same one before and after: one question.
+    # The pool before and after the change is usually the same one, so this asks once per pool.
     held = {kube_objects.labels(item).get(names.POOL, ""): item for item in known}
     return [pool for pool, item in held.items() if _has_plenty(pool, item, store, item["metadata"]["namespace"])]
 
 
 def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
-    """Whether a shared pool has so many other pods that can be claimed that this one makes no difference to any workload.
+    """Whether a shared pool has enough other claimable pods that this one makes no difference to any workload.
 
-    Without that each claim, and each step of a pod that comes up, would have every workload of a fleet looked at.
+    Without this check, each claim and each step of a starting pod would reconcile every workload of a fleet.
     """
     pool = store.get(POOLS, namespace, name)
     if pool is None:
@@ -248,7 +251,7 @@ def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
         for pod in store.labelled(PODS, namespace, names.POOL, name)
         if kube_objects.uid(pod) != kube_objects.uid(held)
     )
-    # A fleet's pool has hundreds, and this is asked with each step of each of them: the first few will do.
+    # A fleet's pool has hundreds of pods, and each step of each of them comes here. So the count stops early.
     found = itertools.islice((pod for pod in others if pool_pods.is_claimable(pod, allowed)), reserved + 1)
     return sum(1 for _ in found) > reserved
 
@@ -258,7 +261,7 @@ def _after_policy(policy: Object, store: Store, namespace: str) -> Iterator[Key]
     if owner is not None and owner["kind"] == "FallbackPool":
         yield from _pool_users(owner["name"], store, namespace)
     elif owner is not None and owner["kind"] == "RobotWorkload":
-        for name in store.in_namespace(POOLS, namespace):  # which of their pods are in control
+        for name in store.in_namespace(POOLS, namespace):  # the active pods of each pool may have changed
             yield Key(POOLS.plural, namespace, name)
 
 
@@ -267,11 +270,14 @@ def _going(node: Object) -> tuple[bool, bool]:
 
 
 def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
-    """Nodes report all the time; only which pods are about to go means something, and to those whose pods these are."""
+    """Yield the owners of pods that are about to leave a node.
+
+    Nodes report all the time. A change matters only if it changes which nodes are cordoned or being drained.
+    """
     known = [item for item in (sight.old, sight.new) if item is not None]
     if len(known) == 2 and _going(known[0]) == _going(known[1]):
         return
-    # Those on other nodes too: there may be one now that they can go to, or none any more.
+    # This includes pods on other nodes: a node to move to may have appeared or disappeared.
     places = {kube_objects.name(node) for node in (*known, *store.all(NODES)) if leaving_nodes.is_leaving(node)}
     for pod in store.all(PODS):
         if leaving_nodes.of(pod) not in places:
@@ -285,8 +291,11 @@ def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
 
 
 def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
-    """Ours is its owner's. One of somebody else's may select any instance, and the waiting pods of any pool."""
-    if not _spec_changed(sight):  # its status is another with every pod
+    """Yield the owner of a PodDisruptionBudget of Understudy, or all workloads and pools for any other budget.
+
+    Another budget may select any instance, and the waiting pods of any pool.
+    """
+    if not _spec_changed(sight):  # its status changes with every pod
         return
     owner = controller_of(sight.new or sight.old or {"metadata": {}})
     if owner is not None and owner.get("apiVersion") == API_VERSION:
@@ -298,7 +307,7 @@ def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
 
 
 def _after_trees(config_map: Object, store: Store, namespace: str) -> Iterator[Key]:
-    """The policies whose health tree is in a ConfigMap, and whom they protect."""
+    """Yield the policies whose health tree is in a ConfigMap, and the workloads that they protect."""
     for name, policy in store.in_namespace(POLICIES, namespace).items():
         if health_tree_sources.reference(policy) == kube_objects.name(config_map):
             yield Key(POLICIES.plural, namespace, name)
@@ -312,34 +321,34 @@ def _pool_users(pool: str, store: Store, namespace: str) -> Iterator[Key]:
 
 
 def users(policy: str, store: Store, namespace: str) -> Iterator[Key]:
-    """The workloads that a policy protects."""
+    """Yield the workloads that a policy protects."""
     for name, workload in store.in_namespace(WORKLOADS, namespace).items():
         if used_policy(workload) == policy:
             yield Key(WORKLOADS.plural, namespace, name)
 
 
 def used_policy(workload: Object) -> str:
-    """The policy that a workload names."""
+    """Return the name of the policy that a workload refers to, or an empty string."""
     found: str = ((workload.get("spec") or {}).get("failurePolicyRef") or {}).get("name", "")
     return found
 
 
 def chosen(workload: Object) -> str:
-    """The strategies in force, in short, as a workload's status has them; empty where that says nothing yet."""
+    """Return the strategies in force from a workload's status, in short form; empty if the status does not have them yet."""
     found: str = (workload.get("status") or {}).get("strategies") or ""
     return found
 
 
 def reference(workload: Object) -> tuple[str, str] | None:
-    """Kind and name of what a workload refers to."""
+    """Return kind and name of the controller that a workload refers to, or None."""
     found: dict[str, Any] | None = (workload.get("spec") or {}).get("workloadRef")
     return (found["kind"], found["name"]) if found else None
 
 
 def referring(resource: Resource, item: Object, store: Store) -> set[Key]:
-    """The workloads that refer to a controller, or to the controller of a pod that isn't labelled yet.
+    """Return the keys that depend on a referred controller, or on the controller of a pod that is not labelled yet.
 
-    A Deployment's pod is recognized by its ReplicaSet's name; a mistake costs one look and no more.
+    A Deployment's pod is recognized by the name of its ReplicaSet. A mistake costs one reconciliation and no more.
     """
     target: tuple[str, str] | None = None
     if resource.plural == DEPLOYMENTS.plural:
@@ -366,14 +375,14 @@ def referring(resource: Resource, item: Object, store: Store) -> set[Key]:
 
 
 def _copying(workload: Key, store: Store) -> Iterator[Key]:
-    """The pools that take their template from a workload."""
+    """Yield the pools that take their template from a workload."""
     for name, pool in store.in_namespace(POOLS, workload.namespace).items():
         if ((pool.get("spec") or {}).get("templateFrom") or {}).get("workload") == workload.name:
             yield Key(POOLS.plural, workload.namespace, name)
 
 
 def unlisted(store: Store) -> Iterator[Key]:
-    """What depends on referred controllers: those aren't listed, so it is looked at again with every list."""
+    """Yield what depends on referred controllers. These are not listed, so their workloads are reconciled after every list."""
     for workload in store.all(WORKLOADS):
         if reference(workload) is not None:
             key = Key(WORKLOADS.plural, workload["metadata"]["namespace"], kube_objects.name(workload))

@@ -1,7 +1,8 @@
-"""How often the same object may be put right again, where somebody else changes it back each time.
+"""Limits how often the operator repairs an object that another client changes back each time.
 
-Two that both want the last word would write as fast as they hear of each other, for ever: another controller, or another installation of
-Understudy. Who only sees one of them, such as a monitor that is restarted each time, can't tell why.
+Without a limit, two writers that both insist would write for ever, as fast as they observe each other's changes. The
+other writer can be another controller, or another installation of Understudy. A process that sees only one of them,
+such as a monitor that is restarted each time, cannot find the cause.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 AT_ONCE = 5
-"""Repairs of an object that are made as soon as they are seen to be needed."""
+"""Repairs of an object that are made immediately."""
 EVERY = 30.0
-"""Seconds to each further one."""
+"""Seconds between further repairs."""
 
 Place = tuple[str, str, str]
 """Plural, namespace and name."""
@@ -27,21 +28,21 @@ class _Repairs:
 
 
 class Contention:
-    """What was written where, and how often it was written again."""
+    """Counts the repairs of each object."""
 
     def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._known: dict[Place, _Repairs] = {}
 
     def wait(self, place: Place, stamp: str) -> bool:
-        """Whether what has that stamp was put right there so often that it should wait."""
+        """Whether the object with this stamp was repaired so often that the next repair should wait."""
         known = self._known.get(place)
         if known is None or known.stamp != stamp:
             return False
         return known.left + (self._clock() - known.at) / EVERY < 1
 
     def written(self, place: Place, stamp: str) -> None:
-        """Remember a write that was carried out. Of what is written for the first time all repairs are left."""
+        """Record a write that succeeded. The first write of a stamp does not count as a repair."""
         known, now = self._known.get(place), self._clock()
         if known is None or known.stamp != stamp:
             self._known[place] = _Repairs(stamp, AT_ONCE, now)
@@ -50,5 +51,5 @@ class Contention:
         known.at = now
 
     def forget(self, gone: Callable[[Place], bool]) -> None:
-        """Forget objects that aren't there any more."""
+        """Forget the objects for which ``gone`` returns true."""
         self._known = {place: known for place, known in self._known.items() if not gone(place)}

@@ -1,4 +1,4 @@
-"""Carries out the writes of a plan, each guarded so that acting on an old sight does no harm."""
+"""Carries out the writes of a plan. Each write has a guard, so that acting on outdated observations does no harm."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ MANAGER = "understudy-operator"
 _MOST_NAMED = 3
 
 RESIZE = "resize"
-"""The subresource of pods by which they are resized in place (KEP-1287)."""
+"""The subresource of pods for resizing them in place (KEP-1287)."""
 
 
 class Stale(Exception):
-    """Something has changed since it was read: look again."""
+    """An object has changed since it was read, so it must be observed again."""
 
 
 class Contended(Exception):
-    """Somebody else changes an object back each time that it is put right."""
+    """Another client changes an object back after each repair."""
 
 
 class Ending(Exception):
-    """The namespace is being deleted: there is nothing to build any more."""
+    """The namespace is being deleted, so nothing can be built in it."""
 
 
 class Executor:
-    """Makes writes of one operator, while it may."""
+    """Carries out the operator's writes while this replica may write."""
 
     def __init__(
         self, client: Client, store: Store, expectations: Expectations, *, may_write: Callable[[], bool]
@@ -50,13 +50,16 @@ class Executor:
         self._client, self._store, self._expectations, self._may_write = client, store, expectations, may_write
         self._settled: dict[tuple[str, str, str], tuple[str, frozenset[str]]] = {}
         self._compared: dict[tuple[str, str, str], int] = {}
-        """Which version of an object was found to be as wanted, and as what: hashes, since a fleet has many objects."""
+        """The version of each object that was last found to match, as a hash of UID, resourceVersion and stamp.
+
+        Hashes save memory, because a fleet has many objects.
+        """
         self._contention = Contention()
 
     async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
-        """Make the writes; what the API server refuses for good is returned, and the others are still made.
+        """Carry out the writes, and return the permanent refusals of the API server. A refusal does not stop the other writes.
 
-        Raises Stale, Ending, LeadershipLost, and what a server that can't answer now raises (ApiError 429 and 5xx,
+        Raises Stale, Ending, LeadershipLost, and the errors of a server that cannot answer now (ApiError 429 and 5xx,
         aiohttp.ClientError, TimeoutError).
         """
         problems: list[Problem] = []
@@ -88,7 +91,10 @@ class Executor:
         return problems
 
     def forget(self, key: Key) -> None:
-        """Forget what is known of the objects of one that is gone. Of others whose names begin alike it is found out again."""
+        """Forget the objects that belong to a deleted one.
+
+        Objects of others with the same name prefix are forgotten too; the executor then compares them again.
+        """
 
         def of_it(place: tuple[str, str, str]) -> bool:
             return place[1] == key.namespace and (place[2] == key.name or place[2].startswith(f"{key.name}-"))
@@ -122,14 +128,14 @@ class Executor:
         place = (resource.plural, key.namespace, kube_objects.name(body))
         live = self._store.get(resource, key.namespace, kube_objects.name(body))
         if live is not None and not apply.same_controller(live, wanted):
-            live = None  # a namespace that was made anew has the same names: establish() looks at what is there now
+            live = None  # the namespace was created again; establish() reads the current object
         if live is not None and self._is_so(place, live, wanted):
             return
         stamp = wanted["metadata"]["annotations"][apply.APPLIED]
         contended = live is not None and self._contention.wait(place, stamp)
         if (
             contended and resource not in registry.FENCING_RESOURCES
-        ):  # what keeps standbys from the robot is never left as it is
+        ):  # a gate or an isolation policy is always repaired at once
             raise Contended(_told(wanted, apply.differences(live, wanted)))
         operator_metrics.WRITES.labels(resource.plural, "apply").inc()
         try:
@@ -138,11 +144,11 @@ class Executor:
             else:
                 made = await apply.overwrite(self._client, resource, key.namespace, wanted, live=live, manager=MANAGER)
         except ApiError as error:
-            if error.conflict and live is not None:  # what was known of it isn't so any more
+            if error.conflict and live is not None:  # the stored version is outdated
                 self._store.remove(resource, live)
             raise
         self._store.put(resource, made)
-        # what the server wrote differently (100m for 0.1) isn't a difference to be repaired for ever
+        # The server may normalize values (100m for 0.1). Such a difference must not be repaired again and again.
         self._settled[place] = (made["metadata"]["uid"], frozenset(apply.differences(made, wanted)))
         if live is not None:
             self._contention.written(place, stamp)
@@ -186,7 +192,7 @@ class Executor:
         operator_metrics.WRITES.labels(resource.plural, "patch").inc()
         if subresource is None:
             guard: Object = {"uid": metadata["uid"]}
-            if resource.plural != PODS.plural:  # labels of a pod don't depend on what its kubelet writes meanwhile
+            if resource.plural != PODS.plural:  # a pod's labels do not depend on what its kubelet writes meanwhile
                 guard["resourceVersion"] = metadata["resourceVersion"]
             body = {**body, "metadata": {**(body.get("metadata") or {}), **guard}}
         made = await self._client.patch(
@@ -207,24 +213,28 @@ def _told(wanted: Object, found: Sequence[str]) -> str:
 
 
 def _alike(write: Write) -> str | None:
-    """The pool of which a write makes one of many pods: what is said of one holds for the others too. None for any other write."""
+    """Return the pool for which a write creates one of many pods, or None for any other write.
+
+    A refusal of one of these pods holds for the others too.
+    """
     return kube_objects.labels(write.body).get(names.POOL, "") if isinstance(write, Create) and write.counted else None
 
 
 def _gone(write: Write) -> bool:
-    """Whether what isn't found is the object: an older API server may lack the subresource, for good."""
+    """Whether a 404 means that the object is gone. For a resize, an older API server may lack the subresource permanently."""
     return isinstance(write, Patch) and write.subresource != RESIZE
 
 
 def refused(write: Write, error: ApiError) -> Problem:
-    """What the API server says of a write that it won't take."""
+    """Return the Problem for a write that the API server refuses."""
     item = write.item if isinstance(write, Patch | Delete) else write.body
     made_of_template = write.resource.plural in (PODS.plural, REPLICA_SETS.plural)
     invalid = made_of_template and (error.status in (400, 422) or error.malformed)
     reason = "TemplateInvalid" if invalid else error.reason or "Refused"
     kind, name, words = item.get("kind") or write.resource.plural, kube_objects.name(item), error.message
     if _alike(write) is not None:
-        # Each try has another name. Told with it, every try would be news, and that news is looked at by trying again.
+        # Each attempt has another name. With the name, each attempt would change the message, and the change would
+        # start a new attempt.
         stem = f"{name.rpartition('-')[0]}-*"
         name, words = stem, words.replace(name, stem)
     return Problem(reason, f"{kind} {name}: {words}")

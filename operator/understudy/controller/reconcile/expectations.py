@@ -1,4 +1,4 @@
-"""Pods that were asked for and haven't been observed, so that a stale read never makes too many."""
+"""Pods that were requested but not yet observed. Counting them prevents extra pods after a stale read."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from understudy.controller.reconcile.change_index import Key
 
 
 class Expectations:
-    """Names of pods that count though nobody has seen them."""
+    """Names of pods that count although they have not been observed."""
 
     def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._names: dict[tuple[Key, str], dict[str, float]] = defaultdict(dict)
 
     def expect(self, key: Key, pool: str, name: str) -> None:
-        """A pod is about to be asked for."""
+        """Record that a pod is about to be requested."""
         self._names[(key, pool)][name] = self._clock()
 
     def settled(self, key: Key, pool: str, name: str) -> None:
-        """It was observed, or the API server said that it won't be."""
+        """Forget a pod that was observed, or that the API server refused."""
         self._names.get((key, pool), {}).pop(name, None)
 
     def count(self, key: Key, pool: str, *, observed: Callable[[str], bool] = lambda name: False) -> int:
-        """How many are still expected; those that were observed meanwhile, by their names, no longer are."""
+        """Return how many pods are still expected. Those that ``observed`` knows by name are no longer expected."""
         known = self._names.get((key, pool))
         if not known:
             return 0
@@ -36,5 +36,5 @@ class Expectations:
         return len(known)
 
     def forget(self, key: Key) -> None:
-        """Nothing is expected any more of one that is gone."""
+        """Forget the expectations of a deleted object."""
         self._names = defaultdict(dict, {place: known for place, known in self._names.items() if place[0] != key})

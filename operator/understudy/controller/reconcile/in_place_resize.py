@@ -1,7 +1,7 @@
-"""Gives the pod in control more CPU or memory in place while its workload is degraded (KEP-1287).
+"""Gives the active pod more CPU or memory in place while its workload is degraded (KEP-1287).
 
-What is there is only ever raised, and stays raised for as long as the pod lives: taken back as soon as the workload is well, it
-would be lacking again. The next pod begins with what its template says.
+Resources are only raised, and stay raised for the life of the pod: if they were taken back as soon as the workload
+recovers, they would be missing again. The next pod starts with the resources of its template.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ _ADVICE = {
     "Deferred": "The kubelet retries when the node has room",
     "Infeasible": "Request less in the policy, or use larger nodes",
 }
-"""What can be done, by the kubelet's reasons for a resize that is pending."""
+"""Advice to the user, by the kubelet's reason for a pending resize."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """How far one resize has come, and the write that it needs."""
+    """The progress of one resize, and the write that it needs."""
 
     reason: str
-    """Resized where it is done."""
+    """"Resized" if it is complete."""
     message: str
     write: Patch | None = None
 
 
 def outcomes(observed: Observed, understanding: Understanding) -> list[Outcome]:
-    """How far the resizes of the workload's policy have come on the pod in control; none while it isn't degraded."""
+    """Return the progress of the policy's resizes on the active pod; empty while the workload is not degraded."""
     pod, spec = observed.resized, understanding.spec
     if pod is None or spec is None or understanding.policy_problem is not None:
         return []
@@ -48,13 +48,13 @@ def outcomes(observed: Observed, understanding: Understanding) -> list[Outcome]:
 
 
 def refused(outcome: Outcome, problem: Problem) -> Outcome:
-    """The outcome where the API server doesn't take the write."""
+    """Return the outcome for a write that the API server refuses."""
     words = f"{outcome.message}, which the API server rejects: {problem.message}"
     return replace(outcome, reason="Refused", message=words, write=None)
 
 
 def judged(observed: Observed, found: Sequence[Outcome]) -> Condition | None:
-    """What the workload's status says of it; None while nothing is asked for."""
+    """Return the condition Resized of the workload, or None if no resize is requested."""
     if not found:
         return None
     shown = next((one for one in found if one.reason != "Resized"), None)
@@ -92,9 +92,9 @@ def _outcome(pod: Object, index: int, resize: Resize) -> Outcome:
 
 
 def raised(present: Mapping[str, Mapping[str, str]], amounts: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """The requests and limits that must change for a container to have these amounts: empty where it has them.
+    """Return the requests and limits that must change for a container to have these amounts; empty if none.
 
-    A limit that isn't there isn't added: that would take something away.
+    A missing limit is not added, because a limit would restrict the container.
     """
     requests, limits = present.get("requests") or {}, present.get("limits") or {}
     more = {
@@ -117,7 +117,7 @@ def _restarting(container: Object) -> set[str]:
 
 
 def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> Outcome:
-    """What the kubelet has made of it."""
+    """Return the outcome that the kubelet reports in the pod's status."""
     status = pod.get("status") or {}
     said = {c["type"]: c for c in status.get("conditions") or [] if c["status"] == "True"}
     if (pending := said.get("PodResizePending")) is not None:

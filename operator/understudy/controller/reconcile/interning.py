@@ -1,6 +1,6 @@
-"""What objects say alike is kept once: those of a fleet's robots differ in names and in little else.
+"""Stores equal parts of objects once, because the objects of a fleet's robots differ in little more than their names.
 
-What is stored is never changed in place, so nobody can tell.
+This is safe, because stored objects are never changed in place.
 """
 
 from __future__ import annotations
@@ -12,19 +12,22 @@ from typing import Any
 from understudy.kube.client import Object
 
 PARTS = frozenset({"spec", "rules", "subjects", "roleRef", "data", "status"})
-"""Where objects of different robots are alike."""
+"""Fields in which the objects of different robots are alike."""
 
 ALIKE = frozenset({"namespace", "labels", "ownerReferences", "creationTimestamp"})
-"""What of its metadata an object has in common with the others of its robot."""
+"""Metadata fields that an object has in common with the other objects of its robot."""
 
 REMEMBERED_SECONDS = 60.0
-"""For at least so long, and at most twice, what was seen is looked for in other objects: a fleet's come together, in lists."""
+"""Minimum time, in seconds, for which a part is remembered; the maximum is twice as long.
+
+A fleet's objects arrive together, in lists.
+"""
 
 Known = dict[tuple[Any, ...], Any]
 
 
 class Sharing:
-    """Finds parts that are equal."""
+    """Finds equal parts."""
 
     def __init__(self, *, clock: Callable[[], float]) -> None:
         self._clock = clock
@@ -33,7 +36,7 @@ class Sharing:
         self._turned = clock()
 
     def of(self, item: Object, old: Object | None) -> Object:
-        """The object with the parts that it has in common with its older self, or with another one."""
+        """Return the object with the parts that it shares with its older version or with other objects."""
         self.forget()
         older = old or {}
         shared = self._each(item, older, PARTS)
@@ -42,7 +45,7 @@ class Sharing:
         return shared
 
     def forget(self) -> None:
-        """Forget what wasn't seen for long; to be called now and then where nothing new comes."""
+        """Forget parts that were not seen for a while. Call it from time to time if no new objects arrive."""
         if self._clock() - self._turned >= REMEMBERED_SECONDS:
             self._turned, self._before, self._known = self._clock(), self._known, {}
 
@@ -54,7 +57,7 @@ class Sharing:
 
     def _same(self, value: Any) -> Any:
         key: tuple[Any, ...]
-        # The id of a part stands for all of it: it is kept as long as the entry that has it.
+        # The id of a part identifies its whole content: the part is kept as long as the entry that contains it.
         if isinstance(value, dict):
             value = {sys.intern(name): self._same(part) for name, part in value.items()}
             key = (dict, *((name, id(part)) for name, part in value.items()))

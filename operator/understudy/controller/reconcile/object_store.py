@@ -1,7 +1,8 @@
-"""A copy of what was seen of the cluster, fed by watches, by lists and by the answers to the operator's own writes.
+"""A copy of the observed cluster, updated by watches, lists and the answers to the operator's own writes.
 
-A watch may be late, repeat itself or fall silent. So versions decide which of two sights of an object is the newer one
-(they are comparable within a resource, KEP-5504), and a full list both repairs what a watch missed and tells it.
+A watch may be late, repeat events or fall silent. So resource versions decide which of two observations of an object is
+newer (they are comparable within a resource, KEP-5504). A full list repairs what a watch missed, and shows that it was
+missed.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ from understudy.kube.client import Object, Resource
 from understudy.kube.gates import registry
 
 REMEMBERED_SECONDS = 300.0
-"""How long a deleted object is remembered, so that a list from before its deletion doesn't bring it back."""
+"""How long a deleted object is remembered, in seconds, so that a list from before its deletion does not restore it."""
 
 Index = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Sight:
-    """A change that was noticed."""
+    """An observed change."""
 
     resource: Resource
     old: Object | None
@@ -44,19 +45,19 @@ class Store:
         self._swept = self._changed = clock()
         self._sharing = Sharing(clock=clock)
         self.noticed: Callable[[Sight], None] = lambda sight: None
-        """Called with every change, whoever brought it: what one object's work writes may mean something to another."""
+        """Called with every change, including those by the operator: a write for one object may affect another."""
 
     @property
     def quiet(self) -> float:
-        """Seconds since it noticed a change."""
+        """Seconds since the last observed change."""
         return self._clock() - self._changed
 
     def get(self, resource: Resource, namespace: str, name: str) -> Object | None:
-        """An object, or None."""
+        """Return an object, or None."""
         return self._items[resource.plural].get((namespace, name))
 
     def gate(self, workload: Object) -> Object | None:
-        """The gate object of a RobotWorkload, or None."""
+        """Return the gate object of a RobotWorkload, or None."""
         metadata = workload["metadata"]
         return self.get(registry.of(workload).resource, metadata.get("namespace", ""), names.gate(metadata["name"]))
 
@@ -65,25 +66,25 @@ class Store:
         return self.get(resource, item["metadata"].get("namespace", ""), item["metadata"]["name"]) is not None
 
     def all(self, resource: Resource) -> list[Object]:
-        """Every object of a resource."""
+        """Return every object of a resource."""
         return list(self._items[resource.plural].values())
 
     def in_namespace(self, resource: Resource, namespace: str) -> dict[str, Object]:
-        """The objects of a resource in a namespace by name."""
+        """Return the objects of a resource in a namespace, by name."""
         found = self._index.get(("namespace", resource.plural, namespace), {})
         return {name: item for (_, _, name), item in found.items()}
 
     def owned(self, uid: str) -> dict[tuple[str, str], Object]:
-        """What the object with that UID controls, by plural and name."""
+        """Return the objects that the object with this UID controls, by plural and name."""
         found = self._index.get(("owner", uid), {})
         return {(plural, name): item for (plural, _, name), item in found.items()}
 
     def labelled(self, resource: Resource, namespace: str, label: str, value: str) -> list[Object]:
-        """The objects with one of the labels that are indexed (workload, pool, monitored)."""
+        """Return the objects with one of the indexed labels (workload, pool, monitored)."""
         return list(self._index.get(("label", resource.plural, namespace, label, value), {}).values())
 
     def put(self, resource: Resource, item: Object) -> Sight | None:
-        """Take in a sight of an object; None if it tells nothing new."""
+        """Store an observation of an object, and return the change; None if it contains nothing new."""
         metadata = item["metadata"]
         place = (metadata.get("namespace", ""), metadata["name"])
         old = self._items[resource.plural].get(place)
@@ -103,7 +104,7 @@ class Store:
         return self._notice(Sight(resource, old, new))
 
     def remove(self, resource: Resource, item: Object) -> Sight | None:
-        """Take in that an object is gone; None if that is known."""
+        """Record that an object is gone, and return the change; None if that was known."""
         metadata = item["metadata"]
         place = (metadata.get("namespace", ""), metadata["name"])
         self._bury(item)
@@ -128,9 +129,9 @@ class Store:
         *,
         covered: Callable[[Object], bool] = lambda item: True,
     ) -> list[Sight]:
-        """Take in a list of a resource (in one namespace, or in all) as of a version; what it changes.
+        """Store a list of a resource (of one namespace, or of all) as of version ``listed``, and return the changes.
 
-        ``covered`` tells of an object that is kept whether such a list would have it.
+        ``covered`` says of a stored object whether such a list would contain it.
         """
         self._sharing.forget()
         found = list(items)
@@ -139,7 +140,7 @@ class Store:
         for place, old in list(self._items[resource.plural].items()):
             if place in present or (namespace is not None and place[0] != namespace):
                 continue
-            if version(old) <= listed and covered(old):  # newer ones were made after the list
+            if version(old) <= listed and covered(old):  # newer ones were created after the list
                 sights.append(self.remove(resource, old))
         return [sight for sight in sights if sight is not None]
 
@@ -178,18 +179,21 @@ def _keys(resource: Resource, item: Object) -> list[Index]:
 
 
 def version(item: Object) -> int:
-    """The object's resourceVersion as a number."""
+    """Return the object's resourceVersion as a number; 0 if it has none."""
     text = item["metadata"].get("resourceVersion", "")
     return int(text) if text.isdigit() else 0
 
 
 def same(a: Object, b: Object) -> bool:
-    """Whether two sights are of one object, and not of two that had the same name one after the other."""
+    """Whether two observations are of one object, and not of two successive objects with the same name."""
     return bool(a["metadata"].get("uid") == b["metadata"].get("uid"))
 
 
 def slim(resource: Resource, item: Object) -> Object:
-    """The object without what is never looked at: a fleet's copies live in memory. Secrets lose what they keep."""
+    """Return the object without the parts that the operator never reads, because a fleet's copies are kept in memory.
+
+    A Secret loses its data.
+    """
     metadata = {sys.intern(key): value for key, value in item["metadata"].items() if key != "managedFields"}
     kept = {**{sys.intern(key): value for key, value in item.items()}, "metadata": metadata}
     if resource.plural == "secrets":
@@ -212,11 +216,14 @@ _WITHOUT_STATUS = frozenset(
     {"nodes", "deployments", "replicasets", "services", "poddisruptionbudgets"}
     | {resource.plural for resource in registry.FENCING_RESOURCES}
 )
-"""Of these only what they say is looked at: what became of it is seen by their pods."""
+"""Resources whose status is not stored. The operator sees their state by their pods."""
 
 
 def _slim_status(status: Object) -> Object:
-    """A pod's status as far as it tells whether it runs, and why not: most pods then say the same (interning.py)."""
+    """Return the part of a pod's status that shows whether it runs, and why not.
+
+    Most pods of a fleet then have equal statuses, which interning.py stores once.
+    """
     kept: Object = {"phase": status.get("phase")}
     kept["conditions"] = [_only(one, ("type", "status", "reason", "message")) for one in status.get("conditions") or []]
     for key in ("initContainerStatuses", "containerStatuses"):

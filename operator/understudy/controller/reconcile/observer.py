@@ -1,4 +1,4 @@
-"""Puts together what the pure functions look at, from the store and, for referred controllers, from the API."""
+"""Collects the input of the pure functions, from the store and, for referred controllers, from the API."""
 
 from __future__ import annotations
 
@@ -46,25 +46,25 @@ from understudy.kube.gates import isolation
 
 
 class Reader(Protocol):
-    """Reads what isn't in the store, as :class:`understudy.kube.client.Client` does."""
+    """Reads what is not in the store, as :class:`understudy.kube.client.Client` does."""
 
     async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
-        """An object, or None where it isn't there."""
+        """Return an object, or None if it does not exist."""
 
     async def list(self, resource: Resource, namespace: str | None = None, *, labels: str | None = None) -> Object:
-        """A collection: ``items``."""
+        """Return a collection with its ``items``."""
 
 
 class Observer:
-    """What is so around one object of ours."""
+    """Observes the state around one workload or pool."""
 
     def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
         self._client, self._store, self._expectations = client, store, expectations
         self._looked: dict[tuple[str, str], tuple[str, str]] = {}
-        """By namespace and name, for which pool a Secret that is older than it was read, and which one was there: their UIDs."""
+        """By namespace and name: the UIDs of the pool for which an older Secret was read, and of the Secret that was found."""
 
     async def workload(self, item: Object) -> Observed:
-        """What is so around a workload."""
+        """Return the observed state around a workload."""
         store = self._store
         name, namespace = kube_objects.name(item), item["metadata"]["namespace"]
         found_pools = store.in_namespace(POOLS, namespace)
@@ -82,7 +82,7 @@ class Observer:
                 if (policy := store.get(isolation.RESOURCE, namespace, names.held(pool))) is not None
             },
             owned=store.owned(kube_objects.uid(item)),
-            # In one moment with the next: a pod that comes while something is waited for must be in one of the two.
+            # Read at the same moment as the next field: a pod that appears during a wait must be in one of the two.
             pods=store.labelled(PODS, namespace, names.WORKLOAD, name),
             expected={pool: self._expected(key, pool) for pool in serving},
             monitors=self._serving(item, "monitor"),
@@ -102,29 +102,29 @@ class Observer:
         )
 
     def _going(self, namespace: str, role: Object | None) -> Iterator[str]:
-        """Of the pools whose agents a monitor may command by its role, those that are gone and have pods that may be claimed yet."""
+        """Yield the deleted pools that still have claimable pods, of those whose agents the monitor may command by its role."""
         for pool in monitor_deployment.commanded(role):
             pods = self._store.labelled(PODS, namespace, names.POOL, pool)
             if self._store.get(POOLS, namespace, pool) is None and any(map(claim_tokens.claimable, pods)):
                 yield pool
 
     def _budgets(self, namespace: str) -> list[Object]:
-        """The PodDisruptionBudgets of others."""
+        """Return the PodDisruptionBudgets that Understudy did not create."""
         found = self._store.in_namespace(DISRUPTION_BUDGETS, namespace).values()
         return [budget for budget in found if not pool_evictions.is_ours(budget)]
 
     def _leaving(self) -> frozenset[str]:
-        """The nodes whose pods are about to go."""
+        """Return the nodes whose pods are about to go."""
         return leaving_nodes.leaving(self._store.all(NODES))
 
     def _expected(self, key: Key, pool: str) -> int:
-        """Pods that were asked for, and of which neither an answer nor a watch has told."""
+        """Return how many pods were requested and have appeared neither in an answer nor in a watch."""
         return self._expectations.count(
             key, pool, observed=lambda name: self._store.get(PODS, key.namespace, name) is not None
         )
 
     async def _resized(self, item: Object) -> Object | None:
-        """Read from the API, not from the store: of a pod's spec nothing is kept there."""
+        """Return the active pod to resize, or None. It is read from the API, because the store keeps almost nothing of a pod's spec."""
         namespace = item["metadata"]["namespace"]
         policy = self._store.get(POLICIES, namespace, change_index.used_policy(item))
         if (
@@ -138,13 +138,13 @@ class Observer:
         return pod if pod is not None and kube_objects.uid(pod) == uid and kube_objects.alive(pod) else None
 
     def _serving(self, item: Object, component: str) -> list[Object]:
-        """The pods of a workload's monitor or discovery server."""
+        """Return the pods of a workload's monitor or discovery server."""
         namespace = item["metadata"]["namespace"]
         found = self._store.labelled(PODS, namespace, names.MONITORED, kube_objects.name(item))
         return [pod for pod in found if kube_objects.labels(pod).get(names.COMPONENT) == component]
 
     def _rivals(self, item: Object) -> list[str]:
-        """Workloads that referred to the same controller before this one did."""
+        """Return the workloads that referred to the same controller before this one, oldest first."""
         target = change_index.reference(item)
         if target is None:
             return []
@@ -159,14 +159,14 @@ class Observer:
         return [kube_objects.name(other) for other in sorted(older, key=kube_objects.sort_key)]
 
     def _dependencies(self, item: Object) -> dict[str, list[str]]:
-        """What each workload of the namespace depends on; nothing where this one depends on none."""
+        """Return the dependencies of each workload of the namespace; empty if this workload has none."""
         if not dependency_graph.named(item):
             return {}
         others = self._store.in_namespace(WORKLOADS, item["metadata"]["namespace"])
         return dependency_graph.graph([*others.values(), item])
 
     async def _referred(self, item: Object) -> workload_reference.Referred | None:
-        """Read from the API, not from the store: the pods of others aren't kept there."""
+        """Return the referred controller and its pods. They are read from the API, because the store does not keep them."""
         target = change_index.reference(item)
         if target is None:
             return None
@@ -184,7 +184,7 @@ class Observer:
         return workload_reference.Referred(controller, workload_reference.controlled(controller, sets, pods))
 
     async def pool(self, item: Object) -> pool_pods.Observed:
-        """What is so around a pool."""
+        """Return the observed state around a pool."""
         store = self._store
         name, namespace = kube_objects.name(item), item["metadata"]["namespace"]
         found = store.in_namespace(WORKLOADS, namespace)
@@ -221,10 +221,10 @@ class Observer:
         )
 
     async def _token(self, pool: Object) -> Object | None:
-        """The Secret for the agents of a pool's pods.
+        """Return the Secret for the agents of a pool's pods.
 
-        One that is older than the pool may have gone with the pool of that name before it, or with their namespace. No watch tells of that,
-        and the pool's pods wait for their Secret: it is read from the API, once.
+        A Secret that is older than the pool may have been deleted with the previous pool of that name, or with its
+        namespace. No watch reports that, and the pool's pods wait for their Secret. So it is read from the API, once.
         """
         place = pool["metadata"]["namespace"], names.pool_secret(kube_objects.name(pool))
         stored = self._store.get(SECRETS, *place)
@@ -243,7 +243,7 @@ class Observer:
     def _standing_in(
         self, pool: Object, workloads: Mapping[str, Object], pods: Sequence[Object], active: Collection[str]
     ) -> list[Object]:
-        """The pods of workloads' own controllers that wait where one of the pool's pods drives."""
+        """Return the pods of the workloads' own controllers that stand by while one of the pool's pods is active."""
         namespace, found = pool["metadata"]["namespace"], []
         for name in {
             kube_objects.labels(pod).get(names.WORKLOAD, "") for pod in pods if kube_objects.uid(pod) in active
@@ -259,7 +259,7 @@ class Observer:
         return found
 
     def _asks(self, pool: Object, workload: Object) -> bool:
-        """Whether a workload takes a pod of a pool when it fails, where the pool's size follows that."""
+        """Whether a workload claims a pod of a pool when it fails. False for a pool whose size does not follow the failure rate."""
         if not (pool.get("spec") or {}).get("sizing") or not pool_reader.serves(pool, workload):
             return False
         policy = self._store.get(POLICIES, pool["metadata"]["namespace"], change_index.used_policy(workload))
@@ -270,9 +270,9 @@ class Observer:
         return kube_objects.name(pool) in policy_reader.named_pools(policy)
 
     def _spared(self, pool: Object, workload: Object) -> bool:
-        """Whether a workload that a pool serves has no standby of it, since other strategies were chosen for it, or are in force now.
+        """Whether a pool serves this workload but need not hold a standby for it, because other strategies are in force.
 
-        By its status, in which that stands once it was chosen: a fleet's orders aren't thought over for every pod of a pool.
+        This reads the workload's status, so that strategies are not selected again for every pod of a pool.
         """
         policy = self._store.get(POLICIES, pool["metadata"]["namespace"], change_index.used_policy(workload))
         if policy is None or not strategy_selection.varies(policy) or not pool_reader.serves(pool, workload):

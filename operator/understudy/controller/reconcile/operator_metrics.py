@@ -70,7 +70,7 @@ TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)
 
 
 def storm(namespace: str, policy: str, on: bool | None) -> None:
-    """Set whether a policy says that a storm is on; None where it says nothing of storms."""
+    """Set whether a storm is in progress for a policy. None removes the metric, for a policy without a storm guard."""
     if on is not None:
         _STORM.labels(namespace, policy).set(float(on))
         return

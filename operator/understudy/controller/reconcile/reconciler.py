@@ -1,4 +1,4 @@
-"""Brings one object of ours to what it says: observe, plan, write, tell. Run again on every change, and harmless to."""
+"""Brings one object to its desired state: observe, plan, write, report. Reconciling repeatedly does no harm."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from understudy.kube.undeclared_fields import apply_declared, lacking
 
 _logger = logging.getLogger(__name__)
 
-_ALPHABET = "bcdfghjklmnpqrstvwxz2456789"  # as Kubernetes' own generated names: no words by chance
+_ALPHABET = "bcdfghjklmnpqrstvwxz2456789"  # as in Kubernetes' generated names: letters that form no words
 ABSENT = frozenset(
     {
         "PolicyNotFound",
@@ -56,13 +56,15 @@ ABSENT = frozenset(
         "RequirementsNotMet",
     }
 )
-"""Reasons that say that another object is missing."""
+"""Reasons for a missing object."""
 TOGETHER_SECONDS = 3.0
-"""For so long after an object was created, what it lacks isn't told yet."""
+"""Seconds after an object's creation during which missing objects are not reported yet."""
 
 COUNT_SECONDS = 1.0
-"""Between two writes of a pool's status: in a burst it changes with every claim, and the API server then has better things to
-do. What is new for a new spec is told at once.
+"""Minimum time, in seconds, between two writes of a pool's status.
+
+In a burst the status changes with every claim, which would load the API server. The status for a new spec is written at
+once.
 """
 
 WITHDRAWN = frozenset(
@@ -76,13 +78,13 @@ WITHDRAWN = frozenset(
         storm_detection.CONDITION,
     }
 )
-"""Conditions of ours that are there only while there is something to be said."""
+"""Conditions that are removed if they have nothing to report."""
 
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
 
 
 def fresh() -> pool_pods.Fresh:
-    """Random names of pods and tokens of agents."""
+    """Return the source of random pod names and agent tokens."""
     return pool_pods.Fresh(
         name=lambda prefix: f"{prefix}-{''.join(secrets.choice(_ALPHABET) for _ in range(5))}",
         token=lambda: secrets.token_hex(32),
@@ -107,12 +109,12 @@ class Reconciler:
         self._rollouts = rollouts
         self._fresh = fresh()
         self._counted: dict[Key, float] = {}
-        """When the status of each pool was written last, in seconds of the monotonic clock."""
+        """Time of the last write of each pool's status, in seconds of the monotonic clock."""
         self._unknown: set[str] = set()
-        """The fields of status that a definition lacks."""
+        """Status fields that the installed CRDs lack."""
 
     async def reconcile(self, key: Key) -> float | None:
-        """Bring the object to what it says; seconds after which to look again, if it must be.
+        """Reconcile the object, and return the seconds until it must be reconciled again, or None.
 
         Raises what :meth:`Executor.run` raises.
         """
@@ -168,7 +170,7 @@ class Reconciler:
     async def _resize(
         self, key: Key, observed: Observed, understanding: Understanding
     ) -> list[in_place_resize.Outcome]:
-        """Resize the pod in control as far as it is asked for; what the API server refuses concerns nothing else."""
+        """Resize the active pod as requested. A refusal of the API server does not affect the other writes."""
         found = []
         for outcome in in_place_resize.outcomes(observed, understanding):
             writes = [outcome.write] if outcome.write is not None else []
@@ -177,7 +179,7 @@ class Reconciler:
         return found
 
     def _seen(self, observed: Observed) -> Observed:
-        """With what was just written, so that the status isn't one step behind."""
+        """Return the observed state with the objects just written, so that the status is not one step behind."""
         return dataclasses.replace(observed, owned=self._store.owned(kube_objects.uid(observed.workload)))
 
     async def _pool(self, key: Key, item: Object) -> float | None:
@@ -188,7 +190,7 @@ class Reconciler:
         except ApiError as error:
             if (problem := _unanswered(error)) is not None:
                 await self._count(key, item, pool_status.status(observed, understanding, [problem]))
-            raise  # by which it is tried again, and told what wasn't yet
+            raise  # The queue then tries again, and the status is written if it was postponed.
 
     async def _keep(
         self, key: Key, observed: pool_pods.Observed, understanding: pool_pods.Understanding
@@ -216,7 +218,7 @@ class Reconciler:
         return _earliest(plan.again_after, again, later)
 
     async def _without_pool(self, key: Key, item: Object | None) -> None:
-        """What is left to do for a pool that is gone, or on its way out: pods that were claimed from it drive on."""
+        """Do what remains for a deleted pool, or one that is being deleted: pods that were claimed from it keep running."""
         self._measure(key, None)
         self._counted.pop(key, None)
         pods = self._store.labelled(PODS, key.namespace, names.POOL, key.name)
@@ -231,13 +233,13 @@ class Reconciler:
         )
         for problem in await self._executor.run(key, writes):
             _logger.warning("FallbackPool %s/%s is gone: %s", key.namespace, key.name, problem.message)
-        # While it has pods it is looked at again with each of their changes and with every list, and with it others would be forgotten each
-        # time whose names begin alike.
+        # As long as it has pods, it is reconciled with each of their changes and with every list. Each time, objects
+        # with the same name prefix would be forgotten too.
         if item is None and not pods:
             self._executor.forget(key)
 
     def _measure(self, key: Key, sized: pool_size.Sized | None) -> None:
-        """The metrics of a pool's size, where it follows the failures."""
+        """Set the metrics of a pool's size; remove them if its size does not follow the failure rate."""
         figures = (operator_metrics.POOL_SIZE, operator_metrics.POOL_NEEDED, operator_metrics.POOL_FAILURES)
         if sized is None:
             for gauge in figures:
@@ -257,7 +259,7 @@ class Reconciler:
         return _earliest(again, await self._tell(POLICIES, item, status))
 
     def _storm(self, policy: Object, users: Sequence[str]) -> tuple[Condition | None, float | None]:
-        """What is said of a storm, and when to look again; nothing where the policy has no guard."""
+        """Return the condition for storms, and the seconds until the next check; None if the policy has no storm guard."""
         guard, namespace = policy_reader.storm_guard(policy), policy["metadata"]["namespace"]
         if guard is None:
             operator_metrics.storm(namespace, kube_objects.name(policy), None)
@@ -269,7 +271,7 @@ class Reconciler:
         return said, again
 
     async def _count(self, key: Key, pool: Object, status: Object) -> float | None:
-        """As :meth:`_tell`, but not more often than COUNT_SECONDS."""
+        """Do as :meth:`_tell`, but at most once in COUNT_SECONDS."""
         now = time.monotonic()
         wait = self._counted.get(key, now - COUNT_SECONDS) + COUNT_SECONDS - now
         stored = pool.get("status") or {}
@@ -282,9 +284,9 @@ class Reconciler:
         return later
 
     async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
-        """Write the status where it differs from the stored one, and tell transitions as Events.
+        """Write the status if it differs from the stored one, and report transitions as Events.
 
-        Seconds after which to look again, where it is too early to say something.
+        Returns the seconds until the next attempt if it is too early to report something.
         """
         if _says(item, status):
             return None
@@ -325,7 +327,7 @@ class Reconciler:
 
 
 def _unanswered(error: ApiError) -> Problem | None:
-    """What is told where the API server asks an admission webhook that doesn't answer: in the same words each time that it's tried."""
+    """Return the problem of an admission webhook that does not answer. Its text is the same for each attempt."""
     if not error.webhook:
         return None
     return Problem(
@@ -336,7 +338,7 @@ def _unanswered(error: ApiError) -> Problem | None:
 
 
 def _says(item: Object, status: Object) -> bool:
-    """Whether the stored status says the same already, whenever that became so."""
+    """Whether the stored status already says the same, regardless of its transition times."""
     live = item.get("status") or {}
     stored = {c["type"]: c for c in live.get("conditions") or []}
     if WITHDRAWN & stored.keys() - {new["type"] for new in status["conditions"]}:
@@ -349,7 +351,7 @@ def _says(item: Object, status: Object) -> bool:
 
 
 def _too_early(item: Object, status: Object) -> bool:
-    """Whether something that is missing may simply be written next: objects that belong together come one by one."""
+    """Whether a missing object may follow shortly: objects that belong together are created one by one."""
     age = time.time() - kube_objects.created(item)
     return 0 <= age < TOGETHER_SECONDS and any(c["reason"] in ABSENT for c in status["conditions"])
 

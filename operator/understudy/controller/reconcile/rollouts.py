@@ -1,8 +1,9 @@
-"""New monitors and discovery servers come to a fleet in steps, as after an upgrade: a robot isn't watched while its monitor is replaced.
+"""Replaces the monitors and discovery servers of a fleet in steps, because a robot is not watched during the replacement.
 
-Their Deployments are replaced one pod after the other (Recreate), so a change that concerns all would leave every robot of a fleet
-without its monitor at the same time, and a version whose monitors don't come up would leave them so. So only a share is under way at
-once, and the next ones follow when those are ready. What isn't ready before it is changed has nothing to lose and waits for nobody.
+Such a Deployment stops its old pod before it starts a new one (Recreate). A change that concerns all of them, such as
+an upgrade, would leave every robot of a fleet without its monitor at the same time. If the new monitors did not start,
+the robots would stay without. So only a share is replaced at once, and the next ones follow when those are ready. A
+workload without any ready pod before the change has nothing to lose, and does not wait.
 """
 
 from __future__ import annotations
@@ -25,15 +26,17 @@ from understudy.kube.client import DEPLOYMENTS, PODS, WORKLOADS, Object
 _logger = logging.getLogger(__name__)
 
 PERCENT = 10
-"""Of the workloads whose monitors may be replaced at once, unless the operator is told otherwise; at least one."""
+"""Percentage of the workloads whose monitors may be replaced at once (at least one). The operator's options can change it."""
 
 HOLD = 300.0
-"""Seconds for which one that doesn't become ready keeps its place. By then somebody was told (UnderstudyMonitorNotReady), and a robot
-that was switched off meanwhile doesn't keep a fleet from what mends the others.
+"""Seconds for which a workload that does not become ready keeps its place.
+
+By then an alert has fired (UnderstudyMonitorNotReady). A robot that was switched off meanwhile does not keep the fleet
+from receiving a fix.
 """
 
 LOOK = 3.0
-"""Seconds after which one looks again whose turn is next."""
+"""Seconds until the workload whose turn is next checks again."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +44,14 @@ class _Step:
     """One workload whose pods are being replaced."""
 
     before: frozenset[str]
-    """UIDs of its pods when that began."""
+    """UIDs of its pods at the start."""
     fresh: int
-    """How many are replaced."""
+    """Number of pods that are replaced."""
     until: float
 
 
 class Rollouts:
-    """Which workloads' monitors are replaced now."""
+    """The workloads whose monitors are being replaced, and those that wait for it."""
 
     def __init__(self, store: Store, *, percent: int = PERCENT, clock: Callable[[], float] = time.monotonic) -> None:
         self._store, self._percent, self._clock = store, percent, clock
@@ -56,7 +59,10 @@ class Rollouts:
         self._waiting: dict[Key, None] = {}
 
     def admitted(self, key: Key, writes: Sequence[Write]) -> tuple[list[Write], float | None]:
-        """The writes without those for which it isn't the workload's turn yet; if there are such, seconds after which to look again."""
+        """Return the writes that may be made now.
+
+        If some must wait for the workload's turn, also return the seconds until the next check.
+        """
         self._finish()
         late = [write for write in writes if isinstance(write, Apply) and self._replaces(key, write)]
         if not late or self._may(key, len(late)):
@@ -69,7 +75,7 @@ class Rollouts:
         return [write for write in writes if write not in late], LOOK * (1 + ahead // self._places)
 
     def forget(self, key: Key) -> None:
-        """The workload is gone."""
+        """Forget a deleted workload."""
         self._steps.pop(key, None)
         self._waiting.pop(key, None)
         self._count()
@@ -79,12 +85,12 @@ class Rollouts:
         return max(1, math.ceil(len(self._store.all(WORKLOADS)) * self._percent / 100))
 
     def _replaces(self, key: Key, write: Apply) -> bool:
-        """Whether a write replaces pods that are there."""
+        """Whether a write replaces existing pods."""
         if write.resource.plural != DEPLOYMENTS.plural:
             return False
         live = self._store.get(DEPLOYMENTS, key.namespace, kube_objects.name(write.body))
         if live is None or kube_objects.notes(live).get(apply.APPLIED) == apply.digest(write.body):
-            return False  # what somebody else has changed is put right at once
+            return False  # a change by another client is repaired at once
         return bool(apply.differences(live["spec"]["template"], write.body["spec"]["template"]))
 
     def _may(self, key: Key, replaced: int) -> bool:

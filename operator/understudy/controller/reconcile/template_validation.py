@@ -1,4 +1,4 @@
-"""Lets the API server judge a pod template before anything is built from it, and remembers what it said."""
+"""Lets the API server validate a pod template before anything is built from it, and remembers the answer."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from understudy.controller.reconcile.executor import Ending
 from understudy.kube.client import PODS, ApiError, Client, Object
 
 FORGET_REFUSAL = 30.0
-"""Seconds after which a refusal is asked about again: a quota, an account or an admission rule may have changed."""
+"""Seconds after which a refused template is validated again: a quota, an account or an admission rule may have changed."""
 _REMEMBERED_MOST = 2048
 _NO_ROOM = "exceeded quota"
-"""What is said of a pod for which a ResourceQuota has no room left. That says nothing of its template."""
+"""Text of the error if a ResourceQuota has no room for the pod. It says nothing about the template."""
 _POD_SECURITY = "violates PodSecurity"
 _ADVICE = (
     ". Set these fields in the template, or enforce another level in the namespace. Understudy's own containers comply with every level. "
@@ -31,9 +31,9 @@ class Judge:
         self._known: OrderedDict[tuple[str, str], tuple[Problem | None, float]] = OrderedDict()
 
     async def judge(self, pod: Object, path: str) -> Problem | None:
-        """What the API server has against a pod made from a template; None if nothing.
+        """Return the API server's objection to a pod made from a template, or None.
 
-        Raises ApiError where it can't answer now, Ending where the namespace is being deleted.
+        Raises ApiError if the server cannot answer now, and Ending if the namespace is being deleted.
         """
         namespace = pod["metadata"]["namespace"]
         key = (namespace, instance_pod.template_hash(pod))
@@ -47,7 +47,7 @@ class Judge:
             if error.status == 403 and "being terminated" in error.message:
                 raise Ending from error
             if error.status == 409 or (error.status == 403 and _NO_ROOM in error.message):
-                found = None  # There is a pod of that name, or no room for another now, which is asked last: it passed.
+                found = None  # Name taken or quota exhausted: both are checked last, so the template passed.
             elif error.status in (400, 403, 422):
                 advice = _ADVICE if _POD_SECURITY in error.message else ""
                 words = f"{path}: the API server rejects a pod with this template: {error.message}{advice}"

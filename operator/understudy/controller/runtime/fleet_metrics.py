@@ -1,7 +1,7 @@
-"""What the operator knows of the workloads and pools, as metrics that are worked out when somebody asks for them.
+"""Metrics of the workloads and pools, calculated for each scrape.
 
-They come from the very objects that ``kubectl get`` shows, so they need no counting of their own and are right after a restart. Only
-the replica that leads tells them: two would tell everything twice.
+They come from the same objects that ``kubectl get`` shows. So they need no counters, and are correct after a restart.
+Only the leading replica exports them, because two replicas would export everything twice.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import POOLS, WORKLOADS, Object
 
 CONDITIONS = ("Accepted", "Reconciled", "Protected", "Monitored", "GateEnforced")
-"""Conditions of a workload that somebody may want to be woken for while they aren't True."""
+"""Conditions of a workload that may need an alert while they are not True."""
 
 _OF_WORKLOAD = ["namespace", "workload"]
 _OF_POOL = ["namespace", "pool"]
@@ -30,11 +30,11 @@ class FleetMetrics(Collector):
         self._store, self._leading = store, leading
 
     def describe(self) -> Iterable[Metric]:
-        """Their names, without looking at anything: asked for when it is registered."""
+        """Return the metrics without samples, for registration."""
         return [*_workloads([]), *_pools([])]
 
     def collect(self) -> Iterable[Metric]:
-        """All of them as of now; none while another replica leads."""
+        """Return all metrics as of now; none while another replica leads."""
         if not self._leading():
             return []
         return [*_workloads(self._store.all(WORKLOADS)), *_pools(self._store.all(POOLS))]

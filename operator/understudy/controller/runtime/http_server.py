@@ -10,11 +10,11 @@ from prometheus_client import generate_latest
 from understudy.controller.reconcile.operator_metrics import REGISTRY
 
 Check = Callable[[], str | None]
-"""Why something isn't so, or None if it is."""
+"""Returns the problem of a check, or None if there is none."""
 
 
 async def serve(port: int, *, alive: Check, ready: Check) -> web.AppRunner:
-    """Serve /healthz, /ready and /metrics; clean up the runner when done. Port 0 takes any free one."""
+    """Serve /healthz, /ready and /metrics, and return the runner, which the caller must clean up. Port 0 takes any free port."""
 
     def page(check: Check) -> Callable[[web.Request], object]:
         async def answer(_: web.Request) -> web.Response:

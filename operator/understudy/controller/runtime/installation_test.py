@@ -1,7 +1,7 @@
-"""What ``helm test`` runs in the operator's namespace: whether the installation works, asked of its API server.
+"""Checks, for ``helm test`` in the operator's namespace, whether the installation works.
 
-``understudy verify`` runs as an account of its own whose name ends as a monitor's does, so that the admission policy means it too.
-Nothing is changed: what is created or deleted is only ever a dry run.
+``understudy verify`` has its own ServiceAccount, whose name ends like a monitor's, so that the admission policy applies
+to it too. It changes nothing: it creates and deletes objects only as dry runs.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from understudy.kube.client import CRDS, DEPLOYMENTS, LEASES, PODS, WORKLOADS, A
 from understudy.kube.kubeconfig import default_access
 
 WITHIN = 60.0
-"""Seconds in which everything must be in order: an installation may have been finished a moment ago."""
+"""Seconds within which every check must pass, because the installation may have finished a moment ago."""
 
 _AGAIN = 2.0
 _LED = 60.0
-"""Seconds since a leader's last sign of life, by clocks of two nodes that may differ; it gives one every 2 s."""
+"""Maximum age, in seconds, of the leader's last renewal. The leader renews every 2 s; the clocks of the two nodes may differ."""
 
 _WORKLOAD: Object = {
     "apiVersion": API_VERSION,
@@ -44,19 +44,19 @@ _WORKLOAD: Object = {
 
 @dataclass(frozen=True)
 class Place:
-    """What is looked at."""
+    """The installation to check."""
 
     namespace: str
     operator: str
     """Name of the operator's Deployment."""
     pod: str
-    """The pod that looks."""
+    """Name of the pod that runs the checks."""
     admission: bool
-    """Whether the admission policy is in force."""
+    """Whether the admission policy is installed."""
 
 
 def operator_problem(deployment: Object, lease: Object | None, now: float) -> str | None:
-    """Why the operator isn't at work; None where it is."""
+    """Return why the operator is not working, or None."""
     wanted = deployment["spec"].get("replicas", 1)
     status = deployment.get("status") or {}
     available = status.get("availableReplicas", 0)
@@ -72,7 +72,7 @@ def operator_problem(deployment: Object, lease: Object | None, now: float) -> st
 
 
 def definition_problem(found: Object, wanted: Mapping[str, object]) -> str | None:
-    """How a CustomResourceDefinition in the cluster isn't the one of this version; None where it is."""
+    """Return how a CustomResourceDefinition in the cluster differs from the one of this version, or None."""
     conditions = (found.get("status") or {}).get("conditions") or []
     if not any(c["type"] == "Established" and c["status"] == "True" for c in conditions):
         return "it is not established"
@@ -117,19 +117,22 @@ async def _refused(client: Client, place: Place) -> str | None:
 
 
 async def _refusal(client: Client, place: Place, workload: Object) -> str | None:
-    """Why the API server would not take a RobotWorkload; None where it would."""
+    """Return why the API server would reject a RobotWorkload, or None."""
     params = {"dryRun": "All", "fieldValidation": "Strict"}
     try:
         await client.request("POST", WORKLOADS.path(place.namespace), params=params, body=workload)
     except ApiError as error:
-        if error.passing or error.status not in (400, 422):  # such as 403: that isn't about what it says
+        if error.passing or error.status not in (400, 422):  # a 403, for example, is not about the content
             raise
         return error.message
     return None
 
 
 async def _held_back(client: Client, place: Place) -> str | None:
-    """A monitor's account whose Role would let it may still not delete a pod that isn't of its workload."""
+    """Return a problem if a monitor's account could delete a pod of another workload.
+
+    Its Role would permit that, so the admission policy must reject it.
+    """
     try:
         await client.request("DELETE", PODS.path(place.namespace, place.pod), body={"dryRun": ["All"]})
     except ApiError as error:
@@ -150,7 +153,7 @@ _LOOKS: dict[str, Look] = {
 
 
 async def verify(access: Access, place: Place) -> dict[str, str | None]:
-    """What was looked at, with the problem where there is one after ``WITHIN`` seconds."""
+    """Return all checks, each with the problem that remains after ``WITHIN`` seconds, or None."""
     looks = dict(_LOOKS) | ({"monitors can delete only their own pods": _held_back} if place.admission else {})
     end = time.monotonic() + WITHIN
     async with Client(access) as client:
@@ -169,7 +172,7 @@ async def _problem(look: Look, client: Client, place: Place) -> str | None:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Say what is in order and what isn't; the exit status."""
+    """Print the results of the checks, and return the exit status."""
     parser = argparse.ArgumentParser(
         prog="understudy verify",
         description="Checks whether this installation works. helm test runs it in a pod.",

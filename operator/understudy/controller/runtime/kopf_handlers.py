@@ -1,7 +1,8 @@
-"""kopf's part: watches that tell the operator what has changed.
+"""The watches by kopf that report changes to the operator.
 
-Only ``on.event`` handlers, so kopf never puts a finalizer or an annotation on anybody's object; no peering, since the
-Lease decides who acts; no Events of its own, and no log line per object, which costs more than the work at fleet size.
+There are only ``on.event`` handlers, so kopf never writes a finalizer or an annotation to an object. There is no
+peering, because the Lease decides which replica acts. kopf writes no Events and no log line per object: at fleet size,
+these cost more than the work itself.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ import kopf
 from understudy.kube.client import PAGE, POLICIES, POOLS, WORKLOADS, Access, Object, Resource
 
 WATCHED = (WORKLOADS, POLICIES, POOLS)
-"""Our own kinds; what else is watched is in watches.py."""
+"""Understudy's own kinds. watches.py has the other watched resources."""
 
 See = Callable[[Resource, Object, bool], None]
 
 
 def registry(see: See, access: Access) -> kopf.OperatorRegistry:
-    """The handlers; each only hands on what changed (resource, object, whether it's gone)."""
+    """Return the handlers. Each of them only passes on the change (resource, object, whether it was deleted)."""
     made = kopf.OperatorRegistry()
 
     def on(resource: Resource) -> None:
@@ -46,7 +47,7 @@ def registry(see: See, access: Access) -> kopf.OperatorRegistry:
 
 
 def _session(access: Access, token: str | None) -> kopf.AiohttpSession:
-    """A session as whoever the operator is."""
+    """Return a session with the operator's credentials."""
     headers = {"Authorization": f"Bearer {token}", "User-Agent": "understudy-operator"} if token else {}
     connector = aiohttp.TCPConnector(ssl=access.context, limit=0)
     return kopf.AiohttpSession(
@@ -55,7 +56,7 @@ def _session(access: Access, token: str | None) -> kopf.AiohttpSession:
 
 
 def settings() -> kopf.OperatorSettings:
-    """kopf's settings for watching and nothing else."""
+    """Return kopf's settings for watching and nothing else."""
     made = kopf.OperatorSettings()
     made.posting.enabled = False
     made.peering.standalone = True
@@ -70,13 +71,13 @@ def settings() -> kopf.OperatorSettings:
 
 
 def quiet() -> None:
-    """Keep kopf from a line per object and event."""
+    """Suppress kopf's log lines for each object and event."""
     logging.getLogger("kopf.objects").setLevel(logging.WARNING)
     logging.getLogger("kopf").setLevel(logging.WARNING)
 
 
 async def watch(see: See, access: Access, namespaces: Sequence[str]) -> None:
-    """Watch until cancelled or told to stop by a signal."""
+    """Watch until cancelled, or until a signal stops it."""
     await kopf.operator(
         registry=registry(see, access),
         settings=settings(),

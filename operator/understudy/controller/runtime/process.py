@@ -1,7 +1,7 @@
 """The operator's process: ``understudy operator``.
 
-Both replicas watch, so that the one that takes over knows the cluster already; only the holder of the Lease acts. When
-the lease is lost the process ends: nothing less would surely stop a write that is under way.
+Both replicas watch, so that the one that takes over already knows the cluster. Only the holder of the Lease acts. If it
+loses the lease, the process ends, because nothing else would surely stop a write in progress.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ LEASE = "understudy-operator"
 
 @dataclass(frozen=True)
 class Options:
-    """How an operator runs."""
+    """Options of an operator."""
 
     images: Images
     lease_namespace: str
     lease: str = LEASE
     identity: str = field(default_factory=socket.gethostname)
     namespaces: tuple[str, ...] = ()
-    """Namespaces to look after; none for all."""
+    """Namespaces to watch; empty for all."""
     resync_every: float = 30.0
     rollout_percent: int = PERCENT
-    """Of the workloads, how many may have their monitors replaced at once."""
+    """Percentage of the workloads whose monitors may be replaced at the same time."""
     port: int = names.METRICS_PORT
     timing: Timing = field(default_factory=Timing)
 
 
 async def run(access: Access, options: Options, *, stop: asyncio.Event | None = None) -> int:
-    """Run an operator until ``stop`` is set, a signal comes or the lease is lost; the exit status."""
+    """Run an operator until ``stop`` is set, a signal arrives or the lease is lost, and return the exit status."""
     kopf_handlers.quiet()
-    # a fleet's lists are long, and each watch of each namespace has a connection
+    # A fleet's lists are long, and each watch of each namespace has a connection.
     async with Client(access, timeout=20, connections=0) as client:
         client.listener = operator_metrics.TRAFFIC
         lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
@@ -114,7 +114,7 @@ async def _lead(lease: Lease, operator: Operator) -> None:
 
 
 async def _first(tasks: set[asyncio.Task[None]]) -> int:
-    """Wait for the first task to end. Watches end at a signal, which is in order; nothing else ends by itself."""
+    """Wait for the first task to end, and return the exit status: 0 if a signal ended the watches, 1 if a task failed."""
     done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     for task in done:
         error = task.exception() if not task.cancelled() else None
@@ -135,7 +135,7 @@ async def _cancel(tasks: set[asyncio.Task[None]]) -> None:
 
 
 def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
-    """The options of a command line, with what the pod's environment says as defaults."""
+    """Parse a command line, with the pod's environment as defaults."""
     environment = os.environ.get
     parser = argparse.ArgumentParser(
         prog="understudy operator",
@@ -239,7 +239,7 @@ def _own_namespace() -> str:
 
 
 def main(argv: Sequence[str]) -> int:
-    """Run the operator; the exit status."""
+    """Run the operator, and return the exit status."""
     given, chosen = options(argv)
     json_logs.configure(given.log_level)
     try:

@@ -1,6 +1,7 @@
-"""Lists everything once in a while: what a watch has missed is found then, and told.
+"""Lists everything periodically, which finds and reports the changes that a watch missed.
 
-kopf's watches can fall silent without an error, so they are only a way to be quick, never what correctness rests on.
+kopf's watches can fall silent without an error. So they only make the operator fast; its correctness does not depend on
+them.
 """
 
 from __future__ import annotations
@@ -43,16 +44,19 @@ from understudy.kube.gates import registry
 _logger = logging.getLogger(__name__)
 
 Parts = dict[bytes, list[Object]]
-"""What the parts of a list were, by a digest of their text."""
+"""The objects of a list's parts, by a digest of their text."""
 
 REST, REST_MOST = 4.0, 0.25
-"""How long a list that isn't urgent rests after each part: so many times what the part took, and so many seconds at most. A fleet of
-1000 robots is 86 MB, and while the API server writes it as fast as it can, others wait.
+"""The pause after each part of a list that is not urgent: a multiple of the part's duration, and a maximum in seconds.
+
+The lists of a fleet of 1000 robots are 86 MB. While the API server sends them as fast as it can, other clients wait.
 """
 
 PATIENCE, QUIET = 30.0, 0.5
-"""Seconds that such a list stands back in all while watches bring something, and after which they bring nothing. As long as they do they
-aren't silent, and those who make the changes, in a burst of failures, wait for the API server too.
+"""How long such a list waits in total while watches report changes, and after which time without changes it continues; in seconds.
+
+Watches that report changes are not silent. In a burst of failures, those who make the changes wait for the API server
+too.
 """
 
 TREES = f"{names.HEALTH_TREE}=true"
@@ -77,7 +81,7 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
     (ROLES, (_OURS,)),
     (ROLE_BINDINGS, (_OURS,)),
 )
-"""What is kept, and by which label selectors it is found."""
+"""Resources that the store keeps, and the label selectors for listing them."""
 
 WATCHED = frozenset(
     r.plural
@@ -94,11 +98,11 @@ WATCHED = frozenset(
         NODES,
     )
 )
-"""Of these a list should bring nothing new."""
+"""Resources for which a list should contain nothing new."""
 
 
 _WHOLLY = frozenset(r.plural for r in (WORKLOADS, POLICIES, POOLS, DISRUPTION_BUDGETS, NODES))
-"""Of these all are kept: a budget of somebody else's matters to what may be done with a pod."""
+"""Resources of which all objects are kept. A budget of another owner limits what may be done with a pod."""
 
 
 def listed(resource: Resource, item: Object) -> bool:
@@ -114,28 +118,28 @@ def listed(resource: Resource, item: Object) -> bool:
 
 
 def kept(resource: Resource, item: Object) -> bool:
-    """Whether an object that a watch brought means something: also one of ours whose label somebody took off."""
+    """Whether an object from a watch is kept. This includes an object of Understudy whose label was removed."""
     owner = controller_of(item)
     return listed(resource, item) or (owner is not None and owner.get("apiVersion") == API_VERSION)
 
 
 class Lists:
-    """Lists everything into a store, again and again.
+    """Lists everything into a store, periodically.
 
-    Most parts of a fleet's lists are the same again, byte for byte. They aren't decoded, which is nearly all of the work: what they
-    were is taken in once more.
+    Most parts of a fleet's lists are the same as before, byte for byte. Decoding is nearly all of the work, so they are
+    not decoded: their known objects are stored again.
     """
 
     def __init__(self, client: Client, store: Store, namespaces: Sequence[str]) -> None:
-        """In the given namespaces, or in all."""
+        """Create lists for the given namespaces, or for all."""
         self._client, self._store, self._namespaces = client, store, namespaces
         self._known: dict[tuple[str, str | None], Parts] = {}
         self._patience = 0.0
 
     async def resync(self, *, gently: bool = False) -> list[Sight]:
-        """List everything; what that changed. ``gently``, with rests, where nothing waits for it.
+        """List everything, and return the changes. ``gently`` adds pauses, if nothing waits for the result.
 
-        Raises ApiError, aiohttp.ClientError or TimeoutError; what was listed before counts.
+        Raises ApiError, aiohttp.ClientError or TimeoutError. Objects that were listed before the error are stored.
         """
         sights: list[Sight] = []
         self._patience = PATIENCE
@@ -149,7 +153,7 @@ class Lists:
     ) -> list[Sight]:
         place = (resource.plural, namespace)
         known, found = self._known.get(place, {}), Parts()
-        # the first list's version: what was made between two lists is newer and stays
+        # The version of the first list: an object that was created between two lists is newer, and is kept.
         version: int | None = None
         for selector in selectors:
             begun = time.monotonic()
@@ -167,14 +171,17 @@ class Lists:
         return sights
 
     async def _stand_back(self, took: float) -> None:
-        """Let others go first after a part that took so many seconds."""
+        """Give way to other clients after a part that took ``took`` seconds."""
         await asyncio.sleep(min(REST_MOST, REST * took))
         while self._patience > 0 and self._store.quiet < QUIET:
             await asyncio.sleep(QUIET)
             self._patience -= QUIET
 
     def _stored(self, resource: Resource, items: Sequence[Object]) -> list[Object]:
-        """The objects as the store has them, so that they aren't kept twice; none where it has another, or none."""
+        """Return the objects as they are in the store, so that they are not kept twice.
+
+        Returns an empty list if the store lacks one of them or has another version of it.
+        """
         stored = []
         for item in items:
             there = self._store.get(resource, item["metadata"].get("namespace", ""), item["metadata"]["name"])

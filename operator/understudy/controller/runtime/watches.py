@@ -1,7 +1,8 @@
-"""Watches every kind but our own, so that the operator acts on a change within moments.
+"""Watches all kinds except Understudy's own, so that the operator acts on a change within moments.
 
-kopf watches our own kinds. It could watch the others too, but it keeps a record of each object, and a task and a queue for each event.
-With a fleet's objects that exceeds the operator's memory bound: docs/explanation/operator-events.md has the figures.
+kopf watches Understudy's own kinds. It could watch the others too, but it keeps a record of each object, and a task and
+a queue for each event. With a fleet's objects that exceeds the operator's memory bound:
+docs/explanation/operator-events.md has the figures.
 """
 
 from __future__ import annotations

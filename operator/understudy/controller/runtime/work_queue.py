@@ -1,4 +1,7 @@
-"""A work queue of keys: one worker at a time for each, what comes meanwhile is done once more, errors wait longer."""
+"""A work queue of keys. One worker at a time has a key, and failed keys wait longer each time.
+
+A key that is added while a worker has it is processed once more.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ FIRST_RETRY, LAST_RETRY = 0.2, 60.0  # seconds
 
 
 class Queue(Generic[K]):
-    """Keys to be worked on (the rules of client-go's workqueue)."""
+    """Keys to be processed, by the rules of client-go's workqueue."""
 
     def __init__(self, *, first_retry: float = FIRST_RETRY, last_retry: float = LAST_RETRY) -> None:
         self._first, self._last = first_retry, last_retry
@@ -27,7 +30,7 @@ class Queue(Generic[K]):
         return len(self._waiting)
 
     def add(self, key: K) -> None:
-        """Have a key worked on soon. Many requests before it's taken are one."""
+        """Enqueue a key. Requests before a worker takes it are merged."""
         if key in self._working:
             self._again.add(key)
         elif key not in self._waiting:
@@ -35,7 +38,7 @@ class Queue(Generic[K]):
             self._order.put_nowait(key)
 
     def add_after(self, key: K, delay: float) -> None:
-        """Have a key worked on after so many seconds; the earliest request counts."""
+        """Enqueue a key after this number of seconds. The earliest request counts."""
         loop = asyncio.get_running_loop()
         due = loop.time() + delay
         timer = self._timers.get(key)
@@ -57,14 +60,14 @@ class Queue(Generic[K]):
         return key
 
     def done(self, key: K) -> None:
-        """Let go of a key; if it was asked for meanwhile, it comes again."""
+        """Release a key. If it was added meanwhile, it is enqueued again."""
         self._working.discard(key)
         if key in self._again:
             self._again.discard(key)
             self.add(key)
 
     def retry(self, key: K) -> float:
-        """Have a key that failed worked on again, later with each failure. Seconds until then."""
+        """Enqueue a failed key again, later after each failure, and return the delay in seconds."""
         failures = self._failures.get(key, 0)
         self._failures[key] = failures + 1
         delay = min(self._last, self._first * 2.0 ** min(failures, 20))
@@ -76,7 +79,7 @@ class Queue(Generic[K]):
         self._failures.pop(key, None)
 
     def close(self) -> None:
-        """Cancel what is due later."""
+        """Cancel all delayed keys."""
         for timer in self._timers.values():
             timer.cancel()
         self._timers.clear()

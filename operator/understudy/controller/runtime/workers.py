@@ -1,4 +1,4 @@
-"""The operator at work: watches and lists feed the store, changes become keys, and the leader's workers take them."""
+"""The operator's work: watches and lists feed the store, changes become keys, and the leader's workers reconcile them."""
 
 from __future__ import annotations
 
@@ -26,20 +26,25 @@ _logger = logging.getLogger(__name__)
 WORKERS = 8
 
 SOON = 0.2
-"""Seconds that a change waits for others. A failover by a monitor, which is several, is then over, on processors that this
-operator may share with it.
+"""Seconds that a change waits for further changes.
+
+A monitor makes several changes in a failover. After this time it has finished, on processors that this operator may
+share with it.
 """
 
 CLAIMED = {POOLS.plural: 1.0, WORKLOADS.plural: 15.0}
-"""Seconds that a claim waits for what follows it, such as its gate's opening, which doesn't wait so long: of a pool, whose numbers have
-changed, and of the workload, for which nothing has. Where many claim at once, these looks would be what the next ones wait for.
+"""Seconds that a claim waits for the next change, by the kind of the affected object.
+
+The next change, such as the opening of the gate, waits only for SOON. For the pool, a claim changes the numbers; for
+the workload, it changes nothing. If many workloads claim at once, immediate reconciliations would delay the next
+claims.
 """
 
 _UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
 class Operator:
-    """One replica's eyes, and its hands once it leads."""
+    """One replica's watches and lists, and its workers while it leads."""
 
     def __init__(
         self, client: Client, store: Store, reconciler: Reconciler, *, namespaces: Sequence[str], resync_every: float
@@ -58,15 +63,15 @@ class Operator:
 
     @property
     def stalled(self) -> bool:
-        """Whether lists have failed for so long that what is known can't be trusted."""
+        """Whether lists have failed for so long that the store cannot be trusted."""
         return self._resynced is not None and time.monotonic() - self._resynced > 10 * self._resync_every
 
     def see(self, resource: Resource, item: Object, gone: bool) -> None:
-        """Take in what a watch brought: into the store where it is ours, and to whom it means something."""
+        """Process a watch event: store an object of Understudy, and enqueue the objects that the change affects."""
         ours = resync.kept(resource, item)
         if ours and not gone:
             self._store.put(resource, item)
-        elif ours or self._store.knows(resource, item):  # of strangers not even their end is remembered
+        elif ours or self._store.knows(resource, item):  # nothing is remembered of other objects
             self._store.remove(resource, item)
         if not ours:
             for key in change_index.referring(resource, item, self._store):
@@ -84,7 +89,7 @@ class Operator:
             operator_metrics.WAITING.set(len(self.queue))
 
     async def keep_listing(self) -> None:
-        """List everything again and again; what only a list brought is counted and worked on."""
+        """List everything periodically. Changes that only a list contains are counted and processed."""
         retry = 1.0
         while True:
             try:
@@ -109,7 +114,7 @@ class Operator:
         operator_metrics.RESYNC_SECONDS.set(time.time() - begun)
 
     def _strays(self) -> None:
-        """Pods and Secrets that carry the label of a workload or pool which isn't there: nobody else would look at them again."""
+        """Enqueue missing workloads and pools whose label is on pods or Secrets. Nothing else would process these again."""
         for resource, label, of in (
             (PODS, names.WORKLOAD, WORKLOADS),
             (PODS, names.POOL, POOLS),
@@ -121,9 +126,9 @@ class Operator:
                     self._add(Key(of.plural, namespace, name))
 
     async def lead(self) -> None:
-        """Work as the leader until cancelled. Begins from a fresh list: what was seen before may be old.
+        """Work as the leader until cancelled. Starts with a new list, because earlier observations may be outdated.
 
-        Raises LeadershipLost when a write is due and the lease wasn't renewed.
+        Raises LeadershipLost if a write is due and the lease was not renewed.
         """
         self._leading = True
         operator_metrics.LEADER.set(1)
@@ -172,7 +177,7 @@ class Operator:
             result = "unreachable"
             delay = self.queue.retry(key)
             _logger.warning("%s %s/%s: %s; retry in %.1f s", *key, error or type(error).__name__, delay)
-        except Exception:  # one object's surprise must not end the protection of all others
+        except Exception:  # an unexpected error for one object must not end the protection of all others
             result = "error"
             delay = self.queue.retry(key)
             _logger.exception("%s %s/%s failed; retry in %.1f s", *key, delay)
@@ -180,5 +185,5 @@ class Operator:
 
 
 def _aged(sight: Sight, begun: float) -> bool:
-    """Whether a watch had time to bring it: a list may simply have been a moment faster."""
+    """Whether a watch had enough time to report the change: a list may simply have been faster."""
     return sight.new is None or begun - kube_objects.created(sight.new) > 5

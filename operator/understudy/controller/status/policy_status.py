@@ -1,4 +1,4 @@
-"""FailurePolicies: whether they can be followed, and how they read in short."""
+"""The status of FailurePolicies: whether they are valid, and their summary."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from understudy.kube.client import Object
 
 
 def in_short(policy: Object, pools: Mapping[str, Object]) -> str:
-    """The strategies in order, such as ``Executing, Restart``; ``Auto`` where they are chosen for each workload."""
+    """Return the strategies in order, such as ``Executing, Restart``; ``Auto`` if they are selected for each workload."""
     told = []
     for strategy in (policy.get("spec") or {}).get("strategies") or []:
         if strategy.get("type") in ("Restart", "Auto"):
@@ -23,7 +23,7 @@ def in_short(policy: Object, pools: Mapping[str, Object]) -> str:
 
 
 def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping[str, Object]) -> list[Condition]:
-    """The policy's Accepted condition."""
+    """Return the policy's condition Accepted."""
     generation = kube_objects.generation(policy)
     found = policy_reader.problem(policy, config_maps)
     if found is None:
@@ -36,7 +36,7 @@ def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping
 
 
 def _unfound(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
-    """A pool that is named and isn't there."""
+    """Return the problem of a pool that the policy names and that does not exist, or None."""
     listed = enumerate((policy.get("spec") or {}).get("strategies") or [])
     always = [(f"spec.strategies[{i}].poolRef.name", (one.get("poolRef") or {}).get("name")) for i, one in listed]
     for path, name in (*always, *situation_strategies.pool_paths(policy)):
@@ -59,7 +59,7 @@ def _prewarm_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | N
 
 
 def shared(pool: str) -> str:
-    """Why a pool can't be pre-warmed for a workload."""
+    """Return why a pool cannot be pre-warmed for a workload."""
     return (
         f"FallbackPool {pool} is Uninitialized, so its pods belong to no workload. Name a pool that is Initialized or Executing "
         f"(with perWorkload 0 it has no pods until a workload is degraded)"
@@ -76,7 +76,7 @@ def _wait_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None
 
 
 def unshared(pool: str, readiness: str) -> str:
-    """Why nobody waits for a pod of a pool."""
+    """Return why no workload waits for a pod of a pool."""
     return (
         f"FallbackPool {pool} is {readiness}, so each workload has its own standbys and none to wait for. Remove waitFor, or "
         f"name a pool that is Uninitialized"
@@ -91,7 +91,7 @@ def status(
     users: Collection[str],
     storm: Condition | None = None,
 ) -> Object:
-    """The policy's status, but for the times of its conditions. ``storm`` is what is said of one, where it is guarded against."""
+    """Return the policy's status, without the times of its conditions. ``storm`` is its condition for storms, if it has a guard."""
     tree = policy_reader.tree_in_force(policy, config_maps)
     return {
         "observedGeneration": kube_objects.generation(policy),

@@ -1,4 +1,4 @@
-"""FallbackPools: what the status of one says, its numbers and its conditions."""
+"""The status of FallbackPools: numbers and conditions."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Counts:
 
 
 def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | None = None) -> Counts:
-    """The numbers of a pool's status."""
+    """Return the numbers of a pool's status."""
     living = [pod for pod in observed.pods if kube_objects.alive(pod)]
     if spec.readiness == "Uninitialized":
         held = _held(observed)
@@ -55,17 +55,17 @@ def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | N
 
 
 def _held(observed: pool_pods.Observed) -> list[Object]:
-    """The living pods that nobody has claimed."""
+    """Return the living pods that are unclaimed."""
     return [
         pod for pod in observed.pods if kube_objects.alive(pod) and kube_objects.labels(pod).get(names.HELD) == "true"
     ]
 
 
 def status(observed: pool_pods.Observed, understanding: pool_pods.Understanding, problems: Sequence[Problem]) -> Object:
-    """The pool's status, but for the times of its conditions."""
+    """Return the pool's status, without the times of its conditions."""
     pool, spec = observed.pool, understanding.spec
     generation = kube_objects.generation(pool)
-    # That a webhook doesn't answer says nothing of the pool.
+    # A webhook that does not answer says nothing about the pool.
     found = understanding.problem or next((one for one in problems if one.reason != UNANSWERED), None)
     if found is not None:
         accepted = condition("Accepted", False, found.reason, found.message, generation=generation)
@@ -152,7 +152,7 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
 
 
 def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts) -> Condition:
-    """Whether a robot that fails now would be given a pod, and who waits for one."""
+    """Return whether a robot that fails now would receive a pod, and which workloads wait for one."""
     found = [f"{one.workload} (poolPriority {one.priority}, since {_moment(one.since)})" for one in observed.waiting]
     told = f"{counts.ready} of {counts.desired} can be claimed now"
     if spec.reserve is not None:
@@ -166,7 +166,7 @@ def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Cou
 
 
 def _moving(observed: pool_pods.Observed) -> list[Condition]:
-    """Which pods are being replaced elsewhere since their node is about to go; nothing where none is."""
+    """Return the condition for pods that are replaced because their node is about to go; empty if there are none."""
     made = [pod for pod in observed.pods if kube_objects.alive(pod) and kube_objects.uid(pod) not in observed.active]
     waiting = [*made, *observed.stand_ins]
     found = [
@@ -185,7 +185,7 @@ def _moving(observed: pool_pods.Observed) -> list[Condition]:
 
 
 def _updated(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
-    """How far a change of the template has come."""
+    """Return the progress of a change of the template."""
     generation = kube_objects.generation(observed.pool)
     old = counts.replicas - updated
     if not old:
@@ -205,7 +205,7 @@ def _moment(seconds: float) -> str:
 
 
 def _named(workloads: Sequence[str]) -> str:
-    """Workloads in a message that doesn't grow with their number."""
+    """Return workloads for a message whose length does not grow with their number."""
     if len(workloads) > _MOST_NAMED:
         return f"its {len(workloads)} RobotWorkloads"
     return f"RobotWorkload {', '.join(workloads)}"

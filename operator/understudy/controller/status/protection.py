@@ -1,7 +1,7 @@
-"""What a failure now would lead to: which strategies could run, with what, and what is missing for the others.
+"""What would happen at a failure now: which strategies could run, with which pods, and what the others lack.
 
-This module describes the objects around a workload as ``failover.availability.Resources`` and the limits that its monitor reports as
-``failover.decide.Facts``; the answers come from there.
+This module describes the objects around a workload as ``failover.availability.Resources``, and the limits that its
+monitor reports as ``failover.decide.Facts``. Those modules then decide.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.kube.client import Object
 
 LIMIT_CONDITIONS = {"Paused": "Paused", "WithinBudget": "BudgetSpent"}
-"""Conditions in which the monitor reports a limit, with Events of its own, and the reason of Protected while it is in force."""
+"""The monitor's conditions for limits, which have their own Events, with the reason of Protected while each limit is in force."""
 
 _FAILURE = Occurrence(Trigger.HEALTH_FAILED)
 
@@ -36,12 +36,12 @@ class Considered:
 
     strategy: Strategy
     name: str
-    """How it is called in messages."""
+    """Its name in messages."""
     availability: Availability
 
 
 def protected(observed: Observed, understanding: Understanding) -> Condition:
-    """Return the condition Protected: whether the policy's first strategy could meet a failure now, and what is missing if not."""
+    """Return the condition Protected: whether the policy's first strategy could run at a failure now, and what is missing if not."""
     generation = kube_objects.generation(observed.workload)
 
     def no(reason: str, message: str, outlook: str) -> Condition:
@@ -86,7 +86,7 @@ def reported_limits(observed: Observed) -> LimitsInForce:
 
 
 def considered(observed: Observed, understanding: Understanding) -> list[Considered]:
-    """Return the strategies that count now, in the policy's order; none while the policy cannot be followed."""
+    """Return the strategies that count now, in the policy's order; empty while the policy has a problem."""
     there, found = resources(observed, understanding), []
     for strategy in _strategies(observed, understanding):
         if strategy.type == "Restart" or strategy.pool_ref is None:
@@ -98,7 +98,7 @@ def considered(observed: Observed, understanding: Understanding) -> list[Conside
 
 
 def resources(observed: Observed, understanding: Understanding) -> Resources:
-    """Return what the strategies of a workload need, by the objects around it."""
+    """Return the resources that a workload's strategies need, from the objects around it."""
     named = {s.pool_ref.name for s in _strategies(observed, understanding) if s.pool_ref is not None}
     pools = {name: item for name, item in observed.pools.items() if name in named and not kube_objects.deleted(item)}
     return Resources(
@@ -124,7 +124,7 @@ def stocked(observed: Observed, understanding: Understanding) -> Object:
 
 
 def standby(observed: Observed, understanding: Understanding) -> str:
-    """Return the printed column: readiness of the first pool that serves the workload, and how many of how many are ready."""
+    """Return the printed column: readiness of the first pool that serves the workload, and its ready and wanted instances, as numbers."""
     served = observed.serving
     for strategy in _strategies(observed, understanding):
         name = strategy.pool_ref.name if strategy.pool_ref else ""
@@ -136,8 +136,8 @@ def standby(observed: Observed, understanding: Understanding) -> str:
             have = sum(kube_objects.ready(pod) for pod in waiting(observed, pool))
             return f"{pool_reader.readiness(pool)} ({min(have, want)}/{want})"
         if pool_reader.readiness(pool) == "Uninitialized":
-            # Only one pod of a shared pool counts, which is all that it could claim: the number of pods changes with each claim of
-            # any other workload, and would be written to all of them each time.
+            # Only one pod of a shared pool counts, because a workload can claim only one. The number of pods changes
+            # with each claim of any workload, and would be written to all of them each time.
             want = min(1, pool_size.size(pool))
             held = observed.unclaimed.get(name, ())
             have = len(pool_pods.claimable_now(held, observed.held_policies.get(name)))
@@ -200,7 +200,7 @@ def _made(observed: Observed, pool: str) -> list[Object]:
 
 
 def _pool(observed: Observed, understanding: Understanding, item: Object) -> Pool:
-    """Return what a workload could use of a pool."""
+    """Return what a workload could use from a pool."""
     readiness, serves = pool_reader.readiness(item), pool_reader.serves(item, observed.workload)
     name = kube_objects.name(item)
     if readiness in WAITING:
@@ -227,7 +227,8 @@ def _pool(observed: Observed, understanding: Understanding, item: Object) -> Poo
             size_field="spec.sizing.min" if item["spec"].get("sizing") else "spec.replicas",
             ready=len(pool_pods.claimable_now(unclaimed, observed.held_policies.get(name))),
             reserved=pool_reader.spec(item).kept_from(priority) if observed.refused(name) is None else 0,
-            # How many pods it has is in its own status: here each claim would be a write for every workload that it serves.
+            # The number of pods is in the pool's own status. Here, each claim would cause a write for every workload of
+            # the pool.
             uses="it has pods ready (Uninitialized)",
             pod_problem=_problem(unclaimed),
         )
@@ -240,7 +241,7 @@ def _problem(pods: Sequence[Object]) -> Problem | None:
 
 
 def _discovery(observed: Observed, understanding: Understanding) -> Problem | None:
-    """Return why an instance that starts now could not find its robot. An instance that runs has found it already."""
+    """Return why an instance that starts now could not find its robot. A running instance has found it already."""
     spec = understanding.spec
     if spec is None or spec.ros.discovery.mode != "Managed" or any(map(kube_objects.ready, observed.discovery)):
         return None

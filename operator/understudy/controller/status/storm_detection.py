@@ -1,7 +1,8 @@
-"""Whether so many workloads of a policy fail at once that it looks like the network or the cluster (limits.stormGuard); pure.
+"""Detects storms: so many workloads of a policy fail at once that the network or the cluster is the likely cause.
 
-It is said in a condition of the policy, which the monitors watch anyway: one write for a whole fleet. Nobody waits for it. A monitor that
-has heard of no storm acts as if there were none.
+The limits are in limits.stormGuard. The result is a condition of the policy, which the monitors watch anyway: one write
+for a whole fleet. No monitor waits for it. A monitor that has not received the condition acts as if there were no
+storm. Pure.
 """
 
 from __future__ import annotations
@@ -19,22 +20,22 @@ from understudy.kube.client import Object
 CONDITION = "Storm"
 
 FAILING = ("Failed", "Recovering")
-"""What the health of a workload is that fails."""
+"""Values of a failing workload's health."""
 
 NAMED = 5
-"""Workloads that are named in a message."""
+"""Maximum number of workloads in a message."""
 
 
 def health(workload: Object) -> str:
-    """What a workload's monitor says."""
+    """Return the health that a workload's monitor reports."""
     found: str = (workload.get("status") or {}).get("health") or ""
     return found
 
 
 def counted_until(workload: Object, gate: Object | None, now: float, within: float) -> float | None:
-    """Until when a workload counts as one that fails (unix seconds): infinite where it fails now, None where it doesn't count.
+    """Return until when a workload counts as failing, in Unix seconds: infinity if it fails now, None if it does not count.
 
-    Of a failure its gate tells first, and the status once the recovery is over or takes long.
+    The gate shows a failure first. The status shows it after the recovery, or if the recovery takes long.
     """
     if health(workload) in FAILING:
         return float("inf")
@@ -53,7 +54,10 @@ def counted_until(workload: Object, gate: Object | None, now: float, within: flo
 def judge(
     policy: Object, guard: StormGuard, workloads: Sequence[tuple[Object, Object | None]], now: float
 ) -> tuple[Condition, float | None]:
-    """The condition of a policy, given all of its workloads with their gates; and seconds after which it may be another by time alone."""
+    """Return the policy's condition for storms, and the seconds until time alone may change it.
+
+    ``workloads`` are all workloads of the policy, each with its gate.
+    """
     awake = [(workload, gate) for workload, gate in workloads if not degraded_measures.paused(workload)]
     until = {kube_objects.name(w): counted_until(w, gate, now, seconds(guard.within)) for w, gate in awake}
     failing = sorted(name for name, moment in until.items() if moment is not None)
@@ -65,7 +69,7 @@ def judge(
         return condition(CONDITION, False, "FewFail", text, generation=generation), again
     live = (policy.get("status") or {}).get("conditions") or []
     before = next((c for c in live if (c["type"], c["status"]) == (CONDITION, "True")), None)
-    # As it was when it began: every monitor hears of each change of this text.
+    # The text from the start of the storm, because every monitor receives each change of it.
     text = before["message"] if before is not None else _words(failing, len(awake), guard)
     return condition(CONDITION, True, "ManyFail", text, generation=generation), again
 

@@ -1,4 +1,4 @@
-"""What a workload's status says: whether it was accepted, built and is protected, and by what."""
+"""The status of a workload: whether it is accepted, built and protected, and by what."""
 
 from __future__ import annotations
 
@@ -33,23 +33,25 @@ PROGRESSING = frozenset(
         "FewFail",
     }
 )
-"""Reasons that are in order while something is being built: no Event when they come first."""
+"""Reasons that are normal while something is being built. Their first occurrence causes no Event."""
 
 UNTOLD = frozenset({"Available", "Updated"})
-"""Conditions without Events: a pool that runs dry is told of by Ready, and by the monitors of those that wait; one whose new pods
-can't start by Reconciled.
+"""Conditions without Events.
+
+Ready reports an empty pool, and so do the monitors of the workloads that wait for it. Reconciled reports a pool whose
+new pods cannot start.
 """
 
 CHOSEN = "StrategiesChosen"
-"""The condition that says which order was chosen and why, of workloads whose policy leaves that."""
+"""The condition with the selected order and its reasons, for workloads whose policy leaves the order open."""
 
 
 def status(
     observed: Observed, understanding: Understanding, problems: Sequence[Problem], resized: Condition | None = None
 ) -> Object:
-    """The operator's part of a workload's status, but for the times of its conditions.
+    """Return the operator's part of a workload's status, without the times of its conditions.
 
-    ``problems`` are what the API server refused of what was written; ``resized`` says what became of the pod in control.
+    ``problems`` are the API server's refusals of writes; ``resized`` is the condition for resizes of the active pod.
     """
     workload = observed.workload
     conditions = [
@@ -72,14 +74,14 @@ def status(
 
 
 def timed(live: Object, desired: Object) -> Object:
-    """A status whose conditions keep the live ones' transition times where their status is the same."""
+    """Return a status whose conditions keep the live transition times if their status has not changed."""
     old = [Condition.model_validate(c) for c in (live.get("status") or {}).get("conditions") or []]
     new = [Condition.model_validate(c) for c in desired["conditions"]]
     return {**desired, "conditions": [c.to_wire() for c in merged(old, new)]}
 
 
 def transitions(live: Object, desired: Object) -> list[Object]:
-    """The conditions that are told as Events: status or reason changed, but for what is merely not finished yet."""
+    """Return the conditions to report as Events: those whose status or reason has changed, except for normal progress."""
     old = {c["type"]: c for c in (live.get("status") or {}).get("conditions") or []}
     found = []
     for new in desired["conditions"]:
@@ -125,7 +127,7 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
 
 
 def _order(observed: Observed, understanding: Understanding) -> Object:
-    """The strategies in force, in short; what was said last while the policy can't be followed."""
+    """Return the strategies in force, in short form; the last known ones while the policy has a problem."""
     if understanding.spec is None or understanding.policy_problem is not None:
         known = (observed.workload.get("status") or {}).get("strategies")
         return {"strategies": known} if known else {}
@@ -141,12 +143,12 @@ def _short(observed: Observed, strategy: Strategy) -> str:
 
 
 def takes_from(strategies: str, pool: str) -> bool:
-    """Whether one of the strategies that a status has in short takes instances from a pool."""
+    """Whether one of the strategies in a status (in short form) takes instances from a pool."""
     return f"({pool})" in strategies
 
 
 def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]:
-    """Which order was chosen and why, where the policy leaves it; what was said last while the policy can't be followed."""
+    """Return the condition for the selected order, if the policy leaves it open; the last one while the policy has a problem."""
     if understanding.spec is None or understanding.policy_problem is not None:
         live = (observed.workload.get("status") or {}).get("conditions") or []
         return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
@@ -162,7 +164,7 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
 
 
 def _situation(observed: Observed, understanding: Understanding) -> list[Condition]:
-    """Whether what is in force is what the robot's situation asks for; what was said last while the policy can't be followed."""
+    """Return whether the strategies of the robot's situation are in force; the last condition while the policy has a problem."""
     if understanding.spec is None or understanding.policy_problem is not None:
         live = (observed.workload.get("status") or {}).get("conditions") or []
         return [Condition.model_validate(one) for one in live if one["type"] == situation_strategies.CONDITION]
