@@ -77,7 +77,8 @@ def _say(text: str) -> None:
 
 
 def _close(kubectl: Kubectl, name: str, kind: GateKind) -> tuple[tuple[str, ...], int]:
-    """Close the gate unless it is closed; the instances that it let through, and its epoch then. Raises CommandError."""
+    """Close the gate unless it is closed, and return the instances that it selected and its epoch before. Raises
+    CommandError."""
     resource, what = kind.resource.qualified, f"{kind.object_kind} {names.gate(name)}"
     for _ in range(TRIES):
         gate = kubectl.find(resource, names.gate(name))
@@ -98,7 +99,7 @@ def _close(kubectl: Kubectl, name: str, kind: GateKind) -> tuple[tuple[str, ...]
 
 
 def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
-    """Keep the gate closed until the monitor reports the pause; whether it did in time."""
+    """Keep the gate closed until the monitor reports the pause, and return whether it did in time."""
     end = time.monotonic() + HEARD_WITHIN
     while time.monotonic() < end:
         _close(kubectl, name, kind)

@@ -1,4 +1,5 @@
-"""``understudy robot-profile NAME``: what a robot outside the cluster needs, where to put it, and what remains to be done. Pure."""
+"""The text of ``understudy robot-profile NAME``: the files that a robot outside the cluster needs, where to put them,
+and what else to do. Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ PROFILES_FILE = names.PROFILES_KEY
 
 @dataclass(frozen=True)
 class Profile:
-    """What the robot's side of a workload needs."""
+    """The files and settings that the robot's side of a workload needs."""
 
     name: str
     namespace: str
@@ -24,30 +25,31 @@ class Profile:
     environment: Mapping[str, str]
     profiles: str
     folder: str
-    """Where the files will be on the robot."""
+    """Folder of the files on the robot."""
 
     @property
     def variables(self) -> dict[str, str]:
-        """The environment, with the path that the profiles will have."""
+        """The environment, with the path of the profiles on the robot."""
         return {**self.environment, MIDDLEWARE.settings_variable: f"{self.folder.rstrip('/')}/{PROFILES_FILE}"}
 
     @property
     def env_file(self) -> str:
-        """The environment as systemd's EnvironmentFile and docker's --env-file read it, and a shell with ``set -a``."""
+        """The environment in a format for systemd's EnvironmentFile, docker's --env-file, and a shell with ``set
+        -a``."""
         return "".join(f"{key}={value}\n" for key, value in self.variables.items())
 
     @property
     def files(self) -> dict[str, str]:
-        """Both files by their names."""
+        """Both files by name."""
         return {ENV_FILE: self.env_file, PROFILES_FILE: self.profiles}
 
     @property
     def ports(self) -> dict[str, int]:
-        """The gated ports by the topics that are read at them."""
+        """The gated ports by the topics whose readers receive at them."""
         return MIDDLEWARE.gate_ports(self.spec.outputs)
 
     def lines(self) -> Iterator[str]:
-        """Both files, where they go and what is to be done, as text."""
+        """Format both files, their paths and the next steps as text."""
         for name, text in self.files.items():
             yield f"# {self.folder.rstrip('/')}/{name}"
             yield from text.rstrip("\n").splitlines()
@@ -55,7 +57,7 @@ class Profile:
         yield from self.advice()
 
     def advice(self) -> Iterator[str]:
-        """What to do with the files, and what else is needed."""
+        """Describe what to do with the files, and what else is needed."""
         topics = ", ".join(dict.fromkeys(output.name for output in self.spec.outputs))
         folder = self.folder.rstrip("/")
         yield f"On the robot, put both files into {folder}; then start its ROS processes with the environment:"
@@ -100,7 +102,7 @@ class Profile:
         yield "When spec.outputs or spec.ros changes, do this again and restart the robot's processes."
 
     def to_wire(self) -> dict[str, Any]:
-        """Everything, for scripts."""
+        """Return everything for scripts."""
         return {
             "namespace": self.namespace,
             "name": self.name,

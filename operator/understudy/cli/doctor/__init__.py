@@ -1,1 +1,1 @@
-"""The verb `doctor`: whether a cluster does what Understudy needs, each finding with its remedy."""
+"""The verb `doctor`: checks whether a cluster does what Understudy needs. Each finding has its remedy."""

@@ -1,6 +1,7 @@
-"""How far clocks differ: those of the nodes, that of the API server, and this machine's.
+"""Compares the clocks of the nodes, of the API server and of this machine.
 
-The nodes of the doctor's pods are asked. Every other one writes its time into a Lease each ten seconds, which is seen when it comes.
+The nodes with the doctor's pods are asked for their time. Every other node writes its time into its heartbeat object in
+``kube-node-lease`` every ten seconds; this check notices when it is written.
 """
 
 from __future__ import annotations
@@ -23,19 +24,20 @@ from understudy.kube.client import LEASES
 CHECK = "clocks"
 
 NOTICED = 0.1
-"""Seconds between two clocks from which on ages, `dependsOn` and transforms are told wrong (docs/dependencies.md, docs/trees.md)."""
+"""Difference between two clocks, in seconds, above which ages, `dependsOn` and transforms are evaluated wrongly
+(docs/dependencies.md, docs/trees.md)."""
 
 WRONG = 5.0
-"""Seconds from which on nothing that has a time in it is right."""
+"""Difference in seconds above which everything that compares times is wrong."""
 
 ASKED = 7
-"""Times that a clock is asked; the quickest answer tells it best."""
+"""How often a clock is asked. The quickest answer is the most accurate."""
 
 LOOK = 0.5
-"""Seconds between two looks at the Leases of the nodes, by half of which their clocks are told."""
+"""Seconds between two reads of the nodes' heartbeats. Their clocks are accurate to half of that."""
 
 MOST = 4
-"""Clocks that are named, where there are many."""
+"""Greatest number of clocks that are listed by name."""
 
 _NODE_LEASES = LEASES.path("kube-node-lease")
 _TICK_WITHIN = 2.5
@@ -44,14 +46,14 @@ _TICK_LOOK = 0.01
 
 @dataclass(frozen=True)
 class Clock:
-    """By how much a clock is ahead of this machine's, in seconds, and how sure that is."""
+    """How far a clock is ahead of this machine's, and the uncertainty, both in seconds."""
 
     ahead: float
     give: float
 
 
 def of_session(talk: Session) -> Clock:
-    """The clock of a pod's node."""
+    """Return the clock of a pod's node."""
     found = []
     for _ in range(ASKED):
         asked = time.time()
@@ -62,14 +64,14 @@ def of_session(talk: Session) -> Clock:
 
 
 def of_api_server(api: Api) -> Clock | None:
-    """The API server's clock, by the moment in which its second changes; None where it doesn't tell."""
+    """Return the API server's clock, from the moment at which its second changes; None if its answers have no date."""
     end, before = time.monotonic() + _TICK_WITHIN, None
     while time.monotonic() < end:
         answer = api.request("GET", "/version")
         if not answer.date:
             return None
         if before is not None and answer.date != before.date:
-            # The second began after the answer before was on its way, and before this one was.
+            # # The second began after the previous request was sent and before this answer was received.
             early, late = before.asked, answer.answered
             second = parsedate_to_datetime(answer.date).timestamp()
             return Clock(second - (early + late) / 2, (late - early) / 2)
@@ -79,14 +81,14 @@ def of_api_server(api: Api) -> Clock | None:
 
 
 class OfNodes:
-    """Looks at the nodes' Leases while the context lasts."""
+    """Reads the nodes' heartbeats for the duration of the context."""
 
     def __init__(self, api: Api) -> None:
         self._api = api
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="clocks", daemon=True)
         self.clocks: dict[str, Clock] = {}
-        """Those of the nodes that have written meanwhile; none where that may not be seen."""
+        """The clocks of the nodes that wrote meanwhile; empty if the user may not read them."""
 
     def __enter__(self) -> OfNodes:
         self._thread.start()
@@ -108,7 +110,7 @@ class OfNodes:
             now = {name: unix(moment) for name, moment in written.items() if moment}
             for name in now.keys() & before.keys():
                 if now[name] != before[name]:
-                    # It was written after the look before had begun, and before this one had ended.
+                    # # It was written after the previous request was sent and before this answer was received.
                     middle, give = (asked_before + answer.answered) / 2, (answer.answered - asked_before) / 2
                     self.clocks[name] = Clock(now[name] - middle, give)
             before, asked_before = now, answer.asked
@@ -116,13 +118,14 @@ class OfNodes:
 
 
 def judge(nodes: Mapping[str, Clock], api_server: Clock | None) -> Finding:
-    """What the clocks of these nodes, and of the API server, come to. This machine's has only to do with what is shown on it."""
+    """Judge the clocks of the nodes and of the API server. This machine's clock affects only what is displayed on
+    it."""
     known = {**nodes, **({"the API server": api_server} if api_server is not None else {})}
     if len(known) < 2:
         return Finding(
             CHECK, "WARN", "there is only one clock to look at", "run it where pods may be made on two nodes"
         )
-    # What is surely apart counts: of two that were told vaguely, less than of two that were asked.
+    # # Compares the differences that are certain, so that two inaccurate clocks count less than two accurate ones.
     first = min(known, key=lambda name: known[name].ahead + known[name].give)
     last = max(known, key=lambda name: known[name].ahead - known[name].give)
     apart = known[last].ahead - known[first].ahead
@@ -155,5 +158,5 @@ def _listed(known: Iterable[str]) -> str:
 
 
 def to_wire(nodes: Mapping[str, Clock]) -> dict[str, Any]:
-    """For scripts: by how many seconds each is ahead of this machine's."""
+    """Return for each node by how many seconds its clock is ahead of this machine's, for scripts."""
     return {name: round(clock.ahead, 4) for name, clock in nodes.items()}

@@ -1,4 +1,5 @@
-"""``understudy doctor``: whether a cluster does what Understudy needs, each finding with its cure. It sends packets to see."""
+"""``understudy doctor``: checks whether a cluster does what Understudy needs, with packets too. Each finding has its
+remedy."""
 
 from __future__ import annotations
 
@@ -65,7 +66,7 @@ def main(arguments: list[str]) -> int:
 
 
 class _Progress:
-    """Says what is being done: in a terminal in one line that goes away again, else a line for each."""
+    """Shows the current step: in a terminal in one line that is erased at the end, else in a line for each step."""
 
     def __init__(self) -> None:
         self._terminal = sys.stderr.isatty()
@@ -83,7 +84,7 @@ class _Progress:
 
 
 class _Examination:
-    """One after the other: what is asked first, then what is tried."""
+    """Runs the checks one after the other: first requests to the API server, then tests with pods."""
 
     def __init__(self, kubectl: Kubectl, api: Api, given: argparse.Namespace, progress: Callable[[str], None]) -> None:
         self._kubectl, self._api, self._given, self._progress = kubectl, api, given, progress
@@ -91,7 +92,7 @@ class _Examination:
         self.measured: dict[str, Any] = {}
 
     def run(self) -> None:
-        """Find out. Raises CommandError where nothing can be told."""
+        """Run all checks. Raises CommandError if nothing can be checked."""
         namespace = self._kubectl.namespace
         self._progress("asking the API server")
         self.found.append(installation_check.kubernetes(self._api))
@@ -117,7 +118,7 @@ class _Examination:
                 self.found.append(Finding("pods", "FAIL", str(error), cure))
 
     def _workloads(self, namespace: str) -> Sequence[Object]:
-        """Those named, or all. Raises CommandError where one isn't there."""
+        """Return the workloads that were named, or all. Raises CommandError if a named one does not exist."""
         try:
             if self._given.names:
                 return [self._api.get(WORKLOADS.path(namespace, name)) for name in self._given.names]
@@ -130,7 +131,7 @@ class _Examination:
         return sorted(items, key=kube_objects.name)
 
     def _images(self, operator: Installed | None) -> Images:
-        """What the pods are made of. Raises CommandError."""
+        """Return the images of the test pods. Raises CommandError."""
         known = operator.images if operator is not None else None
         if self._given.image:
             return replace(known, monitor=self._given.image) if known is not None else Images(self._given.image)
@@ -139,7 +140,7 @@ class _Examination:
         return known
 
     def _try(self, images: Images, workloads: Sequence[Object]) -> None:
-        """What takes pods. Raises CommandError."""
+        """Run the checks that need pods. Raises CommandError."""
         with (
             clock_check.OfNodes(self._api) as nodes,
             test_pods.pair(self._kubectl, self._api, images, self._progress) as pods,
@@ -154,7 +155,8 @@ class _Examination:
 
 
 def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
-    """Of which version the monitors are; what they see of their gates, from packets too, and of who reads the outputs."""
+    """Yield what the monitors report: their versions, whether the network enforces their gates, and who reads the
+    outputs."""
     for workload in workloads:
         name, status = kube_objects.name(workload), workload.get("status") or {}
         if status.get("health") and (version := (status.get("monitor") or {}).get("version")) != __version__:

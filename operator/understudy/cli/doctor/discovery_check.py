@@ -1,4 +1,5 @@
-"""Whether the discovery server of each workload answers, by joining the robot's ROS graph from a pod of the namespace."""
+"""Checks whether the discovery server of each workload answers, by joining the robot's ROS graph from a pod of the
+namespace."""
 
 from __future__ import annotations
 
@@ -17,22 +18,23 @@ from understudy.kube.gates.registry import DEFAULT
 from understudy.ros.rmw import MIDDLEWARE
 
 WITHIN = 8.0
-"""Seconds until a graph counts as empty; discovery takes less than one."""
+"""Seconds without another node after which a graph counts as empty; discovery takes less than one."""
 
 ALTOGETHER = 150.0
-"""Seconds after which no other graph is joined: the pods don't live for ever, and who asks doesn't wait for ever."""
+"""Seconds after which no further graph is joined: the lifetime of the pods is limited, and so is the user's
+patience."""
 
 SILENT = 3
-"""Graphs in which nobody is found after which no other is joined."""
+"""Number of graphs without any node after which no further graph is joined."""
 
 
 def check(workload: Object) -> str:
-    """What the check of a workload is called."""
+    """Return the name of the check of a workload."""
     return f"discovery of {kube_objects.name(workload)}"
 
 
 def servers(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[Finding]:
-    """What is known without a packet: managed servers that don't run, and why."""
+    """Find, without a packet, managed servers that do not run, and why."""
     for workload in workloads:
         if not _is_managed(workload):
             continue
@@ -51,7 +53,7 @@ def servers(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[F
 
 
 def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], None]) -> Iterator[Finding]:
-    """Join each workload's graph and see who is there. Raises CommandError."""
+    """Join each workload's graph and report the nodes found there. Raises CommandError."""
     if not workloads:
         return
     end, silent = time.monotonic() + ALTOGETHER, 0
@@ -82,7 +84,7 @@ def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], No
 
 
 def judge(workload: Object, environment: Mapping[str, str], nodes: Sequence[str]) -> Finding:
-    """What the nodes that were met in a graph say."""
+    """Judge a workload's graph by the nodes that were found in it."""
     server = MIDDLEWARE.discovery_server(environment)
     by = f"by {server}" if server else "without a server"
     if nodes:
@@ -109,7 +111,8 @@ def _is_managed(workload: Object) -> bool:
 
 
 def _environment(api: Api, namespace: str, workload: str) -> dict[str, str] | None:
-    """That of a robot's ROS graph, without where profiles are: they would have this pod take the robot's place."""
+    """Return the environment of a robot's ROS graph without the paths of profiles, with which this pod would take the
+    robot's place."""
     try:
         data = api.get(CONFIG_MAPS.path(namespace, names.robot_env(workload))).get("data") or {}
     except Refused as refused:

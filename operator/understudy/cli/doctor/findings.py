@@ -1,4 +1,4 @@
-"""What ``understudy doctor`` has found: a line for each check, and below it the cure of what isn't as it should be."""
+"""The findings of ``understudy doctor``: a line for each check, with a remedy below it if something is wrong."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ _LABEL = "cure: "
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check came to."""
+    """The result of one check."""
 
     check: str
     level: Level
     found: str
     cure: str = ""
-    """What to do about it; empty where all is well."""
+    """What to do about it; empty if all is well."""
 
 
 def lines(findings: Sequence[Finding], *, columns: int | None, colours: bool) -> Iterator[str]:
-    """The findings in the order in which they were made, and what they come to."""
+    """Format the findings in the order in which they were made, and a summary."""
     width = max((len(plain(finding.check)) for finding in findings), default=0)
     hanging = width + len("FAIL") + 4
     for finding in findings:
         row = [Cell(finding.level.ljust(len("FAIL")), _STATES[finding.level]), Cell(finding.check.ljust(width))]
         (head,) = text_tables.format_table([row], colours=colours)
         first, *others = wrapped(finding.found, columns, indent=hanging)
-        # Colours have no width: what follows is put in its column by the width that can be seen.
+        # # Colour codes have no width: the next column is aligned by the visible width.
         seen = text_tables.width([row])
         padding = " " * (seen - len(text_tables.format_table([row], colours=False)[0]))
         yield f"{head}{padding}  {first.lstrip()}"
@@ -48,17 +48,17 @@ def lines(findings: Sequence[Finding], *, columns: int | None, colours: bool) ->
 
 
 def summary(findings: Sequence[Finding]) -> str:
-    """How many there are of which sort."""
+    """Return how many findings there are of each state."""
     fail, warn = (sum(finding.level == level for finding in findings) for level in ("FAIL", "WARN"))
     told = listed((f"{fail} failed" if fail else "", counted(warn, "warning") if warn else ""))
     return f"{counted(len(findings), 'check')}: {told or 'all is well'}"
 
 
 def to_wire(findings: Sequence[Finding]) -> dict[str, Any]:
-    """The findings for scripts."""
+    """Return the findings for scripts."""
     return {"findings": [asdict(finding) for finding in findings]}
 
 
 def is_well(findings: Sequence[Finding]) -> bool:
-    """Whether no check failed."""
+    """Return whether no check failed."""
     return all(finding.level != "FAIL" for finding in findings)

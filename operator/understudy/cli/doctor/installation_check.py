@@ -1,4 +1,4 @@
-"""What is installed, and whether it fits this version: the operator, the kinds, and Kubernetes itself."""
+"""Checks what is installed, and whether it fits this version: the operator, the kinds, and Kubernetes itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from understudy.controller.plan import Images
 from understudy.kube.client import CRDS, DEPLOYMENTS, Object
 
 OLDEST = (1, 30)
-"""The oldest Kubernetes that serves what the chart has (ValidatingAdmissionPolicy)."""
+"""The oldest Kubernetes version that serves what the chart contains (ValidatingAdmissionPolicy)."""
 
 SELECTOR = "app.kubernetes.io/name=understudy,app.kubernetes.io/component=operator"
 
@@ -37,12 +37,12 @@ class Installed:
 
     @property
     def where(self) -> str:
-        """Its namespace and its name."""
+        """Its namespace and name."""
         return f"{self.item['metadata']['namespace']}/{self.item['metadata']['name']}"
 
     @property
     def version(self) -> str:
-        """The version that the chart says."""
+        """The version that the chart states."""
         return str((self.item["metadata"].get("labels") or {}).get("app.kubernetes.io/version", ""))
 
     @property
@@ -53,7 +53,7 @@ class Installed:
 
     @property
     def images(self) -> Images | None:
-        """What it makes monitors of; None where it doesn't say."""
+        """The images from which it creates monitors; None if it does not state them."""
         (container, *_) = self.item["spec"]["template"]["spec"]["containers"]
         given = {entry["name"]: entry.get("value", "") for entry in container.get("env") or []}
         told = {key: given.get(name, "") for key, name in _ENVIRONMENT.items()}
@@ -64,7 +64,7 @@ class Installed:
 
 
 def find(api: Api) -> Installed | None:
-    """The operator that is installed; None where there is none, or none that may be seen."""
+    """Return the installed operator; None if there is none, or if the user may not see it."""
     try:
         items = api.get(f"{DEPLOYMENTS.path(None)}?labelSelector={SELECTOR}")["items"]
     except Refused as refused:
@@ -75,7 +75,7 @@ def find(api: Api) -> Installed | None:
 
 
 def kubernetes(api: Api) -> Finding:
-    """Whether the API server is new enough."""
+    """Check whether the API server is new enough."""
     told = api.get("/version")
     found = tuple(int(re.match(r"\d*", told.get(key, ""))[0] or 0) for key in ("major", "minor"))  # type: ignore[index]
     version = told.get("gitVersion", "")
@@ -85,7 +85,7 @@ def kubernetes(api: Api) -> Finding:
 
 
 def operator(found: Installed | None) -> Finding:
-    """Whether it runs, in this version."""
+    """Check whether the operator runs, in this version."""
     if found is None:
         return Finding(
             "operator",
@@ -108,7 +108,7 @@ def operator(found: Installed | None) -> Finding:
 
 
 def definitions_served(api: Api) -> Iterator[Finding]:
-    """Whether the kinds are those of this version."""
+    """Check whether the kinds are those of this version."""
     for wanted in definitions().values():
         name = wanted["metadata"]["name"]
         check = f"CRD {wanted['spec']['names']['plural']}"
@@ -125,7 +125,7 @@ def definitions_served(api: Api) -> Iterator[Finding]:
 
 
 def definition(check: str, wanted: Object, live: Object) -> Finding:
-    """Whether a definition is that of this version."""
+    """Check whether a definition is that of this version."""
     version = next((one for one in live["spec"]["versions"] if one["name"] == VERSION), None)
     if version is None or not version.get("served"):
         return Finding(check, "FAIL", f"{VERSION} isn't served", _UPGRADE)
@@ -148,12 +148,12 @@ def definition(check: str, wanted: Object, live: Object) -> Finding:
 
 
 def differences(wanted: Any, live: Any, path: str = "") -> Iterator[str]:
-    """What is otherwise in a definition than it should be, as sentences; words in descriptions don't count."""
+    """Yield the differences between two definitions as sentences. Descriptions are not compared."""
     if isinstance(wanted, Mapping) and isinstance(live, Mapping):
         for key in [*wanted, *(key for key in live if key not in wanted)]:
             if key == "description" and isinstance(wanted.get(key, ""), str):
                 continue
-            # What a reader would call the field: the levels between have names of the schema language.
+            # # Name the field as a reader would: the levels in between are keywords of the schema language.
             below = path if key in ("properties", "items", "additionalProperties") else f"{path}.{key}".lstrip(".")
             if key not in live:
                 yield f"{below} is missing"

@@ -1,6 +1,6 @@
-"""Checks whether the network does with UDP what the gate needs, and how soon, by packets between two pods.
+"""Checks whether the network handles UDP as the gate needs it, and how fast, with packets between two pods.
 
-The gate is made of the same objects as the operator's (kube/gates), so what holds for it holds for an instance's gate.
+The gate consists of the same objects as the operator's (kube/gates), so the result is valid for an instance's gate too.
 """
 
 from __future__ import annotations
@@ -29,48 +29,49 @@ OPEN_PORT = names.GATE_RANGE[1] + 1
 """A port that no gate closes."""
 
 WITHIN = 10.0
-"""Seconds that a change of the gate has to be enforced."""
+"""Seconds within which a change of the gate must be enforced."""
 
 SLOW = 1.0
-"""Seconds from which on it is worth a warning: they are a part of every recovery."""
+"""Seconds above which a change of the gate is worth a warning, because they are part of every recovery."""
 
 QUIET = 0.5
-"""Seconds without a packet after which a way counts as closed; the sender makes no longer pauses than a tenth of it."""
+"""Seconds without a packet after which a path counts as closed. The sender never pauses for longer than a tenth of
+it."""
 
 BURST = 25.0
-"""Seconds for which is sent at once; each change begins anew, since pauses grow."""
+"""Seconds for which the sender sends. Each change starts a new burst, because the pauses grow."""
 
 LOOK = 0.05
-"""Seconds between two looks."""
+"""Seconds between two questions to the receiver."""
 
 _POLICIES = "docs/how-to/network-policies.md"
 
 
 @dataclass
 class Seen:
-    """What came through. Times are seconds since the request to the API server; None if it did not happen."""
+    """What the receiver got. Times are seconds since the request to the API server; None if it did not happen."""
 
     nodes: tuple[str, str]
     before: bool = False
-    """Whether anything came through before there was a gate."""
+    """Whether packets arrived before there was a gate."""
     established: float | None = None
-    """Until packets of an established flow no longer came."""
+    """Until the packets of an established flow stopped."""
     fresh: bool = True
-    """Whether packets of a flow that began behind the closed gate came through."""
+    """Whether packets arrived of a flow that began behind the closed gate."""
     others: bool = False
-    """Whether ports that the gate leaves open stayed open."""
+    """Whether the ports that the gate leaves open stayed open."""
     opened: float | None = None
-    """Until packets came again after the gate was opened for the sender."""
+    """Until packets arrived again after the gate was opened for the sender."""
     closed: float | None = None
-    """Until packets no longer came after the gate was closed again."""
+    """Until packets stopped after the gate was closed again."""
     lifted: float | None = None
-    """Until packets came again after the gate was deleted."""
+    """Until packets arrived again after the gate was deleted."""
     clocks: dict[str, Clock] = field(default_factory=dict)
     """The clocks of the nodes."""
 
 
 def measure(pods: Pods, progress: Callable[[str], None]) -> Seen:
-    """Send through a gate that closes and opens. Raises CommandError."""
+    """Send through a gate that closes and opens, and return the result. Raises CommandError."""
     nodes = (pods.sender["spec"]["nodeName"], pods.receiver["spec"]["nodeName"])
     with pods.talking(pods.sender) as sender, pods.talking(pods.receiver) as receiver:
         seen = Seen(nodes)
@@ -90,7 +91,7 @@ class _Measuring:
         self._clock = seen.clocks[seen.nodes[1]]
 
     def run(self) -> None:
-        """Each step builds on the one before; without that it isn't taken."""
+        """Run the steps. Each needs the one before, so the first that fails ends the measurement."""
         seen = self._seen
         for port in (names.PROBE_PORT, OPEN_PORT):
             self._receiver.ask("listen", port=port, host="::" if ":" in self._host else "0.0.0.0")
@@ -116,25 +117,26 @@ class _Measuring:
         seen.lifted = self._begins(self._asking(self._pods.lift), names.PROBE_PORT, self._uid)
 
     def _asking(self, write: Callable[[], Answer]) -> float:
-        """Write while packets are being sent; when that was asked for."""
+        """Change the gate while packets are being sent, and return the time of the request."""
         self._send(names.PROBE_PORT, self._uid)
         return write().asked
 
     def _send(self, port: int, uid: str = "") -> str:
-        """Send for a while, by default as somebody new: from a port that the network hasn't seen; the UID in the packets."""
+        """Start to send packets for BURST seconds, and return the UID in them. A new UID sends from a port that the
+        network has not seen."""
         uid = uid or str(uuid.uuid4())
         self._sender.ask("send", uid=uid, host=self._host, port=port, seconds=BURST)
         return uid
 
     def _begins(self, since: float, port: int, uid: str, within: float = WITHIN) -> float | None:
-        """How long after a moment packets came; None where none did."""
+        """Return how many seconds after a time the first packet arrived; None if none did."""
         for heard in self._heard(since, uid, port, within):
             if heard["first"] is not None:
                 return max(0.0, self._ours(heard["first"]) - since)
         return None
 
     def _ends(self, since: float) -> float | None:
-        """How long after a moment the last packet came; None where they went on."""
+        """Return how many seconds after a time the last packet arrived; None if packets went on arriving."""
         for heard in self._heard(since, self._uid, names.PROBE_PORT, WITHIN):
             last = heard["last"]
             if last is not None and heard["now"] - last > QUIET and self._ours(heard["now"]) - since > QUIET:
@@ -148,12 +150,12 @@ class _Measuring:
             time.sleep(LOOK)
 
     def _ours(self, moment: float) -> float:
-        """A moment of the receiver's clock by this machine's."""
+        """Convert a time of the receiver's clock to this machine's clock."""
         return moment - self._clock.ahead
 
 
 def judge(seen: Seen) -> list[Finding]:
-    """What was seen, as a person would be told it."""
+    """Turn the measurement into findings for a person."""
     where = f"from {seen.nodes[0]} to {seen.nodes[1]}" if len(set(seen.nodes)) == 2 else f"on {seen.nodes[0]} only"
     if not seen.before:
         return [
@@ -230,7 +232,7 @@ def _times(seen: Seen, where: str) -> Iterator[Finding]:
 
 
 def to_wire(seen: Seen) -> Object:
-    """For scripts, in seconds."""
+    """Return the measurement for scripts, in seconds."""
     times = {"closed": seen.established, "opened": seen.opened, "closedAgain": seen.closed, "lifted": seen.lifted}
     return {
         "nodes": list(seen.nodes),

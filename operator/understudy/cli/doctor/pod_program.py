@@ -1,6 +1,7 @@
-"""What ``understudy doctor`` runs in its pods: sends datagrams, tells which came, and looks who is in a ROS graph.
+"""The program that ``understudy doctor`` runs in its pods: it sends datagrams, reports which arrived, and lists the
+nodes of a ROS graph.
 
-A pod's Python is given this file as a text, since its image may be of another version than the one that asks.
+The pod's Python gets this file as text, because its image may have another version than the command.
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import Any
 from understudy.kube.gates.probes import ProbeReceiver, ProbeSender
 
 INTERVAL = 0.002
-"""Seconds between two datagrams at first; how exact moments are."""
+"""Seconds between two datagrams at first; the accuracy of the measured times."""
 
 LOOK = 0.1
-"""Seconds between two looks into a graph."""
+"""Seconds between two reads of a graph."""
 
 
 class Inside:
-    """What can be asked for."""
+    """The requests that the program answers."""
 
     def __init__(self) -> None:
         self._senders: dict[str, ProbeSender] = {}
@@ -30,22 +31,23 @@ class Inside:
         self._robot: dict[str, str] = {}
 
     async def clock(self) -> float:
-        """The time of this node, in unix seconds."""
+        """Return the time of this node, in Unix seconds."""
         return time.time()
 
     async def listen(self, port: int, host: str) -> None:
-        """Note what comes to a port from now on."""
+        """Record what arrives at a port from now on."""
         self._receivers[port] = ProbeReceiver()
         await self._receivers[port].listen(port=port, host=host)
 
     async def send(self, uid: str, host: str, port: int, seconds: float) -> None:
-        """Send for so long, from the same port again where this UID has been sent from before."""
+        """Send for some seconds. A UID that was used before sends from the same port again."""
         sender = self._senders.setdefault(uid, ProbeSender(uid))
         sender.aim(host, port)
         sender.burst(INTERVAL, seconds)
 
     async def heard(self, uid: str, port: int, since: float) -> dict[str, Any]:
-        """What came from a UID since a moment of this clock: how much, and when first and last."""
+        """Return what arrived from a UID since a time of this clock: how many datagrams, and when the first and the
+        last."""
         receiver = self._receivers[port]
         return {
             "count": receiver.count_since(uid, since),
@@ -55,7 +57,8 @@ class Inside:
         }
 
     async def graph(self, environment: dict[str, str], seconds: float) -> list[str]:
-        """The nodes of a ROS graph, as soon as there are others than this one's; at the latest after so long."""
+        """Return the nodes of a ROS graph, as soon as there are others than this program's, or after the given
+        seconds."""
         from understudy.ros.runtime.graph_node import Graph
 
         for variable in self._robot.keys() - environment.keys():
@@ -76,16 +79,16 @@ class Inside:
 
 
 async def answer(inside: Inside, line: str) -> dict[str, Any]:
-    """The answer to a line: what is asked for, and what is given to it."""
+    """Answer one line: the name of a request and its arguments."""
     try:
         what, given = json.loads(line)
         return {"answer": await getattr(inside, what)(**given)}
-    except Exception as error:  # whatever it was, whoever asks has to know
+    except Exception as error:  # # whatever the error is, the caller must know it
         return {"error": f"{type(error).__name__}: {error}"}
 
 
 async def run() -> None:
-    """Answer until nobody asks any more."""
+    """Answer until the input ends."""
     inside = Inside()
     while line := await asyncio.to_thread(sys.stdin.readline):
         print(json.dumps(await answer(inside, line)), flush=True)
@@ -93,7 +96,7 @@ async def run() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["graph"]:
-        # It begins this process anew with its libraries, and what has been read of the input by then would be lost.
+        # # The import starts this process again with its libraries. Input that was already read would be lost then.
         import rclpy  # noqa: F401
     asyncio.run(run())
     os._exit(0)  # a thread may still be sending

@@ -38,7 +38,7 @@ class Right:
 
     @property
     def words(self) -> str:
-        """As ``kubectl auth can-i`` takes it."""
+        """Return the right as ``kubectl auth can-i`` takes it."""
         return f"{self.verb} {self.resource}{f'.{self.group}' if self.group else ''}"
 
 
@@ -70,11 +70,12 @@ OURS = (
     *_each("", "pods", "create", "doctor"),
     *_fencing("create delete", "doctor"),
 )
-"""What the verbs of this command need."""
+"""The rights that the verbs of this command need."""
 
 
 def operators() -> Iterator[Right]:
-    """What the operator needs in a namespace with robots: for what it creates there, and what it grants to monitors."""
+    """Yield the rights that the operator needs in a namespace with robots: for what it creates there, and what it
+    grants to monitors."""
     for group, resource, verbs in (
         (names.GROUP, "robotworkloads", "get list watch"),
         (names.GROUP, "robotworkloads/status", "patch"),
@@ -102,7 +103,7 @@ def operators() -> Iterator[Right]:
 
 
 def of_this_user(api: Api, namespace: str) -> Finding:
-    """Whether the user has the rights that the verbs of this command need."""
+    """Check whether the user has the rights that the verbs of this command need."""
     check = "your rights"
     missing = [
         right
@@ -122,7 +123,7 @@ def of_this_user(api: Api, namespace: str) -> Finding:
 
 
 def of_the_operator(api: Api, namespace: str, found: Installed) -> Finding:
-    """Whether the operator may do its work in a namespace."""
+    """Check whether the operator has the rights for its work in a namespace."""
     check = "operator's rights"
     wanted = list(dict.fromkeys(operators()))
     try:
@@ -158,7 +159,7 @@ def _allowed(api: Api, review: str, spec: Object) -> bool:
 
 
 def _groups(found: Installed) -> list[str]:
-    """The groups that the API server counts an account to."""
+    """Return the groups to which the API server assigns a ServiceAccount."""
     namespace = found.item["metadata"]["namespace"]
     return ["system:serviceaccounts", f"system:serviceaccounts:{namespace}", "system:authenticated"]
 

@@ -1,7 +1,8 @@
-"""A short-lived pair of pods by which ``understudy doctor`` sees what the network does, and the policies that it puts on one of them.
+"""Creates a short-lived pair of pods with which ``understudy doctor`` tests the network, and the policies for one of
+them.
 
-All of it has one label, by which it is taken away again: at the end, after Ctrl-C and after an error. If this process is killed, its
-pods end by themselves, and the next run clears them away.
+All these objects have one label, which selects them for deletion: at the end, after Ctrl-C and after an error. If this
+process is killed, its pods end on their own, and the next run deletes them.
 """
 
 from __future__ import annotations
@@ -34,19 +35,20 @@ from understudy.kube.gates import registry
 from understudy.ros.rmw import MIDDLEWARE
 
 LABEL = f"{names.GROUP}/doctor"
-"""On everything that is made, with the name of the run. Not the labels of instances, which operator and monitors would look after."""
+"""Label of every created object, with the name of the run. Instances' labels are not used: operator and monitors would
+act on them."""
 
 _WORKLOAD, _INSTANCE = f"{names.GROUP}/doctor-workload", f"{names.GROUP}/doctor-instance"
-"""On the sender, in the place of an instance's own: what the policies select it by."""
+"""Labels of the sender in place of an instance's own. The policies select it with them."""
 
 LIFETIME = 300
-"""Seconds after which a pod ends by itself, whatever became of who made it."""
+"""Seconds after which a pod ends on its own, also if its creator was killed."""
 
 START_WITHIN = 90.0
-"""Seconds that the pods have to start."""
+"""Seconds within which the pods must start."""
 
 LOOK = 0.3
-"""Seconds between two looks whether they have."""
+"""Seconds between two checks whether the pods have started."""
 
 _CONTAINER = "doctor"
 _GATE = registry.DEFAULT
@@ -56,7 +58,7 @@ _KINDS = ",".join(["pods", *(resource.plural for resource in registry.FENCING_RE
 
 @dataclass(frozen=True)
 class Pods:
-    """The pair while it runs."""
+    """The pair of pods while it runs."""
 
     api: Api
     kubectl: Kubectl
@@ -66,13 +68,13 @@ class Pods:
 
     @contextlib.contextmanager
     def talking(self, pod: Object, *arguments: str) -> Iterator[Session]:
-        """A conversation with the doctor's program in a pod."""
+        """Start a session with the doctor's program in a pod."""
         program = Path(pod_program.__file__).read_text()
         with session(self.kubectl, kube_objects.name(pod), _CONTAINER, "python3", "-c", program, *arguments) as made:
             yield made
 
     def fence(self) -> Answer:
-        """Put the sender behind the closed gate of an instance; the answer to the last write."""
+        """Put the sender behind the closed gate of an instance, and return the answer to the last write."""
         answer = self._write("POST", _GATE.resource, None, self._as_the_doctors(_GATE.closed(self.run, epoch=0)))
         for resource, companion in self._companions:
             answer = self._write("POST", resource, None, self._as_the_doctors(companion))
@@ -83,11 +85,11 @@ class Pods:
         return self._commit(kube_objects.name(self.sender))
 
     def close_gate(self) -> Answer:
-        """Let nobody through the gate."""
+        """Close the gate for all pods."""
         return self._commit("")
 
     def lift(self) -> Answer:
-        """Delete the gate and what belongs to it; the answer to the last write."""
+        """Delete the gate and its other objects, and return the answer to the last write."""
         answer = self._write("DELETE", _GATE.resource, names.gate(self.run))
         for resource, companion in self._companions:
             answer = self._write("DELETE", resource, kube_objects.name(companion))
@@ -114,7 +116,8 @@ class Pods:
 
 @contextlib.contextmanager
 def pair(kubectl: Kubectl, api: Api, images: Images, progress: Callable[[str], None]) -> Iterator[Pods]:
-    """Two running pods on two nodes where there are two, gone when the context ends. Raises CommandError and Refused."""
+    """Run two pods, on two nodes if there are two, and delete them when the context ends. Raises CommandError and
+    Refused."""
     run = f"understudy-doctor-{uuid.uuid4().hex[:6]}"
     _sweep(kubectl)
     try:
@@ -131,7 +134,8 @@ def pair(kubectl: Kubectl, api: Api, images: Images, progress: Callable[[str], N
 
 
 def pod(run: str, role: str, images: Images) -> Object:
-    """One of the pair. It does nothing by itself, and fits the Pod Security Standard ``restricted``."""
+    """Build one pod of the pair. It does nothing on its own, and conforms to the Pod Security Standard
+    ``restricted``."""
     name = f"{run}-{role}"
     sender = {_WORKLOAD: run, _INSTANCE: name} if role == "sender" else {}
     container = {
@@ -165,7 +169,7 @@ def pod(run: str, role: str, images: Images) -> Object:
 
 
 def _started(api: Api, namespace: str, run: str) -> tuple[Object, Object]:
-    """Sender and receiver, once both run."""
+    """Return sender and receiver once both run."""
     end = time.monotonic() + START_WITHIN
     while True:
         items = [api.get(PODS.path(namespace, f"{run}-{role}")) for role in ("sender", "receiver")]
@@ -178,14 +182,15 @@ def _started(api: Api, namespace: str, run: str) -> tuple[Object, Object]:
 
 
 def relabelled(item: Object) -> Object:
-    """What the operator creates for a workload, for pods with the labels of this check instead of an instance's."""
+    """Return an object as the operator creates it for a workload, with this check's labels in place of an
+    instance's."""
     text = json.dumps(item).replace(f'"{names.WORKLOAD}"', f'"{_WORKLOAD}"')
     made: Object = json.loads(text.replace(f'"{names.INSTANCE}"', f'"{_INSTANCE}"'))
     return made
 
 
 def _sweep(kubectl: Kubectl) -> None:
-    """Clear away what a run that was killed has left."""
+    """Delete what a killed run left behind."""
     for item in kubectl.get(_KINDS, "-l", LABEL)["items"]:
         if time.time() - unix(item["metadata"]["creationTimestamp"]) > 2 * LIFETIME:
             _clear(kubectl, item["metadata"]["labels"][LABEL])
@@ -202,7 +207,8 @@ def _clear(kubectl: Kubectl, run: str) -> None:
 
 @contextlib.contextmanager
 def _ended_as_by_ctrl_c() -> Iterator[None]:
-    """While the context lasts, end at a closed terminal and at SIGTERM as at Ctrl-C: not without clearing up."""
+    """Handle SIGTERM and a closed terminal like Ctrl-C for the duration of the context, so that the pods are
+    deleted."""
     numbers = (signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
     try:
@@ -214,7 +220,7 @@ def _ended_as_by_ctrl_c() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """While the context lasts, which is short, nothing but SIGKILL ends it."""
+    """Ignore all signals except SIGKILL for the duration of the context, which is short."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:

@@ -1,4 +1,4 @@
-"""What is so around a workload, put together as the operator does it, from what kubectl answers."""
+"""Builds the observed state of a workload as the operator does, from the objects that kubectl returns."""
 
 from __future__ import annotations
 
@@ -29,26 +29,27 @@ _KINDS = {
 
 @dataclass(frozen=True)
 class Around:
-    """A workload with all that is around it."""
+    """A workload with the objects around it."""
 
     observed: Observed
     events: Sequence[Object]
-    """The Events on it."""
+    """The Events about it."""
     workloads: Sequence[Object] = ()
     """The workloads of its namespace."""
     gates: Mapping[str, Object] = field(default_factory=dict)
-    """By their names the objects of its namespace that keep instances from robots: the gate objects are among them."""
+    """The NetworkPolicies and other objects of the namespace that keep instances from robots, by name. The gate objects
+    are among them."""
 
 
 def around(kubectl: Kubectl, name: str) -> Around:
-    """What is so around a workload now. Raises CommandError."""
+    """Read the observed state around a workload. Raises CommandError."""
     item = kubectl.get(WORKLOADS.qualified, name)
     kinds = (POLICIES, POOLS, WORKLOADS, PODS, *registry.FENCING_RESOURCES)
     items = kubectl.get(",".join(kind.qualified for kind in kinds))["items"]
     policy = change_index.used_policy(item)
     used = [i for i in items if i["kind"] == "FailurePolicy" and i["metadata"]["name"] == policy]
     if any(situation_strategies.has_some(i) for i in used):
-        # Which of them is in force depends on which was: the monitor was told.
+        # # Which policy is effective depends on the one before, which the monitor received in this ConfigMap.
         told = kubectl.find(CONFIG_MAPS.qualified, names.settings(name))
         items += [told] if told is not None else []
     if any(health_tree_sources.reference(i) for i in used):
@@ -61,7 +62,7 @@ def around(kubectl: Kubectl, name: str) -> Around:
 
 
 def observed_from(item: Object, items: Iterable[Object], reader: Reader) -> Observed:
-    """What is so around a workload by the objects of its namespace; ``reader`` is asked for what isn't among them."""
+    """Build the observed state from the objects of the namespace; ``reader`` fetches those that are not among them."""
     store = Store()
     for found in items:
         store.put(_KINDS[found["kind"]], found)
@@ -69,17 +70,17 @@ def observed_from(item: Object, items: Iterable[Object], reader: Reader) -> Obse
 
 
 class Asked:
-    """Asks kubectl, which knows the namespace."""
+    """Fetches objects with kubectl, which knows the namespace."""
 
     def __init__(self, kubectl: Kubectl) -> None:
         self._kubectl = kubectl
 
     async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
-        """An object, or None where it isn't there."""
+        """Return an object, or None if it does not exist."""
         found: Object | None = self._kubectl.find(resource.qualified, name)
         return found
 
     async def list(self, resource: Resource, namespace: str | None = None, *, labels: str | None = None) -> Object:
-        """A collection: ``items``."""
+        """Return a collection: its objects are in ``items``."""
         found: Object = self._kubectl.get(resource.qualified, *(["-l", labels] if labels else []))
         return found

@@ -1,6 +1,6 @@
-"""Why a workload is as it is, what a failure now would lead to, and what is missing, in words; pure.
+"""Explains in words why a workload is in its state, what a failure now would lead to, and what is missing. Pure.
 
-Which strategy could be carried out is found out by the operator's own functions, and so are the reasons why not.
+The operator's own functions decide which strategies could run, and why the others cannot.
 """
 
 from __future__ import annotations
@@ -43,32 +43,33 @@ from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
 
 _TOLD = (pool_size.CONDITION, pools.MOVING)
-"""Conditions of a shared pool that are told beside it."""
+"""Conditions of a shared pool that are shown with it."""
 
 LATELY = 5
-"""Events that are told."""
+"""Number of Events that are shown."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """All that is looked at: what the status says, and what the cluster has at this moment."""
+    """All input of the explanation: the status, and the present objects of the cluster."""
 
     observed: Observed
     understanding: Understanding
     status: RobotWorkloadStatus
     said: Robot
-    """As the status has it, and the gate."""
+    """The summary of the status and the gate."""
     protected: Condition
-    """As it is now, by the operator's rules: it may not have said so yet, or be away."""
+    """The condition as it is now by the operator's rules. The status may be older, or the operator may not be
+    running."""
     events: Sequence[Object]
     workloads: Mapping[str, Object] = field(default_factory=dict)
-    """Those of its namespace."""
+    """The workloads of the namespace, by name."""
     gates: Mapping[str, Object] = field(default_factory=dict)
-    """Their gates, by their own names."""
+    """The gates of these workloads, by the gates' names."""
 
     @classmethod
     def of(cls, around: Around) -> Known:
-        """From what is so around a workload. Raises CommandError where its status can't be read."""
+        """Build it from the objects around a workload. Raises CommandError if its status cannot be parsed."""
         observed = around.observed
         understanding = understand(observed, Images(monitor=""))
         protected = protection.protected(observed, understanding)
@@ -94,7 +95,8 @@ class Known:
 
     @property
     def left_out(self) -> list[str]:
-        """The pools of the policy that nobody counts on while it is well."""
+        """The pools of the policy that do not count while the robot is healthy: they have standbys only while it is
+        degraded."""
         counted = {c.strategy.pool_ref.name for c in self.considered if c.strategy.pool_ref is not None}
         strategies = effective_policy.strategies(self.observed) if self.policy else []
         named = [s.pool_ref.name for s in strategies if s.pool_ref is not None]
@@ -102,35 +104,35 @@ class Known:
 
     @property
     def pools(self) -> list[str]:
-        """The pools that its strategies take an instance from, in order."""
+        """The pools from which its strategies take an instance, in order."""
         counted = [c.strategy.pool_ref.name for c in self.considered if c.strategy.pool_ref is not None]
         return list(dict.fromkeys([*counted, *self.left_out]))
 
     @property
     def is_watched(self) -> bool:
-        """Whether its monitor runs."""
+        """Whether its monitor is ready."""
         return any(kube_objects.ready(pod) for pod in self.observed.monitors)
 
     @property
     def health(self) -> str:
-        """By its monitor, or UNWATCHED."""
+        """The health that its monitor reports, or UNWATCHED."""
         if not self.is_watched:
             return UNWATCHED
         return "Recovering" if self.said.recovering is not None else self.status.health or "Unknown"
 
     @property
     def is_well(self) -> bool:
-        """Whether it is protected, and driven as it should be."""
+        """Whether it is protected and its active instance works."""
         return self.protected.status == "True" and self.health in DRIVEN
 
     @property
     def spec(self) -> RobotWorkloadSpec | None:
-        """Its spec, where that can be read."""
+        """Its spec; None if it cannot be parsed."""
         return self.understanding.spec
 
     @property
     def policy(self) -> FailurePolicySpec | None:
-        """Its policy with the health tree in force; None where it can't be followed."""
+        """Its policy with the health tree in force; None if the policy cannot be followed."""
         if self.spec is None or self.understanding.policy_problem is not None:
             return None
         item = self.observed.policies[self.spec.failure_policy_ref.name]
@@ -139,15 +141,16 @@ class Known:
 
 @dataclass(frozen=True)
 class _Entry:
-    """One thing that is told under a heading."""
+    """One entry below a heading."""
 
     text: str
     state: str = ""
-    """By which its mark is coloured; empty for no mark."""
+    """The state that colours its mark; empty for no mark."""
     depth: int = 0
 
     def to_wire(self) -> dict[str, str]:
-        """For scripts: ``state`` is Healthy for a tick, Failed for a cross, Degraded for what has to be looked at, or empty."""
+        """Return it for scripts: ``state`` is Healthy for a tick, Failed for a cross, Degraded for a warning, or
+        empty."""
         return {"text": self.text, "state": self.state}
 
 
@@ -155,7 +158,7 @@ _MARKS = {"Healthy": "✓ ", "Failed": "✗ ", "Degraded": "! ", "": ""}
 
 
 def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
-    """All of it."""
+    """Format the whole explanation."""
     colour = "Failed" if known.health == UNWATCHED else known.health
     health = coloured(plain(known.health), colour, colours=colours)
     yield f"{known.said.namespace}/{known.said.name}  {health}{_for(known)}"
@@ -170,7 +173,7 @@ def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
 
 
 def for_scripts(known: Known) -> dict[str, Any]:
-    """All of it as plain values: what can be told in fields, and the rest as it is said."""
+    """Return the explanation as plain values: fields as far as possible, and sentences for the rest."""
     name, _ = kube_objects.active(known.observed.gate)
     strategies = [
         {
@@ -197,7 +200,7 @@ def for_scripts(known: Known) -> dict[str, Any]:
 
 
 def _sections(known: Known) -> dict[str, list[_Entry]]:
-    """What is told under which heading, in order."""
+    """Return the entries by heading, in order."""
     return {
         "If it failed now": list(_failing(known)),
         "Dependencies": list(_dependencies(known)),
@@ -231,7 +234,7 @@ def _for(known: Known) -> str:
 
 
 def _state(known: Known) -> Iterator[_Entry]:
-    """Why it is in this state, and who drives."""
+    """Explain the present state, and name the active instance."""
     status, observed = known.status, known.observed
     if not known.is_watched:
         said = f"; the last that was said is {status.health}" if status.health else ""
@@ -263,7 +266,7 @@ def _state(known: Known) -> Iterator[_Entry]:
 
 
 def _situation(known: Known) -> Iterator[_Entry]:
-    """In which of its policy's situations it is, and what is in force by that."""
+    """Name the situation of its policy that applies, and what is in force because of it."""
     conditions = known.status.conditions or []
     said = next((one for one in conditions if one.type == situation_strategies.CONDITION), None)
     if known.policy is None or not known.policy.situations or said is None:
@@ -322,7 +325,7 @@ def _failing(known: Known) -> Iterator[_Entry]:
 
 
 def _limits(known: Known) -> Iterator[_Entry]:
-    """The limits that would prevent or delay it."""
+    """List the limits that would prevent or delay it."""
     item, now, policy = known.observed.workload, known.observed.now, known.policy
     policy_item = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
     limits = limit_text.limits_in_force(known.spec, policy, policy_item, known.status, item, known.said, now)
@@ -332,7 +335,7 @@ def _limits(known: Known) -> Iterator[_Entry]:
 
 
 def _experience(strategy: Strategy, known: Known) -> str:
-    """How long it took before."""
+    """Describe how long the strategy took in earlier recoveries."""
     name = _recorded(strategy, known.observed)
     took = [
         r.recovery_seconds
@@ -346,12 +349,12 @@ def _experience(strategy: Strategy, known: Known) -> str:
 
 
 def _is_by(recovery: Recovery, name: str) -> bool:
-    """Whether a strategy has recovered it, also where the robot's reader was there first."""
+    """Return whether a strategy made a recovery, also if the robot's reader had switched before (reflex)."""
     return not recovery.planned and not recovery.follows and recovery.strategy.removesuffix(" (reflex)") == name
 
 
 def _recorded(strategy: Strategy, observed: Observed) -> str:
-    """What a strategy is called in the record of a recovery."""
+    """Return the name of a strategy in the record of a recovery."""
     if strategy.pool_ref is None:
         return strategy.type
     item = observed.pools.get(strategy.pool_ref.name)
@@ -359,7 +362,7 @@ def _recorded(strategy: Strategy, observed: Observed) -> str:
 
 
 def _otherwise(known: Known, considered: Sequence[Considered]) -> Iterator[_Entry]:
-    """What the monitor says, where that is something else: it hears the standbys' agents, this command doesn't."""
+    """Report a different choice of the monitor, which knows the standbys' agents; this command does not."""
     said = known.status.strategy
     if not said or not considered or known.health in (UNWATCHED, "Recovering"):
         return
@@ -384,7 +387,7 @@ _AFTERWARDS = {
 
 
 def _dependencies(known: Known) -> Iterator[_Entry]:
-    """What it depends on, how that is, and what depends on it."""
+    """List its dependencies with their health, and the workloads that depend on it."""
     for one in known.spec.depends_on if known.spec is not None else ():
         after = f"once it was recovered, {_AFTERWARDS[one.on_recovery]}"
         if one.name not in known.workloads:
@@ -405,12 +408,12 @@ def _dependencies(known: Known) -> Iterator[_Entry]:
 
 
 def _pools(known: Known) -> Iterator[_Entry]:
-    """What the pools have that its policy names."""
+    """Describe the pools that its policy names."""
     observed = known.observed
     for name in known.pools:
         item = observed.pools.get(name)
         if item is None or not pool_reader.serves(item, observed.workload):
-            continue  # it is told above
+            continue  # # it is reported above
         if pool_reader.readiness(item) == "Uninitialized":
             yield from _shared(name, item, observed)
         else:
@@ -449,7 +452,7 @@ def _pod(pod: Object) -> _Entry:
 
 
 def _missing(known: Known) -> Iterator[_Entry]:
-    """What isn't as it should be, with the way out that whoever found it has written."""
+    """List what is not as it should be, with the remedy that the reporting component wrote."""
     observed = known.observed
     found = [problem for problem in known.said.problems if problem.type != "Protected"]
     if known.protected.status != "True":
@@ -477,7 +480,7 @@ def _missing(known: Known) -> Iterator[_Entry]:
 
 
 def _unprotected(known: Known) -> str:
-    """Why it isn't protected, in short where a strategy that can't be carried out has told it already."""
+    """Explain why it is not protected, in short if an unavailable strategy above explains it already."""
     found = known.protected
     said = next((problem for problem in known.said.problems if problem.type == "Protected"), None)
     since = f", {age(said.since, known.observed.now)}" if said is not None and said.since else ""
@@ -489,7 +492,8 @@ def _unprotected(known: Known) -> str:
 
 
 def _not_covered(known: Known) -> Iterator[_Entry]:
-    """What its protection, as it is written, leaves out, and what its monitor found of the outputs' readers that may be meant."""
+    """List what its protection does not cover as configured, and what the monitor reports about the readers of the
+    outputs."""
     read = next((one for one in known.status.conditions or [] if one.type == "OutputsRead"), None)
     if known.is_watched and read is not None and read.status != "False" and read.reason != "AtGatedPorts":
         yield _Entry(read.message)
@@ -499,7 +503,7 @@ def _not_covered(known: Known) -> Iterator[_Entry]:
     try:
         watched = {topic.name for topic in load_monitoring(policy.monitoring).topics}
     except TreeError:
-        return  # it is told above
+        return  # # it is reported above
     unwatched = [output.topic for output in spec.outputs if output.topic and output.topic not in watched]
     if unwatched:
         yield _Entry(f"The health tree doesn't watch {listed(unwatched)}: nobody notices where it falls silent.")
@@ -514,7 +518,7 @@ def _not_covered(known: Known) -> Iterator[_Entry]:
 
 
 def _lately(events: Sequence[Object], now: float) -> Iterator[_Entry]:
-    """The newest warnings."""
+    """List the newest warnings."""
     warnings = [event for event in events if event.get("type") == "Warning"]
     for event in sorted(warnings, key=_when, reverse=True)[:LATELY]:
         count = event.get("count") or 1

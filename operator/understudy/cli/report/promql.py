@@ -1,7 +1,8 @@
-"""What a Prometheus is asked for, over a whole period: expressions in PromQL; pure.
+"""Builds the PromQL expressions for a whole period. Pure.
 
-``increase`` alone would be wrong here. It can't see the first recovery by each strategy after each start of a monitor, with which
-that series begins, and most robots have few; and it extrapolates to the ends of the period, so that counts aren't whole numbers.
+``increase`` alone would be wrong here. A series of a strategy begins with the first recovery by it after each start of
+a monitor, so ``increase`` does not count that recovery, and most robots have few. It also extrapolates to the ends of
+the period, so that counts would not be whole numbers.
 """
 
 from __future__ import annotations

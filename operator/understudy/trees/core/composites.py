@@ -10,17 +10,18 @@ from py_trees.composites import Composite
 
 
 class AnyOf(Composite):
-    """Succeeds as soon as any child does, whatever the others say.
+    """Succeeds if any child succeeds, regardless of the others.
 
-    py_trees' Selector stops at the first child that runs, so a child that is still starting would hide a healthy one
-    behind it. Here all children are asked: one success is success, else one running is running, else it is failure.
+    py_trees' Selector stops at the first running child, so a child that is still starting would hide a healthy one
+    behind it. This composite ticks all children: it succeeds if one succeeds, else it is running if one is running,
+    else it fails.
     """
 
     def __init__(self, name: str, children: list[Behaviour]) -> None:
         super().__init__(name, children)
 
     def tick(self) -> Iterator[Behaviour]:
-        """Ask every child; the best answer is the result."""
+        """Tick every child; the best status is the result."""
         results = []
         for child in self.children:
             yield from child.tick()
@@ -45,7 +46,7 @@ class FirstOf(Composite):
         self._place = 0
 
     def tick(self) -> Iterator[Behaviour]:
-        """Go on with the child that runs, or with the next one after a failure."""
+        """Continue with the running child, or with the next one after a failure."""
         if self.status != Status.RUNNING:
             self._place = 0
         self.status = Status.FAILURE

@@ -1,4 +1,4 @@
-"""Leaves over a stream of evidence, which record since when their condition holds or does not."""
+"""Leaves that judge a stream of evidence, and record since when their condition holds or does not hold."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Finding(NamedTuple):
     """What one piece of evidence, such as a message, says about the condition of a leaf."""
 
     holds: bool
-    """False too if it cannot be determined: what must hold has to be seen to."""
+    """False also if it cannot be determined: the tree's author must make sure that a required condition can be seen."""
     why: str
-    """Why it does not hold, in plain words with figures; empty if it does."""
+    """Why it does not hold, in plain words with figures; empty if it holds."""
     starting: bool = False
-    """Whether it does not because of something that is still starting, in which it has never held."""
+    """Whether it does not hold because of something that is still starting, for which it has never held."""
 
 
 @dataclass
@@ -31,24 +31,24 @@ class EvidenceTrack(Generic[EvidenceT]):
     """The evidence about one instance so far. Times are Unix seconds."""
 
     since: float = math.nan
-    """Which instance: when it took control."""
+    """When the instance took control, which identifies it."""
     seen: EvidenceT | None = None
-    """The newest message that was looked into."""
+    """The newest message that was evaluated."""
     received: float = 0.0
     """When that was received, by the clock at that time."""
     held: bool = False
-    """Whether the condition has held once."""
+    """Whether the condition has ever held."""
     heard: float | None = None
-    """When the last message that says anything of it was received."""
+    """When the last message that says anything about the condition was received."""
     good: float | None = None
     """When the last message with which it held was received."""
     bad: float | None = None
-    """When the first of the messages was received since which it does not hold; None while it holds."""
+    """When the first message was received since which it does not hold; None while it holds."""
     why: str = ""
-    """Why it does not, by that message: a text that stays while the failure does."""
+    """Why it does not hold, according to that message. The text stays the same while the failure lasts."""
 
     def note(self, said: Finding, content: EvidenceT) -> None:
-        """Note what a message says."""
+        """Note the result of a message."""
         self.heard = content.received
         if said.holds:
             self.held, self.good, self.bad, self.why = True, content.received, None, ""
@@ -59,7 +59,7 @@ class EvidenceTrack(Generic[EvidenceT]):
             self.bad, self.why = content.received, said.why
 
     def shift(self) -> None:
-        """Follow a step of the clock, with which the time of the newest message was moved."""
+        """Follow a step of the clock, which moved the time of the newest message."""
         if self.seen is None or self.seen.received == self.received:
             return
         step = self.seen.received - self.received
@@ -70,10 +70,10 @@ class EvidenceTrack(Generic[EvidenceT]):
 
 
 class EvidenceLeaf(Leaf, Generic[EvidenceT]):
-    """Holds while the evidence says so: fails when it has said otherwise for ``hold_off`` seconds.
+    """Holds while the evidence confirms its condition; fails after ``hold_off`` seconds of evidence against it.
 
-    That moment is exact, whether more comes until then or not. Before the first evidence, and until the condition
-    has held for the first time, it is starting for as long as the grace lasts.
+    The time of the failure is exact, whether or not more evidence arrives before. Before the first evidence, and until
+    the condition has held for the first time, the leaf is starting until the grace ends.
     """
 
     def __init__(
@@ -85,27 +85,28 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
 
     @abstractmethod
     def fresh(self, track: EvidenceTrack[EvidenceT]) -> list[EvidenceT]:
-        """What the instance has given that has not been looked into, oldest first."""
+        """Return the instance's evidence that has not been evaluated, oldest first."""
 
     @abstractmethod
     def said(self, content: EvidenceT, failed: bool) -> Finding | None:
-        """What it says of the condition, which has ``failed`` before or not; None if it says nothing of it."""
+        """Evaluate one piece of evidence; None if it says nothing about the condition. ``failed`` is whether the
+        condition did not hold before."""
 
     @abstractmethod
     def condition(self) -> str:
         """The condition in words, such as ``percentage > 0.15 of /battery_state``."""
 
     def awaited(self) -> str:
-        """What must come first, in words."""
+        """What must arrive first, in words."""
         return self.topic
 
     def forget(self) -> None:
-        """Forget what messages of another instance have said."""
+        """Forget the messages of another instance."""
 
-    # -- what has been said -----------------------------------------------------------------------------------------
+    # # -- evidence ---------------------------------------------------------------------------------------------------
 
     def followed(self) -> EvidenceTrack[EvidenceT]:
-        """What has been said until the time of the evaluation; looks into everything once."""
+        """Return the evidence up to the time of the evaluation. Each message is evaluated once."""
         evaluation, track = self._evaluation, self._track
         if track.since != evaluation.since:
             track = self._track = EvidenceTrack(evaluation.since)
@@ -121,16 +122,16 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def lost(self, track: EvidenceTrack[EvidenceT]) -> float:
-        """When the condition has failed if nothing more arrives, in Unix seconds."""
+        """Return when the condition has failed if nothing more arrives, in Unix seconds."""
         return max(track.bad, self.begun()) + self.hold_off if track.bad is not None else math.inf
 
     def begun(self) -> float:
-        """When its clocks begin at the earliest: with the task that it is for, if the instance was in control by then."""
+        """The earliest start of its clocks: the start of its task, if the instance was in control by then."""
         found = task_timing(self.tasks, self._evaluation) if self.tasks else None
         return found.active if found is not None and found.active >= self._evaluation.since else -math.inf
 
     def _limits(self, track: EvidenceTrack[EvidenceT]) -> tuple[float, float]:
-        """Until when it is healthy, and when it fails, if nothing more arrives; between them it is starting."""
+        """Return until when it is healthy, and when it fails, if nothing more arrives; in between it is starting."""
         evaluation = self._evaluation
         if not self.tasks:
             if not track.held:
@@ -142,7 +143,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
             return math.inf, math.inf
         lost = self.lost(track)
         healthy = max(found.settled, lost) if track.held or lost < math.inf else found.settled
-        # Grace is for an instance with which it has not held yet.
+        # # Grace applies only to an instance for which the condition has not held yet.
         return healthy, healthy if track.held else max(healthy, evaluation.in_time)
 
     def state(self) -> State:
@@ -153,16 +154,17 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         return "Starting" if self._evaluation.now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None if it is not healthy."""
+        """When it stops being healthy; None if it is not healthy."""
         healthy, _ = self._limits(self.followed())
         return healthy if self._evaluation.now < healthy else None
 
     def changes(self) -> list[float]:
-        """The moments after that of the evaluation at which the state may be another with no further message."""
+        """Return the times after the evaluation at which the state may change without a further message."""
         return [m for m in self._limits(self.followed()) if self._evaluation.now < m < math.inf]
 
     def last(self) -> float | None:
-        """When all was last well: when a message with which it held was received, or its task became active."""
+        """Return the last time at which all was well: when a message with which it held was received, or its task
+        became active."""
         return self._last_with_task(self.followed().good)
 
     def _plain_reason(self, state: State) -> str:

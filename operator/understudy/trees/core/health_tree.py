@@ -1,6 +1,6 @@
-"""A health tree: its verdict now, and the exact time at which that gets worse if nothing more arrives.
+"""A health tree: its verdict now, and the exact time at which the verdict gets worse if nothing more arrives.
 
-Detection is not bound to a tick. After each evaluation, ask :meth:`HealthTree.deadline` and wake up then: a
+Detection does not depend on the tick rate. After each evaluation, call :meth:`HealthTree.deadline` and wake up then: a
 500 ms gap is detected 500 ms after the last message was received, however slow the ticks are.
 """
 
@@ -24,51 +24,52 @@ Build = Callable[[Collection[str]], Behaviour | None]
 """Builds the behaviours of a node without the leaves of some topics; None if nothing is left."""
 
 SEVERITY: dict[State, int] = {"Healthy": 0, "Starting": 1, "Failed": 2}
-"""How bad a state is; a verdict gets worse when this grows."""
+"""Rank of a state; a verdict gets worse if it grows."""
 
 
 @dataclass(frozen=True)
 class WatchedTopic:
-    """A topic that a tree needs, with what is needed of it."""
+    """A topic that a tree needs, and what it needs of the topic."""
 
     name: str
     type: str | None
-    """``package/msg/Name``; None if the tree leaves it to the ROS graph."""
+    """``package/msg/Name``; None if the tree takes it from the ROS graph."""
     window: float
-    """Seconds of arrivals that are looked at; 0 if only the last one is."""
+    """Seconds of arrivals that are evaluated; 0 if only the last one is."""
     rate: float | None
-    """Messages per second to be ready for; None if the tree does not say."""
+    """Expected messages per second; None if the tree does not say."""
     task: bool = False
-    """Whether it is the status of an action, of which it matters whether a goal is active."""
+    """Whether it is the status of an action, for which the tree needs to know whether a goal is active."""
     contents: int = 0
-    """How many of the last messages are looked into."""
+    """How many of the last messages have their contents evaluated."""
     whole: bool = False
-    """Whether more of them is looked at than the header at their start."""
+    """Whether more than the header at the start of these messages is evaluated."""
     heard: bool = True
     """Whether its messages are received at all."""
     publishers: bool = False
-    """Whether it is looked at who publishes it."""
+    """Whether the tree needs to know who publishes it."""
     managed: bool = False
-    """Whether a managed node reports its transitions there, whose state is to be known."""
+    """Whether it is the topic on which a managed node reports its transitions, and the tree needs the node's state."""
     node: bool = False
-    """Whether it is looked at if there is a node of this name."""
+    """Whether it stands for a node, and the tree needs to know whether there is a node of this name."""
     prompt: bool = False
-    """Whether a message can be a failure as it comes, so that it is looked at then. A silence, or a condition that must not
-    hold for a while, is foretold."""
+    """Whether a message can be a failure when it arrives, so that the tree must be evaluated then. A silence, or a
+    condition that must not hold for a while, is computed in advance."""
     parameters: frozenset[tuple[str, str]] = frozenset()
-    """The parameters whose changes are reported there and whose values are to be known, each by its node and its own name."""
+    """The parameters whose values the tree needs and whose changes are reported there, each with the name of its node
+    and its own."""
     pod: bool = False
-    """Whether it is not a topic at all, but stands for the pod of the active instance, at which is looked."""
+    """Whether it is not a topic, but stands for the pod of the active instance."""
     usage: bool = False
-    """Whether it is asked for what that pod takes of its node."""
+    """Whether the tree needs the CPU and memory usage of that pod."""
 
     @property
     def reliable(self) -> bool:
-        """Whether no message may be missed."""
+        """Whether no message may be lost."""
         return self.managed or bool(self.parameters)
 
     def joined(self, other: WatchedTopic) -> WatchedTopic:
-        """What serves this and another need of the same topic."""
+        """Return what satisfies this and another need of the same topic."""
         rates = [rate for rate in (self.rate, other.rate) if rate is not None]
         return replace(
             self,
@@ -96,11 +97,11 @@ class Verdict:
     state: State
     """Starting, Healthy or Failed."""
     reason: str
-    """Why, in plain words with figures; empty while healthy. The figure of a failing rate changes between verdicts."""
+    """Why, in plain words with figures; empty while healthy. The figure of a failing rate differs between verdicts."""
     leaf: str
-    """Path of the leaf that decided it, such as ``sensors/scan``; empty while healthy."""
+    """Path of the leaf that caused it, such as ``sensors/scan``; empty while healthy."""
     onset: float | None
-    """When the last good sample was received (Unix seconds), of a failure; None if there never was one."""
+    """Of a failure: when the last good sample was received (Unix seconds); None if there never was one."""
 
 
 _HEALTHY = Verdict("Healthy", "", "", None)
@@ -109,33 +110,36 @@ _HEALTHY = Verdict("Healthy", "", "", None)
 class HealthTree:
     """The definition of a healthy instance, as py_trees behaviours.
 
-    One tree judges one instance at a time: it remembers, for the present ``since``, which rates have held once.
-    All times are Unix seconds.
+    A tree judges one instance at a time: for the current ``since``, it remembers which rates have held once. All times
+    are Unix seconds.
     """
 
     def __init__(self, build: Build, evaluation: Evaluation, topics: list[WatchedTopic]) -> None:
-        """``build`` makes the behaviours, ``topics`` are all that they look at."""
+        """``build`` makes the behaviours; ``topics`` are all topics that they evaluate."""
         self.topics = topics
-        """What to subscribe to, each topic once."""
+        """The topics to subscribe to, each once."""
         self._build = build
         self._evaluation = evaluation
         self._left_out: frozenset[str] | None = None
         self._foretold: tuple[Observations, float, float, dict[str, float]] | None = None
-        """What the last evaluation found where all was healthy: of what, when, since when, and until when by path of leaf."""
+        """Result of the last evaluation if all leaves were healthy: observations, time, since when, and by leaf path
+        the end of health."""
         self.root: Behaviour | None = None
-        """The behaviours, with the states of the last evaluation; None if nothing can be judged."""
+        """The behaviours with the states of the last evaluation; None if nothing can be judged."""
         self.leave_out(())
 
     def begin(self, now: float) -> None:
-        """Judge from now on (Unix seconds): what the tree names again has the grace to come, though the instance is not new."""
+        """Start to judge by this tree at ``now`` (Unix seconds). Topics that it names have the grace to arrive again,
+        although the instance is not new."""
         self._evaluation.begun = now
         self._foretold = None
 
     def leave_out(self, topics: Collection[str]) -> None:
-        """Judge without the leaves of these topics, since they cannot be watched: being blind is no failure.
+        """Judge without the leaves of these topics, because they cannot be watched: a topic that cannot be watched is
+        not a failure.
 
-        A leaf's own path, such as ``sensors/scan``, stands for that one alone. Composites are judged by what is left in
-        them. Cheap where nothing changed.
+        A leaf's own path, such as ``sensors/scan``, excludes only that leaf. Composites are judged by their remaining
+        children. Cheap if nothing changed.
         """
         if topics == self._left_out:
             return
@@ -144,8 +148,8 @@ class HealthTree:
         self.root = self._build(self._left_out)
         nodes = list(self.root.iterate()) if self.root is not None else []
         self._leaves = [node for node in nodes if isinstance(node, Leaf)]
-        # Without an inverter a tree is healthy when all its leaves are, which is nearly always so, and is told without
-        # a tick of all its nodes.
+        # # Without an inverter, a tree is healthy if all its leaves are. That is nearly always the case, and needs no
+        # tick of all its nodes.
         self._upright = not any(isinstance(node, Inverter) for node in nodes)
 
     @property
@@ -154,7 +158,8 @@ class HealthTree:
         return [topic for topic in self.topics if topic.name not in (self._left_out or ())]
 
     def counting(self, observations: Observations, *, now: float, since: float) -> set[str]:
-        """The topics whose messages count now: all that are judged but those that are only for a task that is not active."""
+        """Return the topics whose messages count now: all that are judged, except those that are only for a task that
+        is not active."""
         self._look(observations, now, since, real=False)
         return {leaf.topic for leaf in self._leaves if leaf.hears and leaf.counts()}
 
@@ -165,18 +170,19 @@ class HealthTree:
 
     @property
     def blind(self) -> list[str]:
-        """Why leaves that are judged cannot judge, in words."""
+        """Return in words why some judged leaves cannot judge."""
         return [leaf.blind for leaf in self._leaves if leaf.blind]
 
     @property
     def grace(self) -> float:
-        """Seconds that an instance has to become healthy for the first time."""
+        """Seconds within which an instance must become healthy for the first time."""
         return self._evaluation.grace
 
     def evaluate(self, observations: Observations, *, now: float, since: float) -> Verdict:
-        """The verdict at ``now`` on the instance that has been in control since ``since`` (or was first seen then).
+        """Return the verdict at ``now`` on the instance that has been in control since ``since`` (or was first seen
+        then).
 
-        Look at the topics first, then take ``now``: what has arrived but was not noted counts as missing.
+        Read the topics first, then take ``now``: a message that has arrived but was not noted counts as missing.
         """
         if self.root is None:
             return Verdict(
@@ -197,10 +203,11 @@ class HealthTree:
         return Verdict(state, "; ".join(reason for _, reason in leaves), leaves[0][0].name, onset)
 
     def deadline(self, observations: Observations, *, now: float, since: float) -> float | None:
-        """The first moment at which :meth:`evaluate` would be worse than now if nothing more arrives; None for never.
+        """Return the first time at which :meth:`evaluate` would be worse than now if nothing more arrives; None for
+        never.
 
-        Holds until the next message or evaluation; then ask again. Asked after an evaluation, with the same moments and before
-        anything more is noted, it costs next to nothing while all is healthy.
+        It is valid until the next message or evaluation. A call after an evaluation with the same times, and before
+        anything more is noted, costs almost nothing while all leaves are healthy.
         """
         if self.root is None:
             return None
@@ -220,19 +227,21 @@ class HealthTree:
             if SEVERITY[self._tick(observations, moment, since, real=False)] > present:
                 found = moment
                 break
-        self._tick(observations, now, since)  # so that the nodes show what is, not what was tried out
+        self._tick(observations, now, since)  # # so that the nodes show the present state, not the one that was tried
         return found
 
     def next_change(self, observations: Observations, *, now: float, since: float) -> float | None:
-        """The first moment after ``now`` at which any leaf may say something else if nothing more arrives; None for never.
+        """Return the first time after ``now`` at which any leaf may change if nothing more arrives; None for never.
 
-        Unlike :meth:`deadline` it is also asked while the tree is failed, and names moments at which it may get better.
+        Unlike :meth:`deadline`, it also works while the tree is failed, and includes times at which the state may
+        improve.
         """
         self._look(observations, now, since, real=False)
         return min((moment for leaf in self._leaves for moment in leaf.changes()), default=None)
 
     def _healthy_until(self, observations: Observations, now: float, since: float) -> dict[str, float] | None:
-        """By path, when each leaf stops being healthy; None unless all of them are, and the tree by that."""
+        """Return by path when each leaf stops being healthy; None unless all of them, and therefore the tree, are
+        healthy."""
         if not self._upright:
             return None
         self._look(observations, now, since, real=True)
@@ -247,7 +256,7 @@ class HealthTree:
     def _look(self, observations: Observations, now: float, since: float, *, real: bool) -> None:
         evaluation = self._evaluation
         evaluation.observations, evaluation.now, evaluation.since, evaluation.real = observations, now, since, real
-        if real and evaluation.begun > now:  # the clock was set back since
+        if real and evaluation.begun > now:  # # the clock was set back meanwhile
             evaluation.begun = now
 
     def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
@@ -259,7 +268,8 @@ class HealthTree:
 
 
 def _first_loss(node: Behaviour, until: dict[str, float]) -> float:
-    """When a node over healthy leaves stops being healthy: alternatives with their last, all else with the first."""
+    """Return when a node over healthy leaves stops being healthy: alternatives with their last leaf, other nodes with
+    their first."""
     if isinstance(node, Leaf):
         return until[node.name]
     losses = [_first_loss(child, until) for child in node.children]
@@ -267,12 +277,12 @@ def _first_loss(node: Behaviour, until: dict[str, float]) -> float:
 
 
 def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[Leaf, str]]:
-    """The leaves that gave a node its status, with their reasons, in the tree's order."""
+    """Return the leaves that gave a node its status, with their reasons, in the tree's order."""
     if isinstance(node, Leaf):
         reason = node.reason(STATE[node.status])
         return [(node, f"{reason}, which must not be" if inverted and node.status != Status.RUNNING else reason)]
     if isinstance(node, While) and not node.counts():
-        # It holds on its own, whatever is in it, so that matters only under an inverter.
+        # # Its child counts as healthy while the task is not active, so this matters only under an inverter.
         leaf = next(inner for inner in node.iterate() if isinstance(inner, Leaf))
         return [(leaf, f"no goal of {node.task.action} is active, which must not be")]
     if isinstance(node, Inverter):
@@ -285,15 +295,15 @@ def _deciding(node: Behaviour) -> list[Behaviour]:
 
 
 def _onset(node: Behaviour) -> float | None:
-    """When a failed node was last seen to be good."""
+    """Return when a failed node was last seen to be good."""
     if isinstance(node, Leaf):
         return node.last()
     if isinstance(node, While):
         return _onset(node.decorated)
     if not isinstance(node, Parallel | Sequence | AnyOf):
-        return None  # An inverter fails by a message, and the last good moment was no message's.
+        return None  # # An inverter fails because of a message, and no message marks its last good moment.
     onsets = [onset for child in _deciding(node) if (onset := _onset(child)) is not None]
     if not onsets:
         return None
-    # What must hold altogether was good until the first was lost, an alternative until the last was.
+    # # A conjunction was good until the first child was lost, an alternative until the last one was.
     return max(onsets) if isinstance(node, AnyOf) else min(onsets)

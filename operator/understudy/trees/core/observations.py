@@ -1,7 +1,7 @@
-"""What a health tree evaluates: when messages of which topics were received, and their last contents.
+"""The input of a health tree: when messages of each topic were received, and their last contents.
 
-The tree knows the protocol only. :class:`TopicRecord` and :class:`RecordedObservations` are the plain implementation that the
-drained subscriptions of ``understudy.ros`` fill, and that tests fill by hand.
+The tree knows only the protocol. :class:`TopicRecord` and :class:`RecordedObservations` are the plain implementation,
+which the drained subscriptions of ``understudy.ros`` fill, and which tests fill by hand.
 """
 
 from __future__ import annotations
@@ -18,36 +18,35 @@ class Evidence(Protocol):
     """Something that was received or observed, with its time."""
 
     received: float
-    """When it was, in Unix seconds; moved where the clock was set."""
+    """When it was received or observed, in Unix seconds; moved if the clock was set."""
 
 
 class Content(Evidence, Protocol):
     """A message that was received."""
 
     def message(self) -> object:
-        """The message with its fields as attributes. Raises Unreadable."""
+        """Return the message with its fields as attributes. Raises Unreadable."""
         ...
 
     def age(self) -> float | None:
-        """How old its header's stamp was when it was received, in seconds; None if it has none."""
+        """Return the age of its header's stamp when it was received, in seconds; None if it has none."""
         ...
 
     def under_way(self) -> float | None:
-        """How long it was under way, in seconds: from when its writer's middleware says it was written to its receipt; None if
-        that says nothing.
-        """
+        """Return how long it was under way, in seconds: from the time at which its writer's middleware says that it was
+        written to its receipt; None if the middleware does not say."""
         ...
 
     def older(self, stamp: float) -> float:
-        """How much earlier than its receipt a stamp within it is, in seconds; ``stamp`` in Unix seconds."""
+        """Return how much earlier than its receipt a stamp inside it is, in seconds; ``stamp`` is in Unix seconds."""
         ...
 
     def mentions(self, text: str) -> bool:
-        """Whether it may have this text in it: what has not need not be read."""
+        """Return whether it may contain this text. A message without it need not be deserialized."""
         ...
 
     def byte(self, place: int) -> int | None:
-        """A byte of it, serialized (CDR with its header of 4 bytes); None if that is not known."""
+        """Return one byte of the serialized message (CDR with its header of 4 bytes); None if it is not known."""
         ...
 
 
@@ -60,7 +59,7 @@ class Publishers:
     """The publishers of a topic, as observed in the ROS graph."""
 
     received: float
-    """When it was, in Unix seconds; moved where the clock was set."""
+    """When they were observed, in Unix seconds; moved if the clock was set."""
     nodes: Sequence[str]
     """The node of each publisher of the active instance, fully qualified; empty if it is not known yet."""
 
@@ -70,13 +69,13 @@ class NodePresence:
     """Whether a node exists, as observed in the ROS graph."""
 
     received: float
-    """When it was, in Unix seconds; moved where the clock was set."""
+    """When it was observed, in Unix seconds; moved if the clock was set."""
     node: str
     """Its name, fully qualified."""
     there: bool
     """Whether the active instance had it."""
     elsewhere: bool = False
-    """Whether anybody had one of that name."""
+    """Whether anything else had a node of that name."""
 
 
 @dataclass(eq=False)
@@ -84,9 +83,9 @@ class NodeState:
     """The known state of a managed node of the active instance."""
 
     received: float
-    """When it was so, in Unix seconds; moved where the clock was set."""
+    """When the node was in this state, in Unix seconds; moved if the clock was set."""
     state: str | None
-    """Its state; empty if it is not there, None if it cannot be determined."""
+    """Its state; empty if the node does not exist, None if it cannot be determined."""
 
 
 class PodCondition(NamedTuple):
@@ -96,16 +95,16 @@ class PodCondition(NamedTuple):
     status: str
     """True, False or Unknown."""
     reason: str = ""
-    """Why, as one word; empty if it is not said."""
+    """The reason as one word; empty if it is not stated."""
 
 
 class PodUsage(NamedTuple):
     """The CPU and memory that the containers of a pod use together, without the agent."""
 
     cpu: float
-    """Cores, on the average of some time."""
+    """Cores, averaged over some time."""
     memory: float
-    """Bytes: the working set, by which the kubelet evicts."""
+    """Bytes of the working set, which the kubelet uses for evictions."""
 
 
 @dataclass(eq=False)
@@ -113,16 +112,16 @@ class PodState:
     """The last observed state of the active instance's pod."""
 
     received: float
-    """When it was, in Unix seconds; moved where the clock was set."""
+    """When it was observed, in Unix seconds; moved if the clock was set."""
     conditions: Sequence[PodCondition] = ()
     restarts: int = 0
-    """How often its containers were started again, all together."""
+    """How often its containers were restarted, all together."""
     usage: PodUsage | None = None
-    """What it takes; None if that cannot be determined, or nobody asked for it."""
+    """Its usage; None if it cannot be determined, or if no leaf needs it."""
 
 
 ParameterValue = bool | int | float | str
-"""What a parameter can be, but for arrays."""
+"""Possible values of a parameter, except arrays."""
 
 
 @dataclass(eq=False)
@@ -130,9 +129,9 @@ class ParameterState:
     """The known value of a parameter of a node of the active instance."""
 
     received: float
-    """When it was so, in Unix seconds; moved where the clock was set."""
+    """When it had this value, in Unix seconds; moved if the clock was set."""
     value: ParameterValue | None
-    """Its value; None if it has none, or if that cannot be determined."""
+    """Its value; None if it has none, or if it cannot be determined."""
     lacks: str = ""
     """Why it has no value, in words."""
     told: bool = True
@@ -140,7 +139,7 @@ class ParameterState:
 
 
 GAPS = 60.0
-"""Seconds for which the longest gap is known at least, which is as often as metrics are asked for."""
+"""Seconds for which the longest gap is kept at least: the interval at which metrics are scraped."""
 
 
 class TopicRecord:
@@ -149,21 +148,22 @@ class TopicRecord:
     __slots__ = ("_gap", "_gap_before", "_until", "arrivals", "contents", "count", "last", "window")
 
     def __init__(self, window: float = 0.0, contents: int = 0) -> None:
-        """``contents`` is how many of the last messages are kept to be looked into."""
+        """``contents`` is the number of last messages that are kept for evaluation."""
         self.window = window
-        """How far back arrivals are needed, in seconds; 0 if only the last one is."""
+        """Seconds for which arrivals are kept; 0 if only the last one is needed."""
         self.last: float | None = None
         """When the last sample was received."""
         self.count = 0
-        """Samples received in all."""
+        """Number of all samples received."""
         self.arrivals: deque[float] = deque()
-        """Times within the window, oldest first, and one before it, which tells that the window has been full."""
+        """Times within the window, oldest first, and one before it, which shows that the window has been full."""
         self.contents: deque[Content] = deque(maxlen=contents)
         """The last messages, oldest first."""
         self._gap, self._gap_before, self._until = 0.0, 0.0, 0.0
 
     def longest_gap(self, now: float) -> float | None:
-        """The longest time between two samples of the last minute or two, the present silence included; None before the first."""
+        """Return the longest time between two samples of the last minute or two, including the present silence; None
+        before the first."""
         if self.last is None:
             return None
         silence = now - self.last
@@ -171,7 +171,7 @@ class TopicRecord:
         return max(0.0, silence, *known)
 
     def add(self, received: float) -> None:
-        """Note a sample that was received at this time; late ones find their place."""
+        """Note a sample that was received at this time. Late ones are inserted in order."""
         self.count += 1
         arrivals = self.arrivals
         if self.last is None or received >= self.last:
@@ -188,7 +188,7 @@ class TopicRecord:
             arrivals.popleft()
 
     def shift(self, seconds: float) -> None:
-        """Move all times, after the clock they were taken from was set."""
+        """Move all times after the clock was set from which they were taken."""
         if self.last is not None:
             self.last += seconds
         self._until += seconds
@@ -202,39 +202,41 @@ class Observations(Protocol):
 
     @property
     def in_control(self) -> bool:
-        """Whether the instance that is judged is the one in control, so that what the robot does is its doing."""
+        """Whether the judged instance is the active one, so that it causes what the robot does."""
         ...
 
     def topic(self, name: str) -> TopicRecord | None:
-        """The record of a topic, None if it is not watched (yet)."""
+        """Return the record of a topic; None if it is not watched (yet)."""
         ...
 
     def own(self, name: str) -> TopicRecord | None:
-        """The record of what the active instance sent on a topic, and nobody else; None if it sent nothing (yet)."""
+        """Return the record of what only the active instance sent on a topic; None if it sent nothing (yet)."""
         ...
 
     def task(self, name: str) -> float | None:
-        """Since when the action of this status topic has had an active goal (Unix seconds); None while it has none."""
+        """Return since when the action of this status topic has had an active goal (Unix seconds); None while it has
+        none."""
         ...
 
     def publishers(self, name: str) -> Publishers | None:
-        """Who published a topic at the last look; None if nobody has looked (yet)."""
+        """Return who published a topic at the last observation; None before the first."""
         ...
 
     def node(self, name: str) -> NodePresence | None:
-        """Whether a node was there at the last look; None if nobody has looked (yet)."""
+        """Return whether a node existed at the last observation; None before the first."""
         ...
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """The state of a managed node; None if nothing is known (yet)."""
+        """Return the state of a managed node; None if nothing is known (yet)."""
         ...
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """The value of a node's parameter; None if nothing is known (yet)."""
+        """Return the value of a node's parameter; None if nothing is known (yet)."""
         ...
 
     def pod(self) -> PodState | None:
-        """The pod of the active instance at the last look; None if nobody has looked (yet), or can."""
+        """Return the pod of the active instance at the last observation; None before the first, or if pods cannot be
+        observed."""
         ...
 
 
@@ -253,7 +255,7 @@ class RecordedObservations:
         parameters: Mapping[tuple[str, str], ParameterState] | None = None,
         pod: PodState | None = None,
     ) -> None:
-        """``tasks`` has when each active action became so, by its status topic."""
+        """``tasks`` maps the status topic of each active action to the time at which it became active."""
         self._topics = topics
         self._tasks = tasks if tasks is not None else {}
         self._publishers = publishers if publishers is not None else {}
@@ -263,53 +265,54 @@ class RecordedObservations:
         self._pod = pod
 
     def topic(self, name: str) -> TopicRecord | None:
-        """The record of a topic, None if there is none."""
+        """Return the record of a topic; None if there is none."""
         return self._topics.get(name)
 
     def own(self, name: str) -> TopicRecord | None:
-        """The same: everything recorded is the instance's."""
+        """Return the same record: everything recorded belongs to the instance."""
         return self._topics.get(name)
 
     def task(self, name: str) -> float | None:
-        """When the action became active, None while it is not."""
+        """Return when the action became active; None while it is not."""
         return self._tasks.get(name)
 
     def publishers(self, name: str) -> Publishers | None:
-        """Who published the topic, None if nobody has looked."""
+        """Return who published the topic; None if it was not observed."""
         return self._publishers.get(name)
 
     def node(self, name: str) -> NodePresence | None:
-        """Whether the node was there, None if nobody has looked."""
+        """Return whether the node existed; None if it was not observed."""
         return self._nodes.get(name)
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """The state of the node, None if nothing is known."""
+        """Return the state of the node; None if nothing is known."""
         return self._states.get(name)
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """The value of the parameter, None if nothing is known."""
+        """Return the value of the parameter; None if nothing is known."""
         return self._parameters.get((node, name))
 
     def pod(self) -> PodState | None:
-        """The pod, None if nobody has looked."""
+        """Return the pod; None if it was not observed."""
         return self._pod
 
 
 @dataclass
 class Evaluation:
-    """The instant and the observations of an evaluation; all leaves of a tree share one, which is changed before each tick."""
+    """The time and the observations of an evaluation. All leaves of a tree share one, which is changed before each
+    tick."""
 
     grace: float
-    """Seconds that an instance has to become healthy for the first time."""
+    """Seconds within which an instance must become healthy for the first time."""
     observations: Observations = field(default_factory=lambda: RecordedObservations({}))
     now: float = 0.0
     """Unix seconds."""
     since: float = 0.0
-    """Unix seconds: when the instance that is judged took control. What was received earlier is not its own."""
+    """When the judged instance took control, in Unix seconds. What was received earlier is not from it."""
     begun: float = -math.inf
-    """Unix seconds: since when the tree is judged by. What it names again may not have been watched before."""
+    """Since when this tree is in use, in Unix seconds. Topics that it names may not have been watched before."""
     real: bool = True
-    """False while a later moment is tried out, which must leave no trace."""
+    """False while a later time is tried, which must leave no trace."""
 
     @property
     def in_time(self) -> float:

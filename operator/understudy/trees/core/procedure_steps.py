@@ -1,7 +1,7 @@
-"""What a procedure does to an instance: its leaves as py_trees behaviours over asynchronous actions.
+"""Runs the steps of a procedure on an instance: its leaves as py_trees behaviours over asynchronous actions.
 
-A leaf starts its action at its first tick and sees its end at a later one; an action that is no longer wanted is
-cancelled. Every action knows how much time is left for it, so that it can say on its own what it was waiting for.
+A leaf starts its action at its first tick and sees the end of the action at a later one. An action that is no longer
+needed is cancelled. Every action knows its remaining time, so that it can report itself what it was waiting for.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from py_trees.decorators import Decorator
 from understudy.trees.core.health_tree import HealthTree, Verdict
 
 MARGIN = 0.1
-"""Seconds before the end of its time at which an action gives up on its own, with better words than who cuts it short."""
+"""Seconds before the end of its time at which an action gives up on its own: its error message is better than that of a
+timeout."""
 
 
 OVERTIME = 0.5
-"""Seconds after the end of its time at which an action is cut short that should have given up on its own: on a busy node it
-may come to that late.
-"""
+"""Seconds after the end of its time at which an action is cancelled that should have given up on its own. On a busy
+node it may do so late."""
 
 
 class ProcedureFailed(Exception):
@@ -31,27 +31,29 @@ class ProcedureFailed(Exception):
 
 
 class Actions(Protocol):
-    """The actions on one instance. Each raises an exception that says why it failed; times are bounds in seconds."""
+    """The actions on one instance. Each raises an exception that says why it failed; ``within`` is a limit in
+    seconds."""
 
     async def call(
         self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
     ) -> dict[str, Any]:
-        """The answer of a service, which is asked again after so many seconds without one where ``repeat`` is given."""
+        """Return the answer of a service. If ``repeat`` is given, the request is sent again after so many seconds
+        without an answer."""
 
     async def service_present(self, service: str) -> bool:
-        """Whether the instance serves it."""
+        """Return whether the instance has this service."""
 
     async def node_present(self, node: str) -> bool:
-        """Whether the instance has a node of that full name."""
+        """Return whether the instance has a node of that full name."""
 
     async def lifecycle_state(self, node: str, within: float) -> str:
-        """The state of a managed node."""
+        """Return the state of a managed node."""
 
     async def bring_to(self, node: str, state: str, within: float) -> None:
         """Bring a managed node to a state."""
 
     async def get_parameters(self, node: str, names: Sequence[str], within: float) -> dict[str, Any]:
-        """Values of a node's parameters."""
+        """Return values of a node's parameters."""
 
     async def set_parameters(self, node: str, values: Mapping[str, Any], within: float) -> None:
         """Set a node's parameters."""
@@ -63,25 +65,25 @@ class Actions(Protocol):
         """Wait for a message."""
 
     async def restore_state(self, only: Sequence[str] | None, within: float) -> None:
-        """Give it the kept state that came with the procedure: all of it, or only of these topics and nodes."""
+        """Restore the kept state that came with the procedure: all of it, or only that of these topics and nodes."""
 
     async def resend_goals(self, within: float) -> None:
-        """Have unfinished goals sent to it."""
+        """Request that unfinished goals are sent to the instance."""
 
     def health(self, tree: HealthTree) -> Verdict:
-        """A health tree's verdict on it now."""
+        """Return the verdict of a health tree on the instance now."""
 
 
 Work = Callable[[Actions, float], Awaitable[None]]
-"""Does something within so many seconds. Raises what it failed by."""
+"""Does something within the given seconds. Raises an exception if it fails."""
 
 
 class TimeLimit:
-    """A deadline that leaves share."""
+    """A deadline that several leaves share."""
 
     def __init__(self) -> None:
         self.until = float("inf")
-        """By the event loop's clock."""
+        """In the event loop's time."""
 
 
 class ProcedureRun:
@@ -99,10 +101,10 @@ class Step(Behaviour):
     """One action."""
 
     def __init__(self, path: str, work: Work, run: ProcedureRun, limits: Sequence[TimeLimit]) -> None:
-        """``limits`` are the ends of time that hold for it."""
+        """``limits`` are the deadlines that apply to it."""
         super().__init__(path)
         self.error = ""
-        """Why it failed, the last time it did."""
+        """Why it failed the last time."""
         self._work, self._run, self._limits = work, run, limits
         self._task: asyncio.Task[None] | None = None
         self._failed = False
@@ -124,20 +126,20 @@ class Step(Behaviour):
             self._run.wake.set()
 
     def update(self) -> Status:
-        """How far it is."""
+        """Return the status of the action."""
         assert self._task is not None, "it was started"
         if not self._task.done():
             return Status.RUNNING
         return Status.FAILURE if self._failed else Status.SUCCESS
 
     def terminate(self, new_status: Status) -> None:
-        """Cancel what still runs."""
+        """Cancel the action if it still runs."""
         if self._task is not None and not self._task.done():
             self._task.cancel()
 
 
 class Timeout(Decorator):
-    """Fails when its node is not done in its time."""
+    """Fails if its child does not end in time."""
 
     def __init__(
         self,
@@ -150,16 +152,16 @@ class Timeout(Decorator):
     ) -> None:
         super().__init__(path, child)
         self.error = ""
-        """What was not done, the last time it was not."""
+        """What had not ended when it failed the last time."""
         self._run, self._within, self._limit, self._above = run, within, limit, above
 
     def initialise(self) -> None:
-        """The time begins."""
+        """Start the time."""
         self.error = ""
         self._limit.until = min([self._run.clock() + self._within, *(limit.until for limit in self._above)])
 
     def update(self) -> Status:
-        """The node's own, or a failure when its time is over."""
+        """Return the child's status, or a failure after the end of the time."""
         if self.decorated.status == Status.RUNNING and self._run.clock() >= self._limit.until + OVERTIME:
             self.error = f"not done within {self._within:g} s: {'; '.join(unfinished(self.decorated))}"
             return Status.FAILURE
@@ -167,7 +169,7 @@ class Timeout(Decorator):
 
 
 class Retry(Decorator):
-    """Tries its node again after a failure."""
+    """Tries its child again after a failure."""
 
     def __init__(self, path: str, child: Behaviour, run: ProcedureRun, times: int, wait: float) -> None:
         super().__init__(path, child)
@@ -176,18 +178,18 @@ class Retry(Decorator):
         self._again = 0.0
 
     def initialise(self) -> None:
-        """The first try."""
+        """Start the first attempt."""
         self._tries, self._again = 1, 0.0
 
     def tick(self) -> Iterator[Behaviour]:
-        """Leave the node alone while it waits for its next try."""
+        """Do not tick the child while it waits for the next attempt."""
         if self.status == Status.RUNNING and self._run.clock() < self._again:
             yield self
         else:
             yield from super().tick()
 
     def update(self) -> Status:
-        """The node's own, but for a failure that is not the last."""
+        """Return the child's status; a failure only if it was the last attempt."""
         if self.decorated.status != Status.FAILURE or self._tries >= self._times:
             return self.decorated.status
         self._tries += 1
@@ -196,7 +198,7 @@ class Retry(Decorator):
 
 
 def reasons(node: Behaviour, *, inverted: bool = False) -> list[str]:
-    """Why a node failed, leaf by leaf: its path and what was wrong."""
+    """Return for each failed leaf of a node its path and its error."""
     if isinstance(node, Step):
         return [f"{node.name}: it holds, which must not be" if inverted else f"{node.name}: {node.error}"]
     if isinstance(node, Timeout) and node.error:
@@ -208,7 +210,7 @@ def reasons(node: Behaviour, *, inverted: bool = False) -> list[str]:
 
 
 def unfinished(node: Behaviour) -> list[str]:
-    """The leaves that a running node still waits for, each with what it last failed by, if it did."""
+    """Return the leaves that a running node still waits for, each with the error of its last failure, if any."""
     steps = [found for found in node.iterate() if isinstance(found, Step)]
     running = [
         f"{s.name} is still running{f', after {s.error}' if s.error else ''}"

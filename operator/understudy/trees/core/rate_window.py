@@ -1,8 +1,8 @@
 """The arithmetic of rate windows.
 
-The rate of a topic at a moment is the number of samples received in the window that ends then, divided by the
-window's length. Time enters by one expression only, ``arrival + window``, the moment at which a sample leaves the
-window, so that the moment computed in advance is exactly the one at which the count is seen to change.
+The rate of a topic at a time is the number of samples received in the window that ends then, divided by the window's
+length. Time is used in one expression only, ``arrival + window``, the time at which a sample leaves the window. The
+time computed in advance is therefore exactly the time at which the count changes.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 HIGHEST = 10_000
-"""The highest bound in Hz; ROS topics stay far below, and a window must fit into memory."""
+"""The highest bound in Hz. ROS topics stay far below, and a window must fit into memory."""
 
 _NUMBER = r"([0-9]+(?:\.[0-9]+)?)"
 _BOUND = re.compile(rf"(>=|>|<=|<)\s*{_NUMBER}\s*Hz")
@@ -25,7 +25,7 @@ _FORMS = "write '> 8 Hz', '>= 8 Hz', '< 20 Hz', '<= 20 Hz' or '9 to 11 Hz'"
 
 @dataclass(frozen=True)
 class Band:
-    """The rates that are healthy, in Hz. A bound is exclusive where ``strict``."""
+    """The range of healthy rates in Hz. A bound is exclusive if ``strict``."""
 
     low: Fraction | None
     high: Fraction | None
@@ -33,9 +33,9 @@ class Band:
 
     @classmethod
     def parse(cls, text: str) -> Band:
-        """The band that ``> 8 Hz`` or ``9 to 11 Hz`` stands for.
+        """Parse a range such as ``> 8 Hz`` or ``9 to 11 Hz``.
 
-        Raises ValueError, with the forms that would be right, when it is none or cannot hold any rate.
+        Raises ValueError, which names the accepted forms, if the text is none of them or no rate can be in the range.
         """
         text = text.strip()
         if match := _BOUND.fullmatch(text):
@@ -63,7 +63,7 @@ class Band:
 
     @property
     def expected(self) -> float:
-        """A rate in Hz to be ready for: the upper bound, or twice the lower one."""
+        """The expected rate in Hz: the upper bound, or twice the lower one."""
         if self.high is not None:
             return float(self.high)
         return 2 * float(self.low or 0)
@@ -71,21 +71,22 @@ class Band:
     def shortest_window(self) -> float:
         """The shortest window, in seconds, in which a steady rate inside the band is always counted as inside.
 
-        A window counts a steady rate as one of two neighbouring numbers, so a band must be two samples wide there.
+        A window counts a steady rate as one of two neighbouring numbers, so a band must be at least two samples wide in
+        it.
         """
         width = self.high - self.low if self.low is not None and self.high is not None else self.low or self.high
         assert width, "a band has a bound above 0"
         return float(2 / width)
 
     def default_window(self) -> float:
-        """The window in seconds if none is given: 2 s, or longer where ten samples or the band need it."""
+        """The window in seconds if none is given: 2 s, or longer if ten samples or the band need it."""
         slowest = self.low if self.low else self.high
         assert slowest, "a band has a bound above 0"
         return max(2.0, float(10 / slowest), self.shortest_window())
 
 
 def hertz(rate: Fraction | float) -> str:
-    """A rate in words, such as ``6.1 Hz``."""
+    """Format a rate, such as ``6.1 Hz``."""
     return f"{float(rate):.4g} Hz"
 
 
@@ -93,15 +94,15 @@ class Window:
     """Counts the samples of one topic in a sliding window, and computes in advance when the count leaves a band."""
 
     def __init__(self, band: Band, window: float) -> None:
-        """The band, and the window's length in seconds."""
+        """``window`` is the window's length in seconds."""
         self.band = band
         self.length = window
-        # Durations are written in decimals; their nearest float must not shift a bound by one sample.
+        # # Durations are written as decimals. The difference to the nearest float must not shift a bound by one sample.
         exact = Fraction(window).limit_denominator(1_000_000)
         self.least = 0
         """The least count inside the band."""
         self.most: int | None = None
-        """The greatest count inside the band, None if it is unbounded."""
+        """The greatest count inside the band; None if it is unbounded."""
         if band.low is not None:
             samples = band.low * exact
             self.least = math.floor(samples) + 1 if band.strict else math.ceil(samples)
@@ -110,35 +111,37 @@ class Window:
             self.most = math.ceil(samples) - 1 if band.strict else math.floor(samples)
 
     def leaves(self, arrival: float) -> float:
-        """When a sample is no longer in the window."""
+        """Return when a sample leaves the window."""
         return arrival + self.length
 
     def count(self, arrivals: Sequence[float], now: float) -> int:
-        """Samples in the window that ends now. Arrivals are in order of time and none is after now."""
+        """Return the number of samples in the window that ends now. Arrivals are in order of time, and none is after
+        now."""
         return len(arrivals) - bisect_right(arrivals, now, key=self.leaves)
 
     def holds(self, arrivals: Sequence[float], now: float) -> bool:
-        """Whether the count in the window that ends now is inside the band."""
+        """Return whether the count in the window that ends now is inside the band."""
         return now < self.until(arrivals) and not self.exceeded(arrivals, now)
 
     def until(self, arrivals: Sequence[float]) -> float:
-        """When the count falls below the band if nothing more arrives: as the last sample that it needs leaves."""
+        """Return when the count falls below the band if nothing more arrives: when the last necessary sample leaves the
+        window."""
         if not self.least:
             return math.inf
         return self.leaves(arrivals[-self.least]) if len(arrivals) >= self.least else -math.inf
 
     def exceeded(self, arrivals: Sequence[float], now: float) -> bool:
-        """Whether the count in the window that ends now is above the band."""
+        """Return whether the count in the window that ends now is above the band."""
         most = self.most
         return most is not None and len(arrivals) > most and now < self.leaves(arrivals[-most - 1])
 
     def changes(self, arrivals: Sequence[float]) -> list[float]:
-        """When the count enters or leaves the band if nothing more arrives (past moments among them)."""
+        """Return when the count enters or leaves the band if nothing more arrives, including past times."""
         moments = [self.until(arrivals)]
         if self.most is not None and len(arrivals) > self.most:
             moments.append(self.leaves(arrivals[-self.most - 1]))
         return [moment for moment in moments if math.isfinite(moment)]
 
     def rate(self, arrivals: Sequence[float], now: float) -> float:
-        """The rate in Hz over the window that ends now."""
+        """Return the rate in Hz over the window that ends now."""
         return self.count(arrivals, now) / self.length

@@ -1,8 +1,8 @@
 """A snapshot of a health tree in the form of py_trees_ros: a list of behaviours that refer to each other by id.
 
-Plain values; the numbers are those of py_trees_ros_interfaces/msg/Behaviour 2.1. A tool builds its own tree from them, and
-fails on a type or a status that it does not know, on a decorator without a child and on a list without a root: none of them
-is ever given.
+Plain values; the numbers are those of py_trees_ros_interfaces/msg/Behaviour 2.1. A tool builds its own tree from them.
+It fails for an unknown type or status, a decorator without a child, and a list without a root, so none of these is ever
+sent.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ INVALID, RUNNING, SUCCESS, FAILURE = 1, 2, 3, 4
 BEHAVIOUR, SEQUENCE, SELECTOR, PARALLEL, DECORATOR = 1, 2, 3, 4, 6
 
 NOBODY = bytes(16)
-"""The id that stands for none."""
+"""The id that means none."""
 
 _TYPES: Mapping[str, int] = {
     "parallel": PARALLEL,
@@ -50,12 +50,12 @@ class Behaviour(NamedTuple):
     parent: bytes
     children: tuple[bytes, ...]
     current: bytes
-    """Of a composite, the child that decides."""
+    """Of a composite: the child that decided its state."""
     tip: bytes
-    """The node below it at which the decision lies; NOBODY of a leaf."""
+    """The node below it that decided its state; NOBODY for a leaf."""
     name: str
     kind: str
-    """What it is called in the short form."""
+    """Its key in the short form."""
     type: int
     detail: str
     status: int
@@ -65,9 +65,9 @@ class Behaviour(NamedTuple):
 
 
 def behaviours(tree: Snapshot | None, workload: str) -> list[Behaviour]:
-    """The nodes of a snapshot, parents before their children, as they are listed depth first.
+    """Return the nodes of a snapshot depth first, parents before their children.
 
-    A node's id is the same for as long as its place, kind and name are, also after a restart of the monitor.
+    A node's id depends on its place, kind and name only, so it stays the same after a restart of the monitor.
     """
     found: list[Behaviour] = []
     _list(tree if tree is not None else _NOTHING, f"{workload}:", NOBODY, False, found)
@@ -75,7 +75,7 @@ def behaviours(tree: Snapshot | None, workload: str) -> list[Behaviour]:
 
 
 def statuses(listed: Sequence[Behaviour]) -> tuple[tuple[bytes, int, bool], ...]:
-    """What makes a change: that nodes come or go, or are in another state. Their messages do not."""
+    """Return what makes a change if it differs: which nodes exist, and their states. Messages do not count."""
     return tuple((node.id, node.status, node.active) for node in listed)
 
 
@@ -89,7 +89,7 @@ def _list(node: Snapshot, place: str, parent: bytes, idle: bool, found: list[Beh
     current = below[_deciding(kind, below)] if below else None
     status, message = _STATUSES.get(state, RUNNING), node["reason"]
     if waits:
-        # It holds on its own, and what is in it is not asked.
+        # # It holds, and what is in it is not evaluated.
         status, message = SUCCESS, f"no goal of {node['task']} is active"
     if idle:
         status, message = INVALID, ""
@@ -116,7 +116,7 @@ _PLACE = Behaviour(NOBODY, NOBODY, (), NOBODY, NOBODY, "", "", 0, "", 0, "", Fal
 
 
 def _deciding(kind: str, children: Sequence[Behaviour]) -> int:
-    """Which child gave a node its state."""
+    """Return which child gave a node its state."""
     order = {"parallel": (FAILURE, RUNNING), "sequence": (FAILURE, RUNNING), "selector": (SUCCESS, RUNNING)}.get(
         kind, ()
     )
@@ -129,5 +129,6 @@ def _deciding(kind: str, children: Sequence[Behaviour]) -> int:
 
 @lru_cache(maxsize=1024)
 def _id(place: str) -> bytes:
-    """Tools read ids as of version 4, whatever bits they have: with any other they would find them changed."""
+    """Build an id. It has the bits of a version 4 UUID, because tools read ids as that version and would change any
+    other."""
     return uuid.UUID(bytes=uuid.uuid5(_IDS, place).bytes, version=4).bytes

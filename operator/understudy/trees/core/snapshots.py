@@ -15,11 +15,12 @@ from understudy.trees.core.observations import Observations
 from understudy.trees.core.task_activity import While
 
 Shown = State | Literal["Idle", "Unasked"]
-"""How a node is. Idle: the task that it is for is not active. Unasked: what comes before it in a sequence does not hold."""
+"""The displayed state of a node. Idle: the task that it is for is not active. Unasked: an earlier node of its sequence
+does not hold."""
 
 Snapshot = dict[str, Any]
-"""A node: ``name``, ``kind``, ``state`` and ``reason``; of a leaf also ``topic``, where its messages are received the number
-``received`` so far and the ``age`` of the last one in seconds; of a composite ``children``."""
+"""A node: ``name``, ``kind``, ``state`` and ``reason``. A leaf also has its ``topic`` and, if its messages are
+received, the number ``received`` so far and the ``age`` of the last one in seconds. A composite has ``children``."""
 
 _KINDS: tuple[tuple[type[Behaviour], str], ...] = (
     (While, "while"),
@@ -36,12 +37,12 @@ def snapshot(tree: HealthTree, observations: Observations, now: float) -> Snapsh
 
 
 def states(tree: HealthTree) -> tuple[Shown, ...]:
-    """How each of its nodes was at the last evaluation: a tenth of the work of a snapshot."""
+    """Return the state of each node at the last evaluation. It costs a tenth of a snapshot."""
     return tuple(shown(node) for node in tree.root.iterate()) if tree.root is not None else ()
 
 
 def shown(node: Behaviour) -> Shown:
-    """How a node was at the last evaluation."""
+    """Return the state of a node at the last evaluation."""
     if node.status not in STATE:
         return "Unasked"
     if isinstance(node, Leaf | While) and not node.counts():

@@ -14,11 +14,12 @@ from understudy.trees.core.observations import Evaluation
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
 ACTIVE_STATUSES = (2, 3)
-"""Statuses of a goal that make a task active (action_msgs/msg/GoalStatus): executing and canceling. One that is only accepted
-is not: nobody works on it (yet), as on a goal of the task proxy between two instances."""
+"""Statuses of a goal that make a task active (action_msgs/msg/GoalStatus): executing and canceling. A goal that is only
+accepted does not count: no instance works on it (yet), as with a goal that the task proxy holds between two instances.
+"""
 
 SETTLE = 2.0
-"""Seconds after a task has become active in which what it needs may start, if the tree does not say."""
+"""Seconds after a task has become active within which what it needs may start, if the tree does not state them."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,11 @@ class TaskActive:
 
     @property
     def topic(self) -> str:
-        """Where the action's server says how its goals are (ROS 2 design: actions)."""
+        """The topic on which the action's server publishes the statuses of its goals (ROS 2 design: actions)."""
         return f"{self.action}/_action/status"
 
     def since(self, evaluation: Evaluation) -> float | None:
-        """When it became active, in Unix seconds; None while it is not."""
+        """Return when it became active, in Unix seconds; None while it is not."""
         return evaluation.observations.task(self.topic)
 
 
@@ -44,9 +45,9 @@ class TaskTiming:
     """The times from which a leaf is evaluated, in Unix seconds."""
 
     active: float
-    """When the last of the tasks that it is for became active: its clock begins there at the earliest."""
+    """When the last of its tasks became active: the leaf's clock starts then at the earliest."""
     settled: float
-    """Until when what it looks at may take to start."""
+    """Until when what it evaluates may take to start."""
 
 
 def task_timing(tasks: Sequence[TaskActive], evaluation: Evaluation) -> TaskTiming | None:
@@ -61,7 +62,7 @@ def task_timing(tasks: Sequence[TaskActive], evaluation: Evaluation) -> TaskTimi
 
 
 class While(Decorator):
-    """Its node's verdict while a task is active, else success."""
+    """Has its child's status while a task is active, and otherwise succeeds."""
 
     def __init__(self, name: str, child: Behaviour, task: TaskActive, evaluation: Evaluation) -> None:
         super().__init__(name, child)
@@ -69,9 +70,9 @@ class While(Decorator):
         self._evaluation = evaluation
 
     def counts(self) -> bool:
-        """Whether its node is judged at the time of the evaluation."""
+        """Return whether its child is judged at the time of the evaluation."""
         return self.task.since(self._evaluation) is not None
 
     def update(self) -> Status:
-        """The node's own, if it counts."""
+        """Return the child's status, if it counts."""
         return self.decorated.status if self.counts() else Status.SUCCESS
