@@ -71,7 +71,7 @@ def of_api_server(api: Api) -> Clock | None:
         if not answer.date:
             return None
         if before is not None and answer.date != before.date:
-            # # The second began after the previous request was sent and before this answer was received.
+            # The second began after the previous request was sent and before this answer was received.
             early, late = before.asked, answer.answered
             second = parsedate_to_datetime(answer.date).timestamp()
             return Clock(second - (early + late) / 2, (late - early) / 2)
@@ -110,7 +110,7 @@ class OfNodes:
             now = {name: unix(moment) for name, moment in written.items() if moment}
             for name in now.keys() & before.keys():
                 if now[name] != before[name]:
-                    # # It was written after the previous request was sent and before this answer was received.
+                    # It was written after the previous request was sent and before this answer was received.
                     middle, give = (asked_before + answer.answered) / 2, (answer.answered - asked_before) / 2
                     self.clocks[name] = Clock(now[name] - middle, give)
             before, asked_before = now, answer.asked
@@ -125,7 +125,7 @@ def judge(nodes: Mapping[str, Clock], api_server: Clock | None) -> Finding:
         return Finding(
             CHECK, "WARN", "there is only one clock to look at", "run it where pods may be made on two nodes"
         )
-    # # Compares the differences that are certain, so that two inaccurate clocks count less than two accurate ones.
+    # Compares the differences that are certain, so that two inaccurate clocks count less than two accurate ones.
     first = min(known, key=lambda name: known[name].ahead + known[name].give)
     last = max(known, key=lambda name: known[name].ahead - known[name].give)
     apart = known[last].ahead - known[first].ahead

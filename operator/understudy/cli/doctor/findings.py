@@ -36,7 +36,7 @@ def lines(findings: Sequence[Finding], *, columns: int | None, colours: bool) ->
         row = [Cell(finding.level.ljust(len("FAIL")), _STATES[finding.level]), Cell(finding.check.ljust(width))]
         (head,) = text_tables.format_table([row], colours=colours)
         first, *others = wrapped(finding.found, columns, indent=hanging)
-        # # Colour codes have no width: the next column is aligned by the visible width.
+        # Colour codes have no width: the next column is aligned by the visible width.
         seen = text_tables.width([row])
         padding = " " * (seen - len(text_tables.format_table([row], colours=False)[0]))
         yield f"{head}{padding}  {first.lstrip()}"

@@ -153,7 +153,7 @@ def differences(wanted: Any, live: Any, path: str = "") -> Iterator[str]:
         for key in [*wanted, *(key for key in live if key not in wanted)]:
             if key == "description" and isinstance(wanted.get(key, ""), str):
                 continue
-            # # Name the field as a reader would: the levels in between are keywords of the schema language.
+            # Name the field as a reader would: the levels in between are keywords of the schema language.
             below = path if key in ("properties", "items", "additionalProperties") else f"{path}.{key}".lstrip(".")
             if key not in live:
                 yield f"{below} is missing"

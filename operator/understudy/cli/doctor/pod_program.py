@@ -83,7 +83,7 @@ async def answer(inside: Inside, line: str) -> dict[str, Any]:
     try:
         what, given = json.loads(line)
         return {"answer": await getattr(inside, what)(**given)}
-    except Exception as error:  # # whatever the error is, the caller must know it
+    except Exception as error:  # whatever the error is, the caller must know it
         return {"error": f"{type(error).__name__}: {error}"}
 
 
@@ -96,7 +96,7 @@ async def run() -> None:
 
 if __name__ == "__main__":
     if sys.argv[1:] == ["graph"]:
-        # # The import starts this process again with its libraries. Input that was already read would be lost then.
+        # The import starts this process again with its libraries. Input that was already read would be lost then.
         import rclpy  # noqa: F401
     asyncio.run(run())
     os._exit(0)  # a thread may still be sending

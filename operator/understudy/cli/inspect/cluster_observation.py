@@ -49,7 +49,7 @@ def around(kubectl: Kubectl, name: str) -> Around:
     policy = change_index.used_policy(item)
     used = [i for i in items if i["kind"] == "FailurePolicy" and i["metadata"]["name"] == policy]
     if any(situation_strategies.has_some(i) for i in used):
-        # # Which policy is effective depends on the one before, which the monitor received in this ConfigMap.
+        # Which policy is effective depends on the one before, which the monitor received in this ConfigMap.
         told = kubectl.find(CONFIG_MAPS.qualified, names.settings(name))
         items += [told] if told is not None else []
     if any(health_tree_sources.reference(i) for i in used):

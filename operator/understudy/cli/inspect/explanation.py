@@ -413,7 +413,7 @@ def _pools(known: Known) -> Iterator[_Entry]:
     for name in known.pools:
         item = observed.pools.get(name)
         if item is None or not pool_reader.serves(item, observed.workload):
-            continue  # # it is reported above
+            continue  # it is reported above
         if pool_reader.readiness(item) == "Uninitialized":
             yield from _shared(name, item, observed)
         else:
@@ -503,7 +503,7 @@ def _not_covered(known: Known) -> Iterator[_Entry]:
     try:
         watched = {topic.name for topic in load_monitoring(policy.monitoring).topics}
     except TreeError:
-        return  # # it is reported above
+        return  # it is reported above
     unwatched = [output.topic for output in spec.outputs if output.topic and output.topic not in watched]
     if unwatched:
         yield _Entry(f"The health tree doesn't watch {listed(unwatched)}: nobody notices where it falls silent.")

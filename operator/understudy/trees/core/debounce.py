@@ -12,7 +12,7 @@ class Debounce:
 
     def failed(self, now: float, length: float) -> float:
         """Note that the tree is failed now, and return when that counts, with a debounce of ``length`` seconds."""
-        if self.failing_since is None or self.failing_since > now:  # # the clock was set back meanwhile
+        if self.failing_since is None or self.failing_since > now:  # the clock was set back meanwhile
             self.failing_since = now
         return self.failing_since + length
 

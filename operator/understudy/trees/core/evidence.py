@@ -103,7 +103,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     def forget(self) -> None:
         """Forget the messages of another instance."""
 
-    # # -- evidence ---------------------------------------------------------------------------------------------------
+    # -- evidence ---------------------------------------------------------------------------------------------------
 
     def followed(self) -> EvidenceTrack[EvidenceT]:
         """Return the evidence up to the time of the evaluation. Each message is evaluated once."""
@@ -143,7 +143,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
             return math.inf, math.inf
         lost = self.lost(track)
         healthy = max(found.settled, lost) if track.held or lost < math.inf else found.settled
-        # # Grace applies only to an instance for which the condition has not held yet.
+        # Grace applies only to an instance for which the condition has not held yet.
         return healthy, healthy if track.held else max(healthy, evaluation.in_time)
 
     def state(self) -> State:

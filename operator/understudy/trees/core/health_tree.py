@@ -148,7 +148,7 @@ class HealthTree:
         self.root = self._build(self._left_out)
         nodes = list(self.root.iterate()) if self.root is not None else []
         self._leaves = [node for node in nodes if isinstance(node, Leaf)]
-        # # Without an inverter, a tree is healthy if all its leaves are. That is nearly always the case, and needs no
+        # Without an inverter, a tree is healthy if all its leaves are. That is nearly always the case, and needs no
         # tick of all its nodes.
         self._upright = not any(isinstance(node, Inverter) for node in nodes)
 
@@ -227,7 +227,7 @@ class HealthTree:
             if SEVERITY[self._tick(observations, moment, since, real=False)] > present:
                 found = moment
                 break
-        self._tick(observations, now, since)  # # so that the nodes show the present state, not the one that was tried
+        self._tick(observations, now, since)  # so that the nodes show the present state, not the one that was tried
         return found
 
     def next_change(self, observations: Observations, *, now: float, since: float) -> float | None:
@@ -256,7 +256,7 @@ class HealthTree:
     def _look(self, observations: Observations, now: float, since: float, *, real: bool) -> None:
         evaluation = self._evaluation
         evaluation.observations, evaluation.now, evaluation.since, evaluation.real = observations, now, since, real
-        if real and evaluation.begun > now:  # # the clock was set back meanwhile
+        if real and evaluation.begun > now:  # the clock was set back meanwhile
             evaluation.begun = now
 
     def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
@@ -282,7 +282,7 @@ def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[Leaf, st
         reason = node.reason(STATE[node.status])
         return [(node, f"{reason}, which must not be" if inverted and node.status != Status.RUNNING else reason)]
     if isinstance(node, While) and not node.counts():
-        # # Its child counts as healthy while the task is not active, so this matters only under an inverter.
+        # Its child counts as healthy while the task is not active, so this matters only under an inverter.
         leaf = next(inner for inner in node.iterate() if isinstance(inner, Leaf))
         return [(leaf, f"no goal of {node.task.action} is active, which must not be")]
     if isinstance(node, Inverter):
@@ -301,9 +301,9 @@ def _onset(node: Behaviour) -> float | None:
     if isinstance(node, While):
         return _onset(node.decorated)
     if not isinstance(node, Parallel | Sequence | AnyOf):
-        return None  # # An inverter fails because of a message, and no message marks its last good moment.
+        return None  # An inverter fails because of a message, and no message marks its last good moment.
     onsets = [onset for child in _deciding(node) if (onset := _onset(child)) is not None]
     if not onsets:
         return None
-    # # A conjunction was good until the first child was lost, an alternative until the last one was.
+    # A conjunction was good until the first child was lost, an alternative until the last one was.
     return max(onsets) if isinstance(node, AnyOf) else min(onsets)

@@ -97,7 +97,7 @@ class Window:
         """``window`` is the window's length in seconds."""
         self.band = band
         self.length = window
-        # # Durations are written as decimals. The difference to the nearest float must not shift a bound by one sample.
+        # Durations are written as decimals. The difference to the nearest float must not shift a bound by one sample.
         exact = Fraction(window).limit_denominator(1_000_000)
         self.least = 0
         """The least count inside the band."""

@@ -89,7 +89,7 @@ def _list(node: Snapshot, place: str, parent: bytes, idle: bool, found: list[Beh
     current = below[_deciding(kind, below)] if below else None
     status, message = _STATUSES.get(state, RUNNING), node["reason"]
     if waits:
-        # # It holds, and what is in it is not evaluated.
+        # It holds, and what is in it is not evaluated.
         status, message = SUCCESS, f"no goal of {node['task']} is active"
     if idle:
         status, message = INVALID, ""
