@@ -23,7 +23,10 @@ class Create:
     resource: Resource
     body: Object
     counted: bool = False
-    """Whether a maximum number of such objects must not be exceeded. The operator then counts it before it is observed."""
+    """Whether a maximum number of such objects must not be exceeded.
+
+    The operator then counts it before it is observed.
+    """
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ Write = Apply | Create | Patch | Delete
 
 
 UNANSWERED = "WebhookUnavailable"
-"""Reason of a Problem that says nothing about the object: an admission webhook that must review the write does not answer."""
+"""Reason of a Problem that says nothing about the object: an admission webhook for the write does not answer."""
 
 
 @dataclass(frozen=True)

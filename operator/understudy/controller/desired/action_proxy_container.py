@@ -1,4 +1,4 @@
-"""The objects that tasks need: action endpoints that only an instance's own agent reaches, and one proxy in front of all."""
+"""The objects for tasks: action endpoints that only an instance's own agent reaches, and one proxy in front of all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from understudy.ros.rmw import MIDDLEWARE
 
 
 def proxied(spec: RobotWorkloadSpec) -> bool:
-    """Whether a workload has an action proxy. Pods of a referred controller cannot be prevented from serving under the plain name."""
+    """Whether a workload has an action proxy.
+
+    Pods of a referred controller cannot be prevented from serving under the plain name.
+    """
     return bool(spec.tasks) and spec.workload_ref is None
 
 

@@ -1,4 +1,4 @@
-"""Determines which strategies are in force: those of the policy, those selected for the workload, or those of its situation.
+"""Determines which strategies are in force: those of the policy, those selected for the workload, or its situation's.
 
 The settings that the operator last wrote for the monitor also serve as memory. The operator keeps to them while the
 policy is missing or invalid, and during a recovery.
@@ -27,9 +27,10 @@ def strategies(observed: Observed) -> list[Strategy]:
 
 
 def order(observed: Observed, name: str | None = None) -> Order | None:
-    """Return the order of strategies for the workload, or None if its policy does not leave the order open, or is missing or invalid.
+    """Return the order of strategies for the workload, or None.
 
-    ``name`` is the name of a situation (empty for none). By default, it is the situation in force.
+    It is None if the policy does not leave the order open, or is missing or invalid. ``name`` is the name of a
+    situation (empty for none). By default, it is the situation in force.
     """
     policy = observed.policy
     if (
@@ -48,7 +49,7 @@ def order(observed: Observed, name: str | None = None) -> Order | None:
 
 
 def chosen(observed: Observed) -> list[Strategy] | None:
-    """Return the strategies that were selected for the workload or belong to its situation; None if its policy lists them.
+    """Return the strategies that were selected for the workload or its situation; None if its policy lists them.
 
     The current ones stay while the policy is missing or invalid. They also stay during a recovery, which identifies a
     strategy by its position in the order. They may change between two failed recoveries, because the change may be what
@@ -103,7 +104,10 @@ def situation(observed: Observed) -> str:
 
 
 def lacking(observed: Observed) -> str:
-    """Return why the strategies of the reported situation are not in force yet; empty if they are, or if there are no situations."""
+    """Return why the strategies of the reported situation are not in force yet.
+
+    The text is empty if they are, or if the policy has no situations.
+    """
     policy = observed.policy
     if policy is None or not situation_strategies.has_some(policy):
         return ""
@@ -129,7 +133,10 @@ def _of_situation(observed: Observed, policy: Object, name: str) -> list[Strateg
 
 
 def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
-    """Return why the first strategy of a situation cannot run now, or None. Strategies that can never run are skipped."""
+    """Return why the first strategy of a situation cannot run now, or None.
+
+    Strategies that can never run are skipped.
+    """
     if observed.told_recovering:
         return "a recovery is in progress"
     asked = _of_situation(observed, policy, name)

@@ -1,4 +1,4 @@
-"""The settings of a workload's monitor. The monitor reads them from a ConfigMap, also when they change."""
+"""The settings of a workload's monitor. The monitor reads them from a ConfigMap, and again when they change."""
 
 from __future__ import annotations
 

@@ -176,7 +176,7 @@ def _tasks(
         "args": ["tasks"],
         "env": [{"name": key, "value": value} for key, value in sorted(fixed.items())],
         "ports": [{"name": "tasks", "containerPort": names.TASKS_PORT, "protocol": "TCP"}],
-        # A restart loses no goal but takes seconds, so a busy node has a minute.
+        # A restart loses no goal but takes seconds, so the proxy has a minute to answer on a busy node.
         "livenessProbe": {
             "httpGet": {"path": "/healthz", "port": names.TASKS_PORT},
             "initialDelaySeconds": 10,

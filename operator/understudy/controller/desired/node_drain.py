@@ -37,7 +37,7 @@ def seen(observed: Observed) -> Drain | None:
 
 @dataclass(frozen=True)
 class Hold:
-    """Whether evictions of the active instance are delayed."""
+    """Whether evictions of the active instance are delayed, and why."""
 
     reason: str
     message: str
@@ -86,9 +86,10 @@ def _falls_back(observed: Observed, understanding: Understanding) -> bool:
 
 
 def budget(workload: str, active: Object) -> Object:
-    """Return the budget that makes the API server refuse an eviction of the active instance for now (429); drain tools then retry.
+    """Return the budget that makes the API server refuse evictions of the active instance for now (429).
 
-    An instance that is not ready does not wait, because an unhealthy instance fails over anyway.
+    Drain tools then retry. An instance that is not ready does not wait, because an unhealthy instance fails over
+    anyway.
     """
     chosen = {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(active)}
     return pool_evictions.keeping(names.in_control(workload), 1, chosen)

@@ -28,7 +28,10 @@ def wanted(observed: Observed, pool: str) -> int:
 
 
 def _kept(observed: Observed, pool: str) -> int:
-    """Return how many standbys of a pool the workload should always have: none if other strategies were selected for it."""
+    """Return how many standbys of a pool the workload should always have.
+
+    It is none if other strategies were selected for the workload.
+    """
     chosen = effective_policy.chosen(observed)
     if chosen is not None and pool not in effective_policy.counted_on(observed, chosen):
         return 0
@@ -85,13 +88,13 @@ def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str
 def _renewed(
     observed: Observed, understanding: Understanding, pool: str, mine: Sequence[Object], want: int
 ) -> tuple[int, list[Object]]:
-    """Return how many extra standbys to keep while a pod that stands in for a standby is replaced, and which of these pods to delete.
+    """Return the number of extra standbys during a replacement, and the workload's own pods that can be deleted.
 
-    A pod of the workload's own controller that has an old template, or is on a node that is about to go, waits like any
-    standby. Like a standby, it is deleted when another one is ready. So there is one extra standby, which is kept until
-    the controller's next pod is ready.
-    If the pod stands in for no standby (for example, if a pod of a shared pool is active), the wanted standbys exist
-    besides it. It is then deleted only because of its template, when a pool's standbys are ready.
+    A pod of the workload's own controller can stand in for a standby. If it has an old template, or is on a node that
+    is about to go, it waits like any standby. Like a standby, it is deleted when another one is ready. So there is one
+    extra standby, which is kept until the controller's next pod is ready.
+    If the pod stands in for no standby (for example, if a pod of a shared pool is active), the wanted standbys exist in
+    addition to it. It is then deleted only because of its template, when a pool's standbys are ready.
     """
     gate, present = observed.gate, instance_pod.template_hash(understanding.builts[pool])
     if observed.active is None or kube_objects.labels(observed.active).get(names.SOURCE) == "workload":
@@ -160,10 +163,10 @@ def _template_of(replica_set: Object) -> str:
 
 
 def scale(made: Plan, observed: Observed) -> None:
-    """Scale the workload's ReplicaSet to one pod, or to none while a pod of a shared pool is active and no standby is needed.
+    """Scale the workload's ReplicaSet to one pod, or to none while a shared pool's pod is active and no standby is needed.
 
     The scale does not change while the gate is closed, because the monitor may be changing it. It also does not change
-    while a switchover is requested or in progress, for which a pod may be started besides the active one.
+    while a switchover is requested or in progress: a pod may be started for it, beside the active one.
     """
     live = observed.owned.get(("replicasets", kube_objects.name(observed.workload)))
     if live is None or observed.gate is None or not kube_objects.active(observed.gate)[0]:

@@ -1,7 +1,7 @@
-"""Selects the order of a workload's strategies, if its policy leaves the order open. Takes the objects as the API has them.
+"""Selects the order of a workload's strategies, if its policy leaves the order open.
 
-This is the only place where requirements become strategies. The operator, ``understudy check`` and ``understudy
-recommend`` all use it, and the monitor receives the result.
+Takes the objects as the API has them. This is the only place where requirements become strategies. The operator,
+``understudy check`` and ``understudy recommend`` all use it, and the monitor receives the result.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def order(
     cpu: Mapping[Way, Figure] | None = None,
     sharing: Mapping[str, int] | None = None,
 ) -> Order | None:
-    """Return the order for a workload, a policy and the pools that serve the workload; None if the policy's requirements are invalid.
+    """Return the order for a workload, its policy and the pools that serve it; None if the requirements are invalid.
 
     ``requirements`` replaces those of the policy. ``cpu`` is the measured use of standbys. ``sharing`` is how many
     workloads each shared pool serves.

@@ -84,7 +84,10 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
 
 
 def abandoned(workload: str, pods: Sequence[Object]) -> Plan:
-    """Return the writes for a deleted workload: referred pods lose Understudy's labels. Kubernetes collects the owned objects."""
+    """Return the writes for a deleted workload: referred pods lose Understudy's labels.
+
+    Kubernetes collects the owned objects.
+    """
     return Plan(writes=list(workload_reference.unlabelling(workload, pods, keep=frozenset())))
 
 
@@ -130,7 +133,10 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
 
 
 def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
-    """Maintain the budget of the active instance. During a recovery, when none is active, it stays unchanged and selects nothing."""
+    """Maintain the budget of the active instance.
+
+    During a recovery, when none is active, it stays unchanged and selects nothing.
+    """
     found, active, name = (
         node_drain.hold(observed, understanding),
         observed.active,
@@ -198,10 +204,12 @@ def _monitor(
 
 
 def _commanded(observed: Observed, understanding: Understanding) -> list[str]:
-    """Return the shared pools whose agents the monitor commands: those of its strategies, and those of pods that it has or may have.
+    """Return the shared pools whose agents the monitor commands.
 
-    A claimed pod stays when its pool is deleted or no longer used. The labels that a monitor may write on its pods give
-    it no new right: the pools of these pods count only if it had the right before, or if the pool's selector gives it.
+    These are the pools of its strategies, and those of pods that it has or may have. A claimed pod stays when its pool
+    is deleted or no longer used.
+    The labels that a monitor may write on its pods give it no new right: the pools of these pods count only if it had
+    the right before, or if the pool's selector gives it.
     """
     chosen = {
         choice.name for choice in monitor_config.choices(observed, understanding) if choice.readiness == "Uninitialized"

@@ -124,7 +124,10 @@ def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | No
 
 
 def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
-    """Return the tree that initializes a pool's standbys, as text in the short form; empty if there is none or the pool is invalid."""
+    """Return the tree that initializes a pool's standbys, as text in the short form.
+
+    It is empty if there is none, or if the pool is not accepted.
+    """
     if observed.refused(pool) is not None:
         return ""
     parsed = pool_reader.spec(observed.pools[pool])

@@ -1,4 +1,7 @@
-"""The recovery record at a workload's gate. The monitor writes it with the first commit, before its status mentions the recovery."""
+"""The recovery record at a workload's gate.
+
+The monitor writes it with the first commit, before its status mentions the recovery.
+"""
 
 from __future__ import annotations
 

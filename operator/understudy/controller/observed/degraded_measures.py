@@ -1,4 +1,7 @@
-"""The actions of a policy for a degraded workload, as the operator reads them. The monitor determines whether it is degraded."""
+"""The actions of a policy for a degraded workload, as the operator reads them.
+
+The monitor determines whether it is degraded.
+"""
 
 from __future__ import annotations
 

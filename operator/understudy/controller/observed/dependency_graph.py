@@ -35,7 +35,7 @@ def graph(workloads: Iterable[Object]) -> dict[str, list[str]]:
 
 
 def circle(known: Graph, name: str) -> list[str] | None:
-    """Return a shortest path from a workload over its dependencies back to itself, such as ``[a, b, a]``; None if there is none.
+    """Return a shortest path from a workload over its dependencies back to itself, such as ``[a, b, a]``, or None.
 
     It starts with the alphabetically first name, so that it is the same for each of its members.
     """
@@ -58,7 +58,7 @@ def circle(known: Graph, name: str) -> list[str] | None:
 
 
 def upstream(known: Graph, name: str) -> list[Upstream]:
-    """Return all direct and indirect dependencies of a workload, each after its own dependencies; empty if there is a cycle."""
+    """Return all direct and indirect dependencies of a workload, each after its own; empty if there is a cycle."""
     if first_circle(known, name) is not None:
         return []
     left = [one for one in _reached(known, name) if one != name]

@@ -49,7 +49,10 @@ def deleted(item: Object) -> bool:
 
 
 def owner(kind: str, item: Object) -> Object:
-    """Return the owner reference for objects that a RobotWorkload or FallbackPool controls. It never blocks the owner's deletion."""
+    """Return the owner reference for objects that a RobotWorkload or FallbackPool controls.
+
+    It never blocks the owner's deletion.
+    """
     return {
         "apiVersion": API_VERSION,
         "kind": kind,

@@ -56,7 +56,7 @@ class Observed:
     dependencies: Mapping[str, Sequence[str]] = field(default_factory=dict)
     """The dependencies of each workload of the namespace; empty if this workload has none."""
     resized: Object | None = None
-    """The complete active pod, while the workload is degraded and its policy then gives it more resources; None otherwise."""
+    """The complete active pod, if the workload is degraded and its policy then gives it more resources; else None."""
     cordoned: frozenset[str] = frozenset()
     """The nodes of the cluster that are being drained or are cordoned."""
     budgets: Sequence[Object] = ()
@@ -87,7 +87,10 @@ class Observed:
         return {name: pool for name, pool in self.serving.items() if pool_reader.readiness(pool) in WAITING}
 
     def refused(self, pool: str) -> Problem | None:
-        """Return why a pool is not accepted, or None. No pods are created for such a pool, and its existing ones stay unchanged."""
+        """Return why a pool is not accepted, or None.
+
+        No pods are created for such a pool, and its existing ones stay unchanged.
+        """
         return pool_reader.problem(self.pools[pool])
 
     @property
@@ -139,9 +142,9 @@ class Observed:
 
     @property
     def handing_over(self) -> bool:
-        """Whether a planned switchover is requested, or the monitor reports that its understudy is being prepared or takes over.
+        """Whether a planned switchover is requested or, as the monitor reports, in preparation or in progress.
 
-        A switchover that waits, for a drain, does not count. It may wait as long as the drain lasts, for a pod that is
+        A switchover that waits for a drain does not count. It may wait as long as the drain lasts, for a pod that is
         created meanwhile.
         """
         asked = kube_objects.notes(self.workload).get(names.SWITCHOVER)

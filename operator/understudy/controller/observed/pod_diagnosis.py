@@ -59,7 +59,10 @@ def first(pods: Sequence[Object]) -> Trouble | None:
 
 
 def _crashing(pod: Object, entry: Object) -> bool:
-    """Whether a container is between two crashes. It then counts as crashing, so that the report does not change with each crash."""
+    """Whether a container is between two crashes.
+
+    It then counts as crashing, so that the report does not change with each crash.
+    """
     terminated = (entry.get("lastState") or {}).get("terminated") or {}
     again = entry.get("restartCount", 0) >= _CRASHES and terminated.get("exitCode", 0) != 0
     return again and not kube_objects.ready(pod)
@@ -74,7 +77,10 @@ def _told(pod: Object, reason: str, container: str, what: str, found: Object) ->
 
 
 def _steady(words: str, pod: str) -> str:
-    """Return the kubelet's message without the parts that change with each attempt, so that the condition does not change."""
+    """Return the kubelet's message without the parts that change with each attempt.
+
+    The condition then does not change with each attempt.
+    """
     if words.startswith("back-off "):
         return ""
     words = words.removesuffix(".").replace(f'"{pod}"', "the pod")

@@ -112,7 +112,10 @@ def named_pools(policy: Object) -> list[str]:
 
 
 def tree_in_force(policy: Object, config_maps: Mapping[str, Object]) -> Object | None:
-    """Return the health tree in use if it comes from a ConfigMap, or None. If the ConfigMap has no valid tree, it is the last valid one."""
+    """Return the health tree in use if it comes from a ConfigMap, or None.
+
+    If the ConfigMap has no valid tree, it is the last valid one.
+    """
     try:
         found = health_tree_sources.find(spec(policy).monitoring, config_maps, policy["metadata"]["namespace"])
     except ValidationError:

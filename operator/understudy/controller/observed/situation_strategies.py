@@ -1,7 +1,8 @@
-"""Determines the strategies for the robot's situation, from the objects as the API has them. The monitor reports the situation.
+"""Determines the strategies for the robot's situation, from the objects as the API has them.
 
-The strategies change when the first strategy of the new situation can run. The old strategies are given up only after
-the monitor has received the change. Until then the pods of both stay, so that the robot is protected at every moment.
+The monitor reports the situation. The strategies change when the first strategy of the new situation can run. The old
+strategies are given up only after the monitor has received the change. Until then the pods of both stay, so that the
+robot is protected at every moment.
 """
 
 from __future__ import annotations

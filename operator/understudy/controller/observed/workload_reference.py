@@ -61,7 +61,7 @@ def label_keys(referred: Referred) -> frozenset[str]:
 
 
 def controlled(controller: Object, replica_sets: Sequence[Object], pods: Sequence[Object]) -> list[Object]:
-    """Return the pods that a Deployment (through its ReplicaSets) or a StatefulSet actually controls, of those it selects."""
+    """Return the pods that a Deployment (through its ReplicaSets) or a StatefulSet controls, of those it selects."""
     controllers = {kube_objects.uid(controller)}
     controllers |= {kube_objects.uid(item) for item in replica_sets if _controller_uid(item) in controllers}
     return [pod for pod in pods if _controller_uid(pod) in controllers]

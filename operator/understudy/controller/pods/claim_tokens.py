@@ -1,7 +1,8 @@
-"""The Secret with which monitors and the agents of a shared pool's pods authenticate each other: who owns it, and how long it exists.
+"""The Secret with which monitors and agents of shared pools authenticate each other: its owner, and how long it exists.
 
 A claimed pod outlives its pool, because it then belongs to its workload and controls a robot. Its monitor still
 commands it with that Secret, and its kubelet still mounts it. So the Secret has no owner.
+
 - If the pool owned it, Kubernetes would delete it with the pool, whether an operator is running or not.
 - If the workloads with a pod of the pool owned it, every claim would need a write, and the list of owners would be as
   long as the fleet. An operator would have to run between the claim and the pool's deletion.
@@ -23,7 +24,10 @@ from understudy.kube.client import SECRETS, Object
 
 
 def is_of(pool: str, secret: Object) -> bool:
-    """Whether a Secret of that name is the pool's. A workload's name can be such that its own Secret has the same name."""
+    """Whether a Secret of that name is the pool's.
+
+    A workload's name can be such that its own Secret has the same name.
+    """
     owner = controller_of(secret)
     return kube_objects.labels(secret).get(names.POOL) == pool if owner is None else _is_pool(owner, pool)
 
@@ -77,7 +81,10 @@ def claimable(pod: Object) -> bool:
 
 
 def _is_claimed(pod: Object) -> bool:
-    """Whether a pod was claimed and has not ended. A standby is never claimed: it was created for its workload, and has its token."""
+    """Whether a pod was claimed and has not ended.
+
+    A standby is never claimed: it was created for its workload, and has its token.
+    """
     return names.CLAIM in kube_objects.notes(pod) and not kube_objects.ended(pod)
 
 

@@ -75,7 +75,7 @@ class Recipe:
 
     @property
     def fenced(self) -> bool:
-        """Whether the agent can freeze the application while the pod is isolated, for robots whose readers select writers by strength."""
+        """Whether the agent can freeze the application of an isolated pod, for robots whose readers select by strength."""
         return self.prepared and not self.held
 
     @property
@@ -91,7 +91,7 @@ class Recipe:
 
 
 def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKind = registry.DEFAULT) -> str | None:
-    """Return why no instance can be built from a template, except for what the API server reports itself; None if one can.
+    """Return why no instance can be built from a template, except for what the API server reports itself, or None.
 
     ``path`` is the location of the template, such as ``spec.template``. ``gate`` is the kind of the workload's gate.
     """
@@ -131,7 +131,7 @@ def own_profiles(template: Mapping[str, Any]) -> list[str]:
 
 
 def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
-    """Return an instance's pod template: ``metadata`` (labels, annotations) and ``spec``, without the names of a particular pod."""
+    """Return an instance's pod template: ``metadata`` (labels, annotations) and ``spec``, without the name of a pod."""
     spec = copy.deepcopy(dict(template.get("spec") or {}))
     held_names = [c["name"] for c in spec["containers"]] if recipe.held else []
     fenced_names = [c["name"] for c in spec["containers"] if c.get("command")] if recipe.fenced else []
@@ -179,7 +179,10 @@ def build(template: Mapping[str, Any], recipe: Recipe) -> Object:
 
 
 def _accompanies(container: Mapping[str, Any]) -> bool:
-    """Whether an init container runs beside the application (KEP-753). In a held pod, it starts before the robot is known."""
+    """Whether an init container runs beside the application (KEP-753).
+
+    In a held pod, it starts before the robot is known.
+    """
     return container.get("restartPolicy") == "Always"
 
 
@@ -247,7 +250,7 @@ def replica_set(built: Object, workload: str) -> Object:
 
 
 def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Return, for each container, the environment of a claimed pod: the ROS environment, overridden by the template's literals.
+    """Return the environment of a claimed pod for each container: ROS, overridden by the template's literals.
 
     Only the kubelet can resolve values that refer to others (``$(NAME)``) or to objects (``valueFrom``). These stay as
     in the pool's own template.

@@ -115,7 +115,7 @@ def hash_of(pod: Object) -> str:
 
 
 def claimable(unclaimed: Sequence[Object], present: str, update: Update = Update()) -> str:
-    """Return the hash of the template whose held pods may be claimed; empty for any, if those of an old one are as good.
+    """Return the hash of the template whose held pods may be claimed; empty if any may, because old ones are as good.
 
     It is the current template as soon as one pod of it is ready, or ``min_ready`` of them. Until then it is the one
     with the most ready pods, so that a new template that cannot start takes nothing away.

@@ -16,7 +16,7 @@ _DISTANCE_OF_MONITOR = 50  # a monitor lost with the active pod must first start
 
 
 def keep_apart(spec: Object, *, workload: str, pool: str, held: bool) -> None:
-    """Prefer nodes without other instances (of the workload, or of the shared pool), and then nodes without the monitor.
+    """Prefer nodes without other instances (of the workload, or of the shared pool), then nodes without the monitor.
 
     If the template of a shared pool sets a placement, that placement is kept.
     """
@@ -35,7 +35,7 @@ def keep_apart(spec: Object, *, workload: str, pool: str, held: bool) -> None:
 
 
 def _spread(spec: Object, labels: Mapping[str, str]) -> None:
-    """Add a constraint with which the scheduler counts the other pods on each node, without those that are being deleted.
+    """Add a constraint with which the scheduler counts the other pods on each node, except those being deleted.
 
     An affinity counts these too: with two nodes, of which one has the failed pod, the next understudy might be placed
     beside the active one. The API server accepts one constraint for each pair of these two fields.

@@ -1,4 +1,4 @@
-"""Delays evictions of a shared pool's waiting pods, such as those of ``kubectl drain``, until there are pods on other nodes.
+"""Delays evictions of a shared pool's waiting pods, as by ``kubectl drain``, until there are pods on other nodes.
 
 A PodDisruptionBudget makes the API server refuse the evictions. Drain tools retry until the operator has replaced the
 pods.
@@ -25,7 +25,10 @@ def budget(pool: str, least: int) -> Object:
 
 
 def keeping(name: str, least: int, chosen: Mapping[str, str]) -> Object:
-    """Return a budget that keeps at least ``least`` pods with these labels. Pods that are not ready may always be evicted."""
+    """Return a budget that keeps at least ``least`` pods with these labels.
+
+    Pods that are not ready may always be evicted.
+    """
     return {
         "apiVersion": "policy/v1",
         "kind": "PodDisruptionBudget",
@@ -45,7 +48,10 @@ def is_ours(found: Object) -> bool:
 
 
 def decided_elsewhere(budgets: Sequence[Object], labels: Mapping[str, str]) -> bool:
-    """Whether another owner's budget selects the pods. With two budgets, Kubernetes refuses every eviction permanently."""
+    """Whether another owner's budget selects the pods.
+
+    With two budgets, Kubernetes refuses every eviction permanently.
+    """
     return any(selects(found, labels) for found in budgets)
 
 

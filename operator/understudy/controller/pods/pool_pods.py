@@ -89,7 +89,7 @@ def unclaimed(pool: Object, pods: Sequence[Object]) -> list[Object]:
 
 
 def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
-    """Return the workloads that wait for a pod of a shared pool according to their gates, in the order in which they are served."""
+    """Return the workloads that wait for a pod of a shared pool, by their gates, in the order in which they are served."""
     found = []
     for gate in gates:
         if kube_objects.labels(gate).get(names.WAITS_FOR) != pool:
@@ -274,7 +274,7 @@ def claimable_now(held: Sequence[Object], policy: Object | None) -> list[Object]
 
 
 def is_claimable(pod: Object, allowed: str) -> bool:
-    """Whether a pod of a shared pool is held, ready and of the template with the hash ``allowed``; an empty hash allows any."""
+    """Whether a pod of a shared pool is held, ready and of the template with the hash ``allowed`` (empty for any)."""
     held = kube_objects.labels(pod).get(names.HELD) == "true"
     return held and kube_objects.ready(pod) and (not allowed or pod_counts.hash_of(pod) == allowed)
 

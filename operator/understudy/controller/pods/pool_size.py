@@ -71,7 +71,10 @@ def wanted(spec: FallbackPoolSpec, sized: Sized | None) -> int:
 
 
 def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: float) -> Sized | None:
-    """Return the size that follows from the failures of the workloads that claim from a pool; None if its spec gives the size."""
+    """Return the size that follows from the failures of the workloads that claim from a pool.
+
+    It is None if the pool's spec gives the size.
+    """
     sizing = spec.sizing
     if sizing is None:
         return None
@@ -169,7 +172,10 @@ def _said(of: Seen, rate: Rate, decision: Decision) -> SizingStatus:
 
 
 def _settled(stored: Object, new: SizingStatus) -> SizingStatus:
-    """Return the new figures, or the stored ones if only time has passed. Time always passes, so they would always be written."""
+    """Return the new figures, or the stored ones if only time has passed.
+
+    Time always passes, so they would always be written.
+    """
     if not stored:
         return new
     old = SizingStatus.model_validate(stored)

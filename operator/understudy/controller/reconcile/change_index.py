@@ -334,7 +334,7 @@ def used_policy(workload: Object) -> str:
 
 
 def chosen(workload: Object) -> str:
-    """Return the strategies in force from a workload's status, in short form; empty if the status does not have them yet."""
+    """Return the strategies in force from a workload's status, in short form; empty if it does not have them yet."""
     found: str = (workload.get("status") or {}).get("strategies") or ""
     return found
 
@@ -382,7 +382,10 @@ def _copying(workload: Key, store: Store) -> Iterator[Key]:
 
 
 def unlisted(store: Store) -> Iterator[Key]:
-    """Yield what depends on referred controllers. These are not listed, so their workloads are reconciled after every list."""
+    """Yield the objects that depend on referred controllers.
+
+    The operator does not list such controllers, so it reconciles these objects after every list.
+    """
     for workload in store.all(WORKLOADS):
         if reference(workload) is not None:
             key = Key(WORKLOADS.plural, workload["metadata"]["namespace"], kube_objects.name(workload))

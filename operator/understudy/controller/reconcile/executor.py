@@ -57,10 +57,10 @@ class Executor:
         self._contention = Contention()
 
     async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
-        """Carry out the writes, and return the permanent refusals of the API server. A refusal does not stop the other writes.
+        """Carry out the writes, and return the permanent refusals of the API server.
 
-        Raises Stale, Ending, LeadershipLost, and the errors of a server that cannot answer now (ApiError 429 and 5xx,
-        aiohttp.ClientError, TimeoutError).
+        A refusal does not stop the other writes. Raises Stale, Ending, LeadershipLost, and the errors of a server that
+        cannot answer now (ApiError 429 and 5xx, aiohttp.ClientError, TimeoutError).
         """
         problems: list[Problem] = []
         stale: ApiError | None = None
@@ -221,7 +221,10 @@ def _alike(write: Write) -> str | None:
 
 
 def _gone(write: Write) -> bool:
-    """Whether a 404 means that the object is gone. For a resize, an older API server may lack the subresource permanently."""
+    """Whether a 404 means that the object is gone.
+
+    For a resize, an older API server may lack the subresource permanently.
+    """
     return isinstance(write, Patch) and write.subresource != RESIZE
 
 

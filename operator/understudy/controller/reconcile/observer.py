@@ -61,7 +61,7 @@ class Observer:
     def __init__(self, client: Reader, store: Store, expectations: Expectations) -> None:
         self._client, self._store, self._expectations = client, store, expectations
         self._looked: dict[tuple[str, str], tuple[str, str]] = {}
-        """By namespace and name: the UIDs of the pool for which an older Secret was read, and of the Secret that was found."""
+        """By namespace and name: the UIDs of the pool for which an older Secret was read, and of the Secret found."""
 
     async def workload(self, item: Object) -> Observed:
         """Return the observed state around a workload."""
@@ -102,7 +102,7 @@ class Observer:
         )
 
     def _going(self, namespace: str, role: Object | None) -> Iterator[str]:
-        """Yield the deleted pools that still have claimable pods, of those whose agents the monitor may command by its role."""
+        """Yield the deleted pools with claimable pods, of those whose agents the monitor may command by its Role."""
         for pool in monitor_deployment.commanded(role):
             pods = self._store.labelled(PODS, namespace, names.POOL, pool)
             if self._store.get(POOLS, namespace, pool) is None and any(map(claim_tokens.claimable, pods)):
@@ -124,7 +124,10 @@ class Observer:
         )
 
     async def _resized(self, item: Object) -> Object | None:
-        """Return the active pod to resize, or None. It is read from the API, because the store keeps almost nothing of a pod's spec."""
+        """Return the active pod to resize, or None.
+
+        It is read from the API, because the store keeps almost nothing of a pod's spec.
+        """
         namespace = item["metadata"]["namespace"]
         policy = self._store.get(POLICIES, namespace, change_index.used_policy(item))
         if (
@@ -166,7 +169,10 @@ class Observer:
         return dependency_graph.graph([*others.values(), item])
 
     async def _referred(self, item: Object) -> workload_reference.Referred | None:
-        """Return the referred controller and its pods. They are read from the API, because the store does not keep them."""
+        """Return the referred controller and its pods.
+
+        They are read from the API, because the store does not keep them.
+        """
         target = change_index.reference(item)
         if target is None:
             return None
@@ -259,7 +265,10 @@ class Observer:
         return found
 
     def _asks(self, pool: Object, workload: Object) -> bool:
-        """Whether a workload claims a pod of a pool when it fails. False for a pool whose size does not follow the failure rate."""
+        """Whether a workload claims a pod of a pool when it fails.
+
+        False for a pool whose size does not follow the failure rate.
+        """
         if not (pool.get("spec") or {}).get("sizing") or not pool_reader.serves(pool, workload):
             return False
         policy = self._store.get(POLICIES, pool["metadata"]["namespace"], change_index.used_policy(workload))
@@ -270,7 +279,7 @@ class Observer:
         return kube_objects.name(pool) in policy_reader.named_pools(policy)
 
     def _spared(self, pool: Object, workload: Object) -> bool:
-        """Whether a pool serves this workload but need not hold a standby for it, because other strategies are in force.
+        """Whether a pool serves this workload but need not hold a standby for it, as other strategies are in force.
 
         This reads the workload's status, so that strategies are not selected again for every pod of a pool.
         """

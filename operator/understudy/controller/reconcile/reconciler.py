@@ -218,7 +218,7 @@ class Reconciler:
         return _earliest(plan.again_after, again, later)
 
     async def _without_pool(self, key: Key, item: Object | None) -> None:
-        """Do what remains for a deleted pool, or one that is being deleted: pods that were claimed from it keep running."""
+        """Do what remains for a pool that is deleted or being deleted: pods that were claimed from it keep running."""
         self._measure(key, None)
         self._counted.pop(key, None)
         pods = self._store.labelled(PODS, key.namespace, names.POOL, key.name)

@@ -1,10 +1,4 @@
-"""Replaces the monitors and discovery servers of a fleet in steps, because a robot is not watched during the replacement.
-
-Such a Deployment stops its old pod before it starts a new one (Recreate). A change that concerns all of them, such as
-an upgrade, would leave every robot of a fleet without its monitor at the same time. If the new monitors did not start,
-the robots would stay without. So only a share is replaced at once, and the next ones follow when those are ready. A
-workload without any ready pod before the change has nothing to lose, and does not wait.
-"""
+"""Replaces the monitors and discovery servers of a fleet in steps: during its replacement, a robot is not watched."""
 
 from __future__ import annotations
 
@@ -26,7 +20,10 @@ from understudy.kube.client import DEPLOYMENTS, PODS, WORKLOADS, Object
 _logger = logging.getLogger(__name__)
 
 PERCENT = 10
-"""Percentage of the workloads whose monitors may be replaced at once (at least one). The operator's options can change it."""
+"""Percentage of the workloads whose monitors may be replaced at once (at least one).
+
+The operator's options can change it.
+"""
 
 HOLD = 300.0
 """Seconds for which a workload that does not become ready keeps its place.

@@ -14,7 +14,10 @@ Check = Callable[[], str | None]
 
 
 async def serve(port: int, *, alive: Check, ready: Check) -> web.AppRunner:
-    """Serve /healthz, /ready and /metrics, and return the runner, which the caller must clean up. Port 0 takes any free port."""
+    """Serve /healthz, /ready and /metrics, and return the runner, which the caller must clean up.
+
+    Port 0 takes any free port.
+    """
 
     def page(check: Check) -> Callable[[web.Request], object]:
         async def answer(_: web.Request) -> web.Response:

@@ -28,7 +28,10 @@ WITHIN = 60.0
 
 _AGAIN = 2.0
 _LED = 60.0
-"""Maximum age, in seconds, of the leader's last renewal. The leader renews every 2 s; the clocks of the two nodes may differ."""
+"""Maximum age, in seconds, of the leader's last renewal.
+
+The leader renews every 2 s, and the clocks of the two nodes may differ.
+"""
 
 _WORKLOAD: Object = {
     "apiVersion": API_VERSION,

@@ -114,7 +114,10 @@ class Operator:
         operator_metrics.RESYNC_SECONDS.set(time.time() - begun)
 
     def _strays(self) -> None:
-        """Enqueue missing workloads and pools whose label is on pods or Secrets. Nothing else would process these again."""
+        """Enqueue missing workloads and pools whose label is on pods or Secrets.
+
+        Nothing else would process these again.
+        """
         for resource, label, of in (
             (PODS, names.WORKLOAD, WORKLOADS),
             (PODS, names.POOL, POOLS),

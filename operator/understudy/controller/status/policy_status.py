@@ -91,7 +91,10 @@ def status(
     users: Collection[str],
     storm: Condition | None = None,
 ) -> Object:
-    """Return the policy's status, without the times of its conditions. ``storm`` is its condition for storms, if it has a guard."""
+    """Return the policy's status, without the times of its conditions.
+
+    ``storm`` is its condition for storms, if it has a guard.
+    """
     tree = policy_reader.tree_in_force(policy, config_maps)
     return {
         "observedGeneration": kube_objects.generation(policy),

@@ -25,7 +25,10 @@ from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.kube.client import Object
 
 LIMIT_CONDITIONS = {"Paused": "Paused", "WithinBudget": "BudgetSpent"}
-"""The monitor's conditions for limits, which have their own Events, with the reason of Protected while each limit is in force."""
+"""The monitor's conditions for limits, with the reason of Protected while each limit is in force.
+
+The monitor reports these conditions with its own Events.
+"""
 
 _FAILURE = Occurrence(Trigger.HEALTH_FAILED)
 
@@ -41,7 +44,10 @@ class Considered:
 
 
 def protected(observed: Observed, understanding: Understanding) -> Condition:
-    """Return the condition Protected: whether the policy's first strategy could run at a failure now, and what is missing if not."""
+    """Return the condition Protected.
+
+    It reports whether the policy's first strategy could run at a failure now, and what is missing if not.
+    """
     generation = kube_objects.generation(observed.workload)
 
     def no(reason: str, message: str, outlook: str) -> Condition:
@@ -124,7 +130,10 @@ def stocked(observed: Observed, understanding: Understanding) -> Object:
 
 
 def standby(observed: Observed, understanding: Understanding) -> str:
-    """Return the printed column: readiness of the first pool that serves the workload, and its ready and wanted instances, as numbers."""
+    """Return the printed column Standby.
+
+    It has the readiness of the first pool that serves the workload, and its numbers of ready and wanted instances.
+    """
     served = observed.serving
     for strategy in _strategies(observed, understanding):
         name = strategy.pool_ref.name if strategy.pool_ref else ""

@@ -33,9 +33,10 @@ def health(workload: Object) -> str:
 
 
 def counted_until(workload: Object, gate: Object | None, now: float, within: float) -> float | None:
-    """Return until when a workload counts as failing, in Unix seconds: infinity if it fails now, None if it does not count.
+    """Return until when a workload counts as failing, in Unix seconds; None if it does not count.
 
-    The gate shows a failure first. The status shows it after the recovery, or if the recovery takes long.
+    It is infinity if the workload fails now. The gate shows a failure first. The status shows it after the recovery, or
+    if the recovery takes long.
     """
     if health(workload) in FAILING:
         return float("inf")

@@ -127,7 +127,7 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
 
 
 def _order(observed: Observed, understanding: Understanding) -> Object:
-    """Return the strategies in force, in short form; the last known ones while the policy has a problem."""
+    """Return the strategies in force, in short form; the last known ones while the policy is missing or invalid."""
     if understanding.spec is None or understanding.policy_problem is not None:
         known = (observed.workload.get("status") or {}).get("strategies")
         return {"strategies": known} if known else {}
@@ -148,7 +148,10 @@ def takes_from(strategies: str, pool: str) -> bool:
 
 
 def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]:
-    """Return the condition for the selected order, if the policy leaves it open; the last one while the policy has a problem."""
+    """Return the condition for the selected order, if the policy leaves it open.
+
+    While the policy is missing or invalid, the last condition stays.
+    """
     if understanding.spec is None or understanding.policy_problem is not None:
         live = (observed.workload.get("status") or {}).get("conditions") or []
         return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
@@ -164,7 +167,10 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
 
 
 def _situation(observed: Observed, understanding: Understanding) -> list[Condition]:
-    """Return whether the strategies of the robot's situation are in force; the last condition while the policy has a problem."""
+    """Return the condition that reports whether the strategies of the robot's situation are in force.
+
+    While the policy is missing or invalid, the last condition stays.
+    """
     if understanding.spec is None or understanding.policy_problem is not None:
         live = (observed.workload.get("status") or {}).get("conditions") or []
         return [Condition.model_validate(one) for one in live if one["type"] == situation_strategies.CONDITION]
