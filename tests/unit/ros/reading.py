@@ -12,16 +12,14 @@ from types import SimpleNamespace
 from typing import Any
 
 from understudy.api.kinds.robot_workload import Output
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe import robot_readers
 from understudy.monitor.observe.robot_readers import Readership
 from understudy.ros.runtime.graph_node import Graph
 
 
-class Told:
-    """Prints what is said."""
-
-    def find(self, type_: str) -> None:
-        return None
+class Printed(Notices):
+    """Prints each change of a condition."""
 
     def condition(self, type_: str, *said: str) -> bool:
         line = json.dumps([type_, *said])
@@ -39,7 +37,7 @@ def main(given: dict[str, Any]) -> None:
     graph = Graph("understudy_monitor")
     own = graph.subscribe("/chat", "std_msgs/msg/String", depth=1)
     sight: Any = SimpleNamespace(graph=graph, addresses=given["instances"])
-    told: Any = Told()
+    told = Printed()
     print("ready", flush=True)
     asyncio.run(Readership(view, sight, told, given["address"]).run())
     del own

@@ -66,9 +66,9 @@ MONITOR = """
 import sys
 import time
 from understudy.ros.runtime.graph_node import Graph
-from understudy.ros.observe.topic_watch import Watching
+from understudy.ros.observe.topic_watch import TopicWatch
 from understudy.trees.core.health_tree import WatchedTopic
-watching = Watching(Graph("monitor"))
+watching = TopicWatch(Graph("monitor"))
 watching.follow([WatchedTopic("/robot/chat", "std_msgs/msg/String", 0.0, None)])
 print("follows", flush=True)
 while not (watching.drain() and watching.topic("/robot/chat").count > 5):

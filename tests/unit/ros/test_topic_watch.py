@@ -12,6 +12,7 @@ from rclpy.serialization import deserialize_message
 from understudy.ros.observe import topic_watch as module
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch, depth
+from understudy.ros.rmw import MIDDLEWARE
 from understudy.ros.runtime.interface_types import message_class
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.languages.short.health_loader import load
@@ -231,5 +232,5 @@ def test_goals_of_an_instance_that_is_not_in_control_do_not_count(watching, proc
     pods = {"elsewhere": "192.0.2.1"}
     watching.attribute(pods, "elsewhere")
     assert watching.task(STATUS) is not None, "a server in no pod of the workload's, such as a proxy"
-    watching._sources._pods[gid[module.HOST]] = ("standby",)
+    watching._sources._pods[MIDDLEWARE.host_of(gid)] = ("standby",)
     assert watching.task(STATUS) is None
