@@ -96,7 +96,7 @@ async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plura
     assert len(client.told) == 1, "what it fails by differs, and isn't news"
     conditions = {one["type"]: one for one in client.told[0]["status"]["conditions"]}
     assert (conditions["Reconciled"]["status"], conditions["Reconciled"]["reason"]) == ("False", "WebhookUnavailable")
-    assert f'"{WEBHOOK}" doesn\'t answer' in conditions["Reconciled"]["message"]
+    assert f'"{WEBHOOK}" does not answer' in conditions["Reconciled"]["message"]
     assert conditions["Accepted"]["status"] == "True", "that says nothing of its spec"
     assert [reason for reason, _ in heard.warnings].count("WebhookUnavailable") == 1
 

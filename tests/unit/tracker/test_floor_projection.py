@@ -128,5 +128,5 @@ def test_references_that_are_not_where_it_says_are_refused():
     view = view_of(DOWN)
     looked = [(one, seen(square(one.size, one.x, one.y, one.z, one.yaw), view, PLAIN)) for one in REFERENCES]
     moved = [(looked[0][0].model_copy(update={"x": 0.4}), looked[0][1]), looked[1]]
-    with pytest.raises(Misfit, match=r"one of them isn't where camera\.references says"):
+    with pytest.raises(Misfit, match=r"one of them is not where camera\.references says"):
         view_by(moved, PLAIN)

@@ -63,7 +63,7 @@ def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
     waits = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}, waitFor: 10s}")
     finding = only(waits, WORKLOAD, POOL)
     assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].waitFor")
-    assert "FallbackPool hot is Executing, so each workload has standbys of its own" in finding.message
+    assert "FallbackPool hot is Executing, so each workload has its own standbys" in finding.message
     shared = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
     assert found(waits, WORKLOAD, shared + "  templateFrom: {workload: robot-17}\n") == []
 
