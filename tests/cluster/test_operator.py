@@ -1327,7 +1327,7 @@ def test_what_is_required_decides_which_standbys_are_kept(fleet: Fleet, operator
     until(lambda: fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "a standby")
     said = fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "Chosen", "True")
     assert said["message"].startswith(
-        "Executing (hot), Uninitialized (spare), Restart. Asked for: a recovery within 500 ms"
+        "Executing (hot), Uninitialized (spare), Restart. Required: a recovery within 500 ms"
     )
     assert chosen(fleet) == ["hot", "spare", "Restart"]
     assert fleet.get("FailurePolicy", "policy")["status"]["strategies"] == "Auto"
@@ -1350,7 +1350,7 @@ def test_what_is_required_decides_which_standbys_are_kept(fleet: Fleet, operator
 def test_a_pool_that_comes_later_is_chosen_from(fleet: Fleet, operator: Operator) -> None:
     fleet.create(requiring(availability="High", resourceUsage="High"), workload())
     said = fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "RequirementsNotMet")
-    assert "Not met: availability High asks for 500 ms, and Restart" in said["message"]
+    assert "Not met: availability High requires 500 ms, but Restart" in said["message"]
     fleet.create(hot())
     fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "Chosen", "True")
     until(lambda: chosen(fleet) == ["hot", "Restart"], "the monitor to be told")

@@ -104,10 +104,10 @@ def test_what_changes_is_told_to_whoever_watches(executing: Robot, tmp_path: Pat
         ]
 
     with watching(kubectl, file, "status", "-w") as end:
-        eventually(lambda: told(f"in control {active} (epoch "), within=60, what="who is in control is told")
+        eventually(lambda: told(f"active {active} (epoch "), within=60, what="who is in control is told")
         executing.delete(active, force=True)
         new = executing.wait_recovered(1)
-        driving = f"in control {new.new} (epoch {new.epoch})"
+        driving = f"active {new.new} (epoch {new.epoch})"
         eventually(lambda: told(driving), within=60, what="who took over is told")
         eventually(lambda: told("last recovery #1 "), within=60, what="how it was recovered is told")
         executing.wait_protected()

@@ -59,7 +59,7 @@ def test_a_cluster_that_does_what_it_should_is_told_so(kubectl: Kubectl) -> None
     kubectl.apply([DENIED])
     denied = understudy(kubectl, "doctor")
     assert denied.returncode == 1
-    assert "UDP doesn't get from one pod to another at all" in denied.stdout
+    assert "UDP packets do not get from one pod to another at all" in denied.stdout
     assert "cure: look for a NetworkPolicy that denies UDP" in denied.stdout
     assert left(kubectl) == []
 

@@ -278,5 +278,5 @@ def test_a_reflex_with_several_outputs_is_refused_unless_all_are_accepted(kubect
     kubectl.apply([workload])
     eventually(lambda: robot.condition("Accepted").get("status") == "True", within=30, what="it is accepted by name")
     workload["spec"]["gate"]["reflex"]["deadline"] = "200ms"
-    with pytest.raises(Failed, match="can't be changed"):
+    with pytest.raises(Failed, match="cannot be changed"):
         kubectl.apply([workload])

@@ -145,7 +145,7 @@ def test_without_an_understudy_nothing_is_changed_and_the_reason_is_told(restart
     done = understudy(restarting.kubectl, "failover", restarting.workload)
     assert done.returncode == 1, done.stdout + done.stderr
     assert "NOT done: " in done.stdout
-    assert "its own controller runs one pod, which drives" in done.stdout
+    assert "its own controller runs one pod, which is active" in done.stdout
     assert restarting.wait_driven() == active
     assert restarting.recoveries() == []
 
