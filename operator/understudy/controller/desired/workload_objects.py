@@ -54,7 +54,7 @@ def plan(observed: Observed, understanding: Understanding, images: Images, fresh
     if kube_objects.deleted(workload):
         return made
     if not observed.rivals:
-        # With rivals, both workloads would label the same pods in turns, and each time fence the active instance.
+        # With rivals, both workloads would label the same pods in turn, and each time fence the active instance.
         made.writes += workload_reference.labelling(kube_objects.name(workload), observed.pods, observed.reference)
     if understanding.problem is not None or spec is None:
         return made

@@ -157,7 +157,7 @@ def _after_health(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
 
 
 def _after_commit(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
-    """Yield the same policy if a recovery begins: the workload's gate shows that first."""
+    """Yield the workload's policy if a recovery begins. The gate shows that before the workload's status does."""
     if (
         sight.old is None
         or sight.new is None

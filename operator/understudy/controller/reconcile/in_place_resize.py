@@ -33,7 +33,7 @@ class Outcome:
     """The progress of one resize, and the write that it needs."""
 
     reason: str
-    """"Resized" if it is complete."""
+    """The reason of the condition: Resized if the resize is complete."""
     message: str
     write: Patch | None = None
 

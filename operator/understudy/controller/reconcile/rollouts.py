@@ -1,4 +1,10 @@
-"""Replaces the monitors and discovery servers of a fleet in steps: during its replacement, a robot is not watched."""
+"""Replaces the monitors and discovery servers of a fleet in steps: during its replacement, a robot is not watched.
+
+Such a Deployment stops its old pod before it starts a new one (Recreate). A change that concerns all of them, such as
+an upgrade, would leave every robot of a fleet without its monitor at the same time. If the new monitors did not start,
+the robots would stay without. So only a share is replaced at once, and the next ones follow when those are ready.
+A workload without any ready pod before the change has nothing to lose, and does not wait.
+"""
 
 from __future__ import annotations
 

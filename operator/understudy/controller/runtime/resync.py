@@ -1,7 +1,7 @@
 """Lists everything periodically, which finds and reports the changes that a watch missed.
 
-kopf's watches can fall silent without an error. So they only make the operator fast; its correctness does not depend on
-them.
+kopf's watches can fall silent without an error. So watches only make the operator fast; its correctness does not depend
+on them.
 """
 
 from __future__ import annotations

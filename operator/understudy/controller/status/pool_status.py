@@ -152,7 +152,7 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
 
 
 def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts) -> Condition:
-    """Return whether a robot that fails now would receive a pod, and which workloads wait for one."""
+    """Return the condition Available: whether a robot that fails now would receive a pod, and which workloads wait for one."""
     found = [f"{one.workload} (poolPriority {one.priority}, since {_moment(one.since)})" for one in observed.waiting]
     told = f"{counts.ready} of {counts.desired} can be claimed now"
     if spec.reserve is not None:
@@ -185,7 +185,7 @@ def _moving(observed: pool_pods.Observed) -> list[Condition]:
 
 
 def _updated(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
-    """Return the progress of a change of the template."""
+    """Return the condition Updated: the progress of a change of the template."""
     generation = kube_objects.generation(observed.pool)
     old = counts.replicas - updated
     if not old:

@@ -92,7 +92,7 @@ def reported_limits(observed: Observed) -> LimitsInForce:
 
 
 def considered(observed: Observed, understanding: Understanding) -> list[Considered]:
-    """Return the strategies that count now, in the policy's order; empty while the policy has a problem."""
+    """Return the strategies that count now, in the policy's order; empty while the policy is missing or invalid."""
     there, found = resources(observed, understanding), []
     for strategy in _strategies(observed, understanding):
         if strategy.type == "Restart" or strategy.pool_ref is None:
