@@ -1,8 +1,10 @@
-"""The interface of a ROS middleware: its settings in environment and files, and what it shows of who sends and who reads.
+"""The interface of a ROS middleware: its environment variables and settings files, and who sends and reads in the
+graph.
 
-To support another middleware, implement :class:`Middleware` in a folder of its own beside ros/dds, and name it in ros/rmw.py.
+To support another middleware, implement :class:`Middleware` in a folder of its own beside ros/dds, and name it in
+ros/rmw.py.
 
-Imports nothing but names: the operator and every agent have it.
+This module imports only names, because the operator and every agent have it.
 """
 
 from __future__ import annotations
@@ -31,72 +33,81 @@ class Middleware(ABC):
     implementation: ClassVar[str]
     """Value of ``RMW_IMPLEMENTATION``."""
     name: ClassVar[str]
-    """What messages call it."""
+    """The name in messages."""
     settings_variable: ClassVar[str]
     """The environment variable with the path of a process's settings file."""
     common: ClassVar[Mapping[str, str]]
     """The environment of every ROS process of every robot."""
     introspection: ClassVar[Mapping[str, str]]
-    """What the environment of a process must have besides, if it is to see the whole graph and not only what it exchanges data with."""
+    """Further variables of a process that must see the whole graph, and not only the endpoints with which it exchanges
+    data."""
 
     # -- Environment --------------------------------------------------------------------------------------------------
 
     @abstractmethod
     def environment(self, ros: Ros, address: str | None) -> dict[str, str]:
-        """The environment of every process in a robot's ROS graph. ``address`` is the managed discovery server's.
+        """Return the environment of every process in a robot's ROS graph. ``address`` is the managed discovery
+        server's.
 
         Raises ValueError if the server is managed and has no address.
         """
 
     @abstractmethod
     def introspecting(self, environment: Mapping[str, str]) -> dict[str, str]:
-        """This environment for a process that must see the whole graph."""
+        """Return this environment for a process that must see the whole graph."""
 
     @abstractmethod
     def discovery_server(self, environment: Mapping[str, str]) -> str:
-        """The discovery server, as ``HOST:PORT``, of a process with this environment; empty if it uses none."""
+        """Return the discovery server, as ``HOST:PORT``, of a process with this environment; empty if it uses none."""
 
     @abstractmethod
     def discovery_command(self, address: str, port: int) -> list[str]:
-        """The command of a managed discovery server that others reach at an address."""
+        """Return the command of a managed discovery server that others reach at an address."""
 
     # -- Settings files -----------------------------------------------------------------------------------------------
 
     @abstractmethod
     def gate_ports(self, outputs: Iterable[Output]) -> dict[str, int]:
-        """The UDP port of each gated reader on the robot's side, by the name of what it reads.
+        """Return the UDP port of each gated reader on the robot's side, by the name of what it reads.
 
         Raises ValueError, naming the output, if there are more readers than gated ports.
         """
 
     @abstractmethod
     def robot_settings(self, outputs: Iterable[Output], reflex: Reflex | None = None) -> str:
-        """The settings file of the robot's processes and of the monitor. Raises ValueError as :meth:`gate_ports` does."""
+        """Return the settings file of the robot's processes and of the monitor.
+
+        Raises ValueError as :meth:`gate_ports` does.
+        """
 
     @abstractmethod
     def instance_settings(
         self, tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None
     ) -> str:
-        """The settings file of an instance's processes and of its agent; empty if they need none.
+        """Return the settings file of an instance's processes and of its agent; empty if they need none.
 
-        What differs from pod to pod stands in it as variables (api/protocol/profile_placeholders.py).
+        Values that differ between pods are variables (api/protocol/profile_placeholders.py).
         """
 
     # -- Who sends and who reads --------------------------------------------------------------------------------------
 
     @abstractmethod
     def host_of(self, gid: bytes) -> bytes:
-        """The part of an endpoint's GID that all endpoints of its host have in common."""
+        """Return the part of an endpoint's GID that all endpoints of its host have in common."""
 
     @abstractmethod
     def host_at(self, address: str) -> bytes:
-        """What :meth:`host_of` returns for the endpoints of a host with one IP address. Raises ValueError if that cannot be known."""
+        """Return what :meth:`host_of` returns for the endpoints of a host with one IP address.
+
+        Raises ValueError if that cannot be known.
+        """
 
     @abstractmethod
     async def reader_locators(
         self, readers: Collection[bytes], address: str, environment: Mapping[str, str], *, within: float
     ) -> dict[bytes, tuple[Locator, ...]]:
-        """Where readers, given by their GIDs, listen. Those of which nothing is heard within so many seconds are left out.
+        """Return where readers, given by their GIDs, listen. Readers that are not announced within ``within`` seconds
+        are left out.
 
-        ``address`` is this host's own; ``environment`` tells whom to ask. Raises OSError and ValueError.
+        ``address`` is this host's own; ``environment`` says whom to ask. Raises OSError and ValueError.
         """

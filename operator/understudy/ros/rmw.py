@@ -1,4 +1,4 @@
-"""The middleware that this version of Understudy runs with."""
+"""Selects the middleware of this version of Understudy."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What acts on a ROS graph: calls, goals, publications and streams of snapshots.
+"""Acts on a ROS graph: calls, goals, publications and streams of snapshots.
 
-What only watches is in `ros.observe`.
+Code that only observes is in `ros.observe`.
 """

@@ -1,9 +1,9 @@
 """Clients and servers of actions of any installed type, with goals, feedback and results as serialized bytes.
 
 An action is three services and two topics under ``NAME/_action`` (REP-2011's successor in design.ros2.org, "Actions").
-They are used directly: rclpy's own client and server make a new goal id for what is passed on, and answer a goal or a
-request for its result within the process that took it. A task proxy needs neither: it keeps the client's goal id, and
-may answer after its own restart.
+This module uses them directly, because rclpy's own client creates a new goal id for a goal that is passed on, and
+rclpy's server answers a goal or a request for its result only within the process that received it. The task proxy keeps
+the client's goal id, and may answer after its own restart.
 """
 
 from __future__ import annotations
@@ -31,21 +31,23 @@ from understudy.ros.runtime.service_exchange import RequestId, ServiceExchangeEr
 _logger = logging.getLogger(__name__)
 
 UNKNOWN, ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = range(7)
-"""action_msgs/msg/GoalStatus."""
+"""Values of action_msgs/msg/GoalStatus."""
 
 ENDED = frozenset({SUCCEEDED, CANCELED, ABORTED})
 
 CANCEL_OK, CANCEL_REJECTED, CANCEL_UNKNOWN, CANCEL_ENDED = range(4)
-"""action_msgs/srv/CancelGoal: ERROR_NONE, ERROR_REJECTED, ERROR_UNKNOWN_GOAL_ID, ERROR_GOAL_TERMINATED."""
+"""Return codes of action_msgs/srv/CancelGoal: ERROR_NONE, ERROR_REJECTED, ERROR_UNKNOWN_GOAL_ID,
+ERROR_GOAL_TERMINATED."""
 
 UNANSWERED = 0.2
-"""Seconds until an answer is sent again whose client was not matched, as after a restart of this process."""
+"""Seconds until an answer is sent again to a client that was not matched, for example after a restart of this
+process."""
 
 MATCHED = 0.5
-"""Seconds after the discovery of a client at which it can be answered that asked an earlier process."""
+"""Seconds after the discovery of a client until it can be answered, if it sent its request to an earlier process."""
 
 PATIENCE = 60.0
-"""Seconds for which that is tried."""
+"""Seconds for which the answer is tried."""
 
 _RELIABLE = {"history": HistoryPolicy.KEEP_LAST, "reliability": ReliabilityPolicy.RELIABLE}
 _FEEDBACK = QoSProfile(depth=10, durability=DurabilityPolicy.VOLATILE, **_RELIABLE)
@@ -53,7 +55,7 @@ _STATUS = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, **_RE
 _DRAINED = QoSProfile(depth=200, durability=DurabilityPolicy.VOLATILE, **_RELIABLE)
 
 _ID = slice(4, 20)
-"""Where the goal's id stands in a serialized feedback message: after the header of 4 bytes."""
+"""Position of the goal's id in a serialized feedback message: after the header of 4 bytes."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,10 @@ class ActionType:
 
     @classmethod
     def of(cls, name: str) -> ActionType:
-        """By name, such as nav2_msgs/action/NavigateToPose. Raises ValueError and TypeNotInstalled."""
+        """Return an action type by its name, such as nav2_msgs/action/NavigateToPose.
+
+        Raises ValueError and TypeNotInstalled.
+        """
         if "/action/" not in name:
             raise ValueError(
                 f"{name!r} is not an action type: write package/action/Name, such as nav2_msgs/action/NavigateToPose"
@@ -85,16 +90,19 @@ class ActionType:
         )
 
     def empty_result(self) -> bytes:
-        """A result whose fields all have their defaults."""
+        """Return a serialized result whose fields all have their defaults."""
         data: bytes = serialize_message(self.result())
         return data
 
 
 class CancelRequest(NamedTuple):
-    """What a client asks to cancel: a goal, those up to a time, or both; neither means all (see CancelGoal)."""
+    """What a client requests to cancel: a goal, those up to a time, or both.
+
+    Neither means all goals (see CancelGoal).
+    """
 
     goal: str
-    """Its id in hex; empty if none is named."""
+    """The goal's id in hex; empty if none is named."""
     until: int
     """Unix nanoseconds; 0 if no time is given."""
 
@@ -104,12 +112,12 @@ class KnownGoal(NamedTuple):
 
     goal: str
     accepted: int
-    """When it was, in Unix nanoseconds."""
+    """When it was accepted, in Unix nanoseconds."""
     status: int
 
 
 def renamed(feedback: bytes, goal: str) -> bytes:
-    """A feedback message as one of another goal."""
+    """Return a feedback message with the id of another goal."""
     return feedback[: _ID.start] + bytes.fromhex(goal) + feedback[_ID.stop :]
 
 
@@ -131,16 +139,16 @@ def _nanoseconds(moment: Time) -> int:
 
 @dataclass(frozen=True)
 class RequestHandlers:
-    """What a server reports its clients' requests; called in the loop."""
+    """Callbacks of a server for its clients' requests, called in the event loop."""
 
     goal: Callable[[RequestId, str, bytes], None]
-    """Accept this goal (its id, and it serialized)?"""
+    """A client asks to accept a goal: its id and the serialized goal."""
     cancel: Callable[[RequestId, CancelRequest], None]
     result: Callable[[RequestId, str], None]
 
 
 class ActionServer:
-    """Serves an action; whoever is asked answers when it knows."""
+    """Serves an action. The answers may be given at any later time."""
 
     def __init__(self, served: ServedNode, action: str, type_: ActionType, asked: RequestHandlers) -> None:
         self.action, self.type = action, type_
@@ -150,24 +158,24 @@ class ActionServer:
         self._publishers: dict[str, Any] = {}
 
     async def open(self) -> None:
-        """Be there for clients."""
+        """Create the server's endpoints."""
         await self._served.get(self._open)
 
     async def close(self) -> None:
-        """Be gone."""
+        """Remove the server's endpoints."""
         await self._served.get(self._close)
 
     def answer_goal(self, request: RequestId, accepted: bool, stamp: int) -> None:
-        """Accept or reject a goal; ``stamp`` is when, in Unix nanoseconds."""
+        """Accept or reject a goal; ``stamp`` is the time of acceptance in Unix nanoseconds."""
         self._answer("send_goal", self.type.send_goal.Response(accepted=accepted, stamp=_time(stamp)), request)
 
     def answer_cancel(self, request: RequestId, code: int, goals: Sequence[tuple[str, int]]) -> None:
-        """Say which goals, with the time of their acceptance, are being cancelled."""
+        """Answer which goals, with the times of their acceptance, are being cancelled."""
         infos = [GoalInfo(goal_id=_uuid(goal), stamp=_time(stamp)) for goal, stamp in goals]
         self._answer("cancel_goal", CancelGoal.Response(return_code=code, goals_canceling=infos), request)
 
     def answer_result(self, request: RequestId, status: int, result: bytes) -> None:
-        """Give a goal's result, serialized; empty for one that is unknown."""
+        """Answer with a goal's serialized result; empty for an unknown goal."""
         message = deserialize_message(result, self.type.result) if result else self.type.result()
         self._answer("get_result", self.type.get_result.Response(status=status, result=message), request)
 
@@ -176,7 +184,7 @@ class ActionServer:
         self._served.do(lambda: self._publishers["feedback"].publish(feedback))
 
     def publish_status(self, goals: Sequence[KnownGoal]) -> None:
-        """Say how all goals are."""
+        """Publish the status of all goals."""
         statuses = [
             GoalStatus(goal_info=GoalInfo(goal_id=_uuid(g.goal), stamp=_time(g.accepted)), status=g.status)
             for g in goals
@@ -186,7 +194,7 @@ class ActionServer:
 
     def _open(self) -> None:
         node, hidden = self._served.node, f"{self.action}/_action"
-        # The topics first: a client takes the server for there as soon as it sees all five.
+        # The topics first: a client considers the server present as soon as it sees all five.
         for name, type_, qos in (("feedback", self.type.feedback, _FEEDBACK), ("status", GoalStatusArray, _STATUS)):
             self._publishers[name] = node.create_publisher(type_, f"{hidden}/{name}", qos)
         for name, type_, taken in (
@@ -249,7 +257,8 @@ class ActionServer:
         self._served.do(send)
 
     def _written_by(self, name: str, request: RequestId) -> RequestId | None:
-        """A request of an earlier process's client, as one that can be answered; None while the client is not seen."""
+        """Return the identity under which a request to an earlier process can be answered; None while its client is not
+        discovered."""
         topic = f"{self.action}/_action/{name}"
         node = self._served.node
         readers = node.get_subscriptions_info_by_topic(f"rr{topic}Reply", no_mangle=True)
@@ -264,12 +273,12 @@ _NONE = bytes(16).hex()
 
 
 def _never_called(request: object, response: Any) -> Any:
-    """Stands where rclpy wants a callback."""
+    """Satisfy rclpy, which requires a callback."""
     return response
 
 
 class ActionClient:
-    """Uses an action. Its methods wait for as long as the server takes: callers give them a bound."""
+    """Uses an action. Its methods wait for as long as the server takes: callers set a bound."""
 
     def __init__(
         self,
@@ -280,40 +289,46 @@ class ActionClient:
         on_feedback: Callable[[str, bytes], None],
         on_status: Callable[[Sequence[KnownGoal]], None] | None = None,
     ) -> None:
-        """``on_feedback`` is given a goal's id and the whole serialized message, both are called in the loop."""
+        """``on_feedback`` receives a goal's id and the whole serialized message.
+
+        Both callbacks are called in the event loop.
+        """
         self.action, self.type = action, type_
         self._served, self._on_feedback, self._on_status = served, on_feedback, on_status
         self._clients: dict[str, ServiceClient] = {}
         self._subscriptions: list[Any] = []
 
     async def open(self) -> None:
-        """Look for the server."""
+        """Create the client's endpoints."""
         await self._served.get(self._open)
 
     async def close(self) -> None:
-        """Let go of the server. Calls under way are cancelled."""
+        """Remove the client's endpoints. Calls in progress are cancelled."""
         await self._served.get(self._close)
         for client in self._clients.values():
             client.cancel()
 
     async def ready(self) -> bool:
-        """Whether a server is there with all that makes an action."""
+        """Return whether a server with all endpoints of the action is present."""
         return await self._served.get(self._ready)
 
     async def send_goal(self, goal: str, data: bytes) -> tuple[bool, int]:
-        """Send a goal, serialized, under an id; whether it was accepted, and when (Unix nanoseconds)."""
+        """Send a serialized goal under an id. Returns whether it was accepted, and when (Unix nanoseconds)."""
         message = deserialize_message(data, self.type.goal)
         request = self.type.send_goal.Request(goal_id=_uuid(goal), goal=message)
         response = await self._clients["send_goal"].call(request)
         return bool(response.accepted), _nanoseconds(response.stamp)
 
     async def cancel(self, goal: str) -> int:
-        """Ask to cancel a goal; the server's return code."""
+        """Request to cancel a goal. Returns the server's return code."""
         request = CancelGoal.Request(goal_info=GoalInfo(goal_id=_uuid(goal)))
         return int((await self._clients["cancel_goal"].call(request)).return_code)
 
     async def result(self, goal: str) -> tuple[int, bytes]:
-        """The status and the serialized result of a goal, when it has ended; UNKNOWN at once if it is not known."""
+        """Wait for the end of a goal.
+
+        Returns its status and serialized result; UNKNOWN at once if the server does not know the goal.
+        """
         response = await self._clients["get_result"].call(self.type.get_result.Request(goal_id=_uuid(goal)))
         return int(response.status), serialize_message(response.result)
 
@@ -370,4 +385,4 @@ class ActionClient:
 
 
 def _never_told(message: object) -> None:
-    """Stands where rclpy wants a callback."""
+    """Satisfy rclpy, which requires a callback."""

@@ -1,7 +1,7 @@
-"""The node by which an agent calls services of its instance, and what it sees of the graph from there.
+"""The node with which an agent calls services of its instance, and its view of the graph.
 
-If the host is known, only endpoints on this host count as the instance's: behind a discovery server an agent also learns of
-the other instances' servers, which network policies keep it from reaching.
+If the host is known, only endpoints on this host count as the instance's. Behind a discovery server an agent also
+discovers the other instances' servers, which network policies keep it from reaching.
 """
 
 from __future__ import annotations
@@ -19,21 +19,23 @@ MOST_CLIENTS = 64
 """Service clients kept for further calls; a new one costs a round of discovery."""
 
 QUEUE = 100
-"""Samples that may wait between two looks at a queue."""
+"""Samples that may wait in a queue between two reads."""
 
 
 @dataclass(frozen=True)
 class GraphLocation:
-    """Where in ROS this process already is."""
+    """The place in ROS that this process has already joined."""
 
     context: Any
-    """The rclpy context of its graph; another would be another participant, that has to be discovered anew."""
+    """The rclpy context of its graph. Another context would be another participant, which would have to be discovered
+    again."""
     host: bytes | None = None
-    """The host part of the GIDs of this host's endpoints (Middleware.host_of); None where anyone's count."""
+    """The host part of the GIDs of this host's endpoints (Middleware.host_of); None if the endpoints of all hosts
+    count."""
 
 
 class CallingNode:
-    """A served node at a location, with the clients that it keeps for further calls."""
+    """A node at a location, with the clients that it keeps for further calls."""
 
     def __init__(self, name: str, location: GraphLocation | None) -> None:
         from understudy.ros.runtime.served_node import ServedNode
@@ -45,7 +47,7 @@ class CallingNode:
         self._clients: dict[tuple[str, str], ServiceClient] = {}
 
     def is_at(self, location: GraphLocation | None) -> bool:
-        """Return whether it was made at this location and is still alive."""
+        """Return whether the node was created at this location and is still alive."""
         if not self._served.alive:
             return False
         if location is None:
@@ -56,17 +58,17 @@ class CallingNode:
         """Leave the graph."""
         self._served.shut_down()
 
-    # -- what is there ----------------------------------------------------------------------------------------------
+    # -- presence ----------------------------------------------------------------------------------------------------
 
     def serves(self, service: str) -> bool:
-        """Whether a service has a server here: what takes its requests, and what answers them."""
+        """Whether a service has a server here, with its reader of requests and its writer of answers."""
         readers = self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True)
         if not any(self._here(reader) for reader in readers):
             return False
         return any(map(self._here, self.node.get_publishers_info_by_topic(f"rr{service}Reply", no_mangle=True)))
 
     def has_node(self, name: str) -> bool:
-        """Whether a node is here; on one known host its parameter events identify it, which nearly every node has."""
+        """Whether a node is here. On one known host its parameter events identify it, which nearly every node has."""
         if self.host is None:
             known = self.node.get_node_names_and_namespaces()
             return any(f"{namespace.rstrip('/')}/{node}" == name for node, namespace in known)
@@ -74,19 +76,19 @@ class CallingNode:
         return any(self._here(w) and f"{w.node_namespace.rstrip('/')}/{w.node_name}" == name for w in writers)
 
     def is_read(self, publisher: Any, topic: str, type_name: str) -> bool:
-        """Whether all readers of a topic of that type are matched, one of them here."""
+        """Whether all readers of a topic of that type are matched, and one of them is here."""
         readers = [
             reader for reader in self.node.get_subscriptions_info_by_topic(topic) if reader.topic_type == type_name
         ]
         return any(map(self._here, readers)) and bool(publisher.get_subscription_count() >= len(readers))
 
     def is_read_elsewhere(self, topic: str, type_name: str) -> bool:
-        """Whether somebody on another host subscribes to a topic."""
+        """Whether a reader on another host subscribes to a topic."""
         readers = self.node.get_subscriptions_info_by_topic(topic)
         return any(e.topic_type == type_name and not self._here(e) for e in readers)
 
     def published_types(self, topic: str) -> set[str]:
-        """The types of a topic's publishers that are here."""
+        """Return the types of a topic's publishers that are here."""
         return {e.topic_type for e in self.node.get_publishers_info_by_topic(topic) if self._here(e)}
 
     def _here(self, endpoint: Any) -> bool:
@@ -116,7 +118,7 @@ class CallingNode:
         return found
 
     def publisher(self, cls: Any, topic: str, count: int) -> Any:
-        """A publisher that every subscriber matches, whatever it asks for."""
+        """Create a publisher that every subscriber matches, whatever QoS the subscriber requests."""
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
         qos = QoSProfile(
@@ -127,7 +129,7 @@ class CallingNode:
         return self.node.create_publisher(cls, topic, qos)
 
     def subscription(self, cls: Any, topic: str, *, latched: bool) -> Any:
-        """A subscription that is drained: of every writer, or of those that keep messages for late readers."""
+        """Create a subscription that is drained: to every writer, or to those that keep messages for late readers."""
         from rclpy.event_handler import SubscriptionEventCallbacks
         from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 

@@ -1,4 +1,7 @@
-"""Says on ``/diagnostics`` how a workload is (REP 107). How such messages are told from evidence: see message_contents.py."""
+"""Publishes the state of a workload on ``/diagnostics`` (REP 107).
+
+How these messages are kept out of the evidence is described in message_contents.py.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +16,25 @@ from understudy.ros.runtime.interface_types import message_class
 from understudy.trees.leaves.diagnostics import OWN, TOPIC, TYPE
 
 _QOS = QoSProfile(depth=10)
-"""Reliable and volatile, as diagnostic_updater's: what matches that matches this."""
+"""Reliable and volatile, as that of diagnostic_updater: a reader that matches that also matches this."""
 
 
 class Status(NamedTuple):
-    """A status as diagnostic_msgs/msg/DiagnosticStatus has it."""
+    """A status, with the fields of diagnostic_msgs/msg/DiagnosticStatus."""
 
     level: int
     name: str
     message: str
     hardware: str
-    """What it is about, the same for as long as that is."""
+    """The subject of the status; it stays the same for as long as the subject does."""
     values: Sequence[tuple[str, str]]
 
 
 class Diagnostics:
-    """The publisher."""
+    """Publishes on ``/diagnostics``."""
 
     def __init__(self, graph: Graph) -> None:
-        """Raises TypeNotInstalled."""
+        """Create the publisher. Raises TypeNotInstalled."""
         self._graph = graph
         self._array = message_class(TYPE)
         self._status = message_class("diagnostic_msgs/msg/DiagnosticStatus")
@@ -40,11 +43,11 @@ class Diagnostics:
 
     @property
     def readers(self) -> int:
-        """How many would receive it."""
+        """Number of readers that would receive a message."""
         return int(self._publisher.get_subscription_count())
 
     def publish(self, status: Status, at: float) -> None:
-        """Say it once, as it was at a time in Unix seconds."""
+        """Publish a status once, with its time in Unix seconds."""
         assert status.name.startswith(OWN), "or it would be taken for evidence"
         fraction, whole = math.modf(at)
         array = self._array()
@@ -61,5 +64,5 @@ class Diagnostics:
         self._publisher.publish(array)
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Remove the publisher."""
         self._graph.node.destroy_publisher(self._publisher)

@@ -1,7 +1,7 @@
 """Calls services, lifecycle transitions and parameters of one instance, and publishes to it, from inside its pod.
 
-The calls go through a node of their own in the process's participant (calling_node.py), which exists only while it is used.
-Every call has a bound in seconds, and fails with a message that names the node, service or topic.
+The calls go through a node of their own in the process's participant (calling_node.py), which exists only while it is
+used. Every call has a bound in seconds. A call that fails has a message that names the node, service or topic.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ IDLE = 60.0
 """Seconds without a call after which the node is closed."""
 
 LINGER = 5.0
-"""Seconds for which a message is still sent again to subscribers that may have lost it, after the call has returned."""
+"""Seconds for which a message is still sent again, after the call has returned, to subscribers that may have lost
+it."""
 
 LOOK = 0.02
-"""Seconds between two looks at the graph or a queue while something is waited for."""
+"""Seconds between two reads of the graph or a queue during a wait."""
 
 ASK_AGAIN = 0.5
-"""Seconds between two questions for a lifecycle state while a transition is under way, since its answer may get lost."""
+"""Seconds between two requests for a lifecycle state during a transition, since the answer to the transition may get
+lost."""
 
 REPEAT = 1.0
-"""Seconds without an answer after which what can be asked twice is asked again: a server that has not found a new client yet
-drops its answer (rmw_fastrtps waits 100 ms for it).
-"""
+"""Seconds without an answer after which a request that can be repeated is repeated: a server that has not discovered a
+new client yet drops its answer (rmw_fastrtps waits 100 ms for it)."""
 
 MOST_REPEATS = 20
-"""Questions of one kind that may wait for their answers."""
+"""Requests of one kind that may wait for their answers."""
 
 ANSWER_LOST = 3.0
 """Seconds at rest in the old state after which a transition without an answer counts as refused."""
@@ -55,28 +56,29 @@ TRANSITIONS: Mapping[tuple[str, str], tuple[str, int, str]] = {
     ("active", "unconfigured"): ("deactivate", 4, "inactive"),
     ("active", "finalized"): ("shutdown", 7, "finalized"),
 }
-"""The next transition on the way from a state to another: its name, its id (lifecycle_msgs) and where it leads."""
+"""The next transition on the way from one state to another: its name, its id (lifecycle_msgs) and the state after
+it."""
 
 STATES = ("unconfigured", "inactive", "active", "finalized")
-"""The states in which a managed node rests."""
+"""The states in which a managed node can rest."""
 
 
 class CallFailed(Exception):
-    """A call that did not succeed, in plain words."""
+    """A call that did not succeed. The text says why."""
 
 
 class _CallProgress:
-    """One call under way."""
+    """One call in progress."""
 
     def __init__(self, missing: str) -> None:
         self.missing = missing
-        """What is waited for, said when its time is over."""
+        """What the call waits for, for the message at its timeout."""
         self.sent = False
-        """Whether a request is on its way."""
+        """Whether a request was sent and waits for its answer."""
 
 
 class Listener:
-    """The messages of a topic from now on."""
+    """Provides the messages of a topic from now on."""
 
     def __init__(self, subscription: Any) -> None:
         from understudy.ros.runtime.sample_taking import SampleTaker
@@ -86,14 +88,14 @@ class Listener:
 
     @property
     def last(self) -> Sample | None:
-        """The latest; None before the first."""
+        """The latest message; None before the first."""
         with self._subscription.handle:
             while (sample := self._taker.take(self._subscription.handle.pointer)) is not None:
                 self._last = sample
         return self._last
 
     async def first(self, within: float) -> Sample | None:
-        """Wait for the first, for at most so many seconds."""
+        """Wait for the first message, for at most ``within`` seconds."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(within):
                 await _until(lambda: self.last is not None)
@@ -104,8 +106,10 @@ class InstanceCaller:
     """One instance's services, parameters, lifecycle and topics. For one event loop."""
 
     def __init__(self, name: str, *, place: Callable[[], GraphLocation | None] | None = None) -> None:
-        """``name`` of the node that is made at the first call. ``place`` says where, and None while that is not known yet;
-        without it the node joins the graph that the process's environment names.
+        """``name`` is that of the node, which is created at the first call.
+
+        ``place`` returns its location, None while that is not known yet. Without ``place`` the node joins the graph
+        that the process's environment names.
         """
         self._name, self._place = name, place
         self._opened: CallingNode | None = None
@@ -117,27 +121,27 @@ class InstanceCaller:
     async def call(
         self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
     ) -> dict[str, Any]:
-        """The answer of a service (``package/srv/Name``), waiting for the service too. Raises CallFailed.
+        """Return the answer of a service (``package/srv/Name``), waiting for the service too. Raises CallFailed.
 
-        With ``repeat`` it is asked again after so many seconds without an answer, as often as it takes.
+        With ``repeat``, the request is repeated after so many seconds without an answer, as often as necessary.
         """
         async with self._bound(f"service {service}", within) as (opened, bound):
             return to_mapping(await _asked(opened, bound, service, type_name, request, repeat=repeat))
 
     async def service_present(self, service: str) -> bool:
-        """Whether somebody serves it here now. Raises CallFailed."""
+        """Return whether a server of the service is here now. Raises CallFailed."""
         async with self._bound(f"service {service}", 10.0) as (opened, _):
             return opened.serves(service)
 
     async def node_present(self, node: str) -> bool:
-        """Whether a node of that full name is here now. Raises CallFailed."""
+        """Return whether a node of this full name is here now. Raises CallFailed."""
         async with self._bound(f"node {node}", 10.0) as (opened, _):
             return opened.has_node(node)
 
     # -- lifecycle --------------------------------------------------------------------------------------------------
 
     async def lifecycle_state(self, node: str, within: float) -> str:
-        """The state of a managed node: unconfigured, inactive, active or finalized, or one of those between them.
+        """Return the state of a managed node: unconfigured, inactive, active or finalized, or a state in transition.
 
         Raises CallFailed.
         """
@@ -145,8 +149,9 @@ class InstanceCaller:
             return await _state(opened, bound, node)
 
     async def bring_to(self, node: str, state: str, within: float) -> None:
-        """Bring a managed node to a state in which it can rest, by the shortest transitions. Nothing is done if it is
-        there already. Raises CallFailed.
+        """Bring a managed node to a state in which it can rest, by the shortest transitions.
+
+        Does nothing if the node is in that state already. Raises CallFailed.
         """
         if state not in STATES:
             raise CallFailed(f"node {node}: {state!r} is not a state to bring it to: take one of {', '.join(STATES)}")
@@ -164,14 +169,14 @@ class InstanceCaller:
     # -- parameters -------------------------------------------------------------------------------------------------
 
     async def get_parameters(self, node: str, names: Sequence[str], within: float) -> dict[str, Any]:
-        """Values of parameters of a node. Raises CallFailed, also if it does not have one of them."""
+        """Return values of a node's parameters. Raises CallFailed, also if the node lacks one of them."""
         async with self._bound(f"node {node}", within) as (opened, bound):
             return await _parameters(opened, bound, node, names)
 
     async def set_parameters(self, node: str, values: Mapping[str, Any], within: float) -> None:
-        """Set parameters of a node; an integer is given as a double where the parameter is one.
+        """Set parameters of a node. An integer is converted if the parameter is a double.
 
-        Raises CallFailed with the node's reason where it refuses one.
+        Raises CallFailed with the node's reason if it refuses one.
         """
         async with self._bound(f"node {node}", within) as (opened, bound):
             from rclpy.parameter import Parameter
@@ -209,11 +214,15 @@ class InstanceCaller:
         within: float,
         count: int = 1,
     ) -> None:
-        """Publish a message (bytes are CDR with its header; a function is asked for them at the last moment) that often, once
-        somebody here subscribes to the topic, and wait until the subscribers have it. Raises CallFailed.
+        """Publish a message ``count`` times, once somebody here subscribes to the topic, and wait until the subscribers
+        have received it.
 
-        Instances of one workload match each other's subscribers and cannot reach them, and the middleware does not tell whose
-        acknowledgement is missing: with subscribers elsewhere the message is sent on for a while instead, and not waited for.
+        A message in bytes is CDR with its header; a function is called for the bytes at the last moment. Raises
+        CallFailed.
+
+        Instances of one workload match each other's subscribers and cannot reach them, and the middleware does not
+        report whose acknowledgement is missing. So if there are subscribers elsewhere, the message is sent repeatedly
+        for a while, without waiting.
         """
         async with self._bound(f"topic {topic}", within) as (opened, bound):
             cls = message_class(type_name)
@@ -234,7 +243,7 @@ class InstanceCaller:
                 asyncio.get_running_loop().call_later(lingers, opened.node.destroy_publisher, publisher)
 
     async def topic_type(self, topic: str, within: float) -> str:
-        """The type that the publishers of a topic announce, waiting for one that is here. Raises CallFailed."""
+        """Return the type that the publishers of a topic announce, waiting for one that is here. Raises CallFailed."""
         async with self._bound(f"topic {topic}", within) as (opened, bound):
             bound.missing = f"nobody publishes {topic}"
             found: set[str] = set()
@@ -251,15 +260,18 @@ class InstanceCaller:
     async def wait_sample(
         self, topic: str, type_name: str, within: float, since: float | None = None, *, own: bool = False
     ) -> Sample:
-        """The next message of a topic, or a latched one that is there; with ``since`` none that was written before (Unix
-        seconds, by the writer's clock), with ``own`` only of a writer on this host. Raises CallFailed.
+        """Return the next message of a topic, or a latched one that exists already. Raises CallFailed.
+
+        With ``since``, the message was not written before that time (Unix seconds, by the writer's clock). With
+        ``own``, it is from a writer on this host.
         """
         async with self._bound(f"topic {topic}", within) as (opened, bound):
             from understudy.ros.runtime.sample_taking import SampleTaker
 
             cls, taker, host = message_class(type_name), SampleTaker(), opened.host if own else None
             bound.missing = f"nothing {'of this instance ' if host else ''}came on {topic} ({type_name})"
-            # A reader of latched messages does not match a writer that keeps none, and the other does not get them.
+            # A reader of latched messages does not match a writer that keeps none, and the other reader does not
+            # receive latched ones.
             subscriptions = [opened.subscription(cls, topic, latched=latched) for latched in (False, True)]
             try:
                 while True:
@@ -276,7 +288,8 @@ class InstanceCaller:
 
     @contextlib.asynccontextmanager
     async def listening(self, topic: str, type_name: str, within: float) -> AsyncIterator[Listener]:
-        """A topic's messages as they come, for as long as the context lasts; it begins in so many seconds.
+        """Provide a topic's messages as they arrive, for as long as the context lasts. It starts within ``within``
+        seconds.
 
         Raises CallFailed.
         """
@@ -295,24 +308,24 @@ class InstanceCaller:
 
     @property
     def is_open(self) -> bool:
-        """Whether there is a node now."""
+        """Whether the node exists now."""
         return self._opened is not None
 
     def close(self) -> None:
-        """End the node, if there is one. The next call makes another."""
+        """End the node, if there is one. The next call creates another."""
         self._stay()
         if self._opened is not None:
             self._opened.close()
             self._opened = None
 
     def _stay(self) -> None:
-        """Do not close for being idle."""
+        """Cancel the closing of an idle node."""
         if self._idle is not None:
             self._idle.cancel()
             self._idle = None
 
     def _open(self) -> CallingNode | None:
-        """The node in the present place; None if that is not known yet."""
+        """Return the node at the present location; None if that is not known yet."""
         place = self._place() if self._place is not None else None
         if self._place is not None and place is None:
             return None
@@ -325,7 +338,7 @@ class InstanceCaller:
 
     @contextlib.asynccontextmanager
     async def _bound(self, what: str, within: float) -> AsyncIterator[tuple[CallingNode, _CallProgress]]:
-        """The node, for at most so many seconds. ``what`` names the other side in messages."""
+        """Provide the node, for at most ``within`` seconds. ``what`` names the other side in messages."""
         bound = _CallProgress("this process has not joined the ROS graph")
         self._users += 1
         self._stay()
@@ -343,14 +356,14 @@ class InstanceCaller:
             self._left()
 
     def _left(self) -> None:
-        """One user less; after the last one it closes in a while."""
+        """Count one user less. After the last one, the node closes after a while."""
         self._users -= 1
         if not self._users and self._opened is not None:
             self._idle = asyncio.get_running_loop().call_later(IDLE, self.close)
 
 
 def _acknowledged(publisher: Any) -> bool:
-    """Whether every reliable subscriber has all messages; waits a moment for it."""
+    """Return whether every reliable subscriber has received all messages; waits a moment for that."""
     from rclpy.duration import Duration
 
     return bool(publisher.wait_for_all_acked(Duration(seconds=0.2)))
@@ -370,10 +383,11 @@ async def _asked(
     *,
     repeat: float | None = None,
 ) -> Any:
-    """The answer of a service, as a message; a request that may be carried out twice is repeated that often (seconds).
+    """Return the answer of a service, as a message.
 
-    That both sides of the service match its client is waited for; that the server has matched the client cannot be seen from
-    here, and a server that has not drops its answer.
+    ``repeat`` is the number of seconds after which a request that may be carried out twice is repeated. The function
+    waits until both sides of the service match its client. Whether the server has matched the client is not visible
+    from here, and a server that has not drops its answer.
     """
     client = await opened.client(service, type_name)
     message = to_message(interface_class(type_name).Request, request)
@@ -407,9 +421,9 @@ async def _state(opened: CallingNode, bound: _CallProgress, node: str) -> str:
 async def _transition(
     opened: CallingNode, bound: _CallProgress, node: str, present: str, transition: str, number: int, goal: str
 ) -> None:
-    """One transition. Its answer may come late or get lost, so the state itself is asked for meanwhile.
+    """Carry out one transition. Its answer may come late or get lost, so the state itself is also requested.
 
-    Raises CallFailed if the node did not go there.
+    Raises CallFailed if the node did not reach the state.
     """
     request = {"transition": {"id": number, "label": transition}}
     asking = _CallProgress("")
@@ -449,7 +463,7 @@ async def _parameters(opened: CallingNode, bound: _CallProgress, node: str, name
     values = [parameter_value_to_python(value) for value in answer.values]
     if len(values) == len(names) and None not in values:
         return {name: _plain(value) for name, value in zip(names, values, strict=True)}
-    if len(names) > 1:  # a node answers nothing at all where it lacks one
+    if len(names) > 1:  # a node that lacks one of them sends no answer at all
         found: dict[str, Any] = {}
         for name in names:
             found |= await _parameters(opened, bound, node, [name])

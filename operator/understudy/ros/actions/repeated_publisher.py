@@ -1,4 +1,4 @@
-"""Publishes a message again and again, as a client that a robot's reader already knows."""
+"""Publishes a message repeatedly, from a publisher that the robot's reader has already discovered."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _QOS = QoSProfile(
 
 
 class Commander:
-    """A publisher that exists before it is needed: until readers have matched, what is published reaches nobody."""
+    """A publisher that is created before it is needed: until readers have matched, messages reach nobody."""
 
     def __init__(self, graph: Graph, topic: str, type_name: str, message: Mapping[str, Any]) -> None:
-        """Raises TypeNotInstalled and MessageError."""
+        """Create the publisher. Raises TypeNotInstalled and MessageError."""
         self._graph, self._class, self._values = graph, message_class(type_name), message
         to_message(self._class, message)
         self._publisher = graph.node.create_publisher(self._class, topic, _QOS)
 
     def publish(self) -> None:
-        """Send the message once; fields that are ``now`` get the present time."""
+        """Send the message once. Fields with the value ``now`` receive the current time."""
         self._publisher.publish(to_message(self._class, self._values))
 
     def close(self) -> None:
-        """Leave the topic."""
+        """Remove the publisher."""
         self._graph.node.destroy_publisher(self._publisher)

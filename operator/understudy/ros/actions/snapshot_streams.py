@@ -1,10 +1,10 @@
 """Streams of snapshots of a tree, as py_trees_ros offers them (its SnapshotStream), for its watcher and its viewers.
 
-``NAMESPACE/snapshots`` is always there. A tool without a topic looks for ``NAMESPACE/snapshot_streams/open`` by
-its type instead, and is given a stream of its own with a period of its own, until it closes that.
+``NAMESPACE/snapshots`` always exists. A tool without a topic finds ``NAMESPACE/snapshot_streams/open`` by its type
+instead, and gets a stream of its own with a period of its own, until the tool closes it.
 
-Nothing here waits but the answers, which a thread gives: the middleware may take a tenth of a second for a client that
-has only just come.
+Nothing here blocks except the answers, which a thread sends: the middleware may take a tenth of a second for a client
+that has only just appeared.
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ LATCHED = QoSProfile(
     reliability=ReliabilityPolicy.RELIABLE,
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
-"""As its readers ask for: who joins late is given the last snapshot."""
+"""The QoS that the readers request: a reader that joins late receives the last snapshot."""
 
 LEAST = 0.2
-"""Seconds between two snapshots of a stream, at least."""
+"""Minimum seconds between two snapshots of a stream."""
 
 WORDS = 1.0
-"""Seconds between two snapshots where only messages have changed, such as the figure of a rate that fails."""
+"""Seconds between two snapshots if only messages have changed, such as the figure of a rate that fails."""
 
 MOST = 16
-"""Streams at a time. What opens more without closing any is given the one that is always there."""
+"""Largest number of streams. A tool that opens more gets the one that always exists."""
 
 ABANDONED = 60.0
-"""Seconds without a reader after which a stream that was opened is closed: its tool has died."""
+"""Seconds without a reader after which an opened stream is closed, because its tool has ended."""
 
 PATIENCE = 5.0
-"""Seconds in which an answer is tried again."""
+"""Seconds for which an answer is tried again."""
 
 _NOT_A_BLACKBOX = 4  # py_trees_ros_interfaces/msg/Behaviour: no level is hidden
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
@@ -58,16 +58,16 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 
 @dataclass
 class _Stream:
-    """One topic, and what was said on it last."""
+    """One topic, and the last snapshot on it."""
 
     publisher: Any
     period: float
-    """Seconds between snapshots though nothing has changed; infinite for none."""
+    """Maximum seconds between snapshots without a change; infinite for no maximum."""
     read: float
-    """When it was seen to have a reader last, by the monotonic clock; or was opened."""
+    """When it last had a reader, or was opened, in monotonic seconds."""
     readers: int = 0
     fresh: bool = True
-    """Whether a reader has come since the last snapshot."""
+    """Whether a reader has joined since the last snapshot."""
     shown: float = -math.inf
     statuses: tuple[object, ...] = ()
     listed: Sequence[Behaviour] = ()
@@ -76,7 +76,7 @@ class _Stream:
 
 @dataclass
 class _Unanswered:
-    """An answer that is on its way."""
+    """An answer that was not delivered yet."""
 
     service: Any
     response: Any
@@ -85,10 +85,10 @@ class _Unanswered:
 
 
 class Streams:
-    """The streams of one tree. For one loop."""
+    """The streams of one tree. For use in one event loop."""
 
     def __init__(self, graph: Graph, namespace: str) -> None:
-        """Offer them below a namespace such as ``/understudy/robot_1``. Raises TypeNotInstalled."""
+        """Offer the streams below a namespace such as ``/understudy/robot_1``. Raises TypeNotInstalled."""
         self._graph, self._namespace = graph, namespace
         self._types = {name: interface_class(f"{PACKAGE}/msg/{name}") for name in ("BehaviourTree", "Behaviour")}
         self._types["UUID"] = interface_class("unique_identifier_msgs/msg/UUID")
@@ -98,7 +98,7 @@ class Streams:
         self._opened = 0
         self._unanswered: list[_Unanswered] = []
         self.default = f"{namespace}/snapshots"
-        """The topic of the stream that is always there."""
+        """The topic of the stream that always exists."""
         self._add(self.default, math.inf)
         self._services = [
             (
@@ -117,7 +117,7 @@ class Streams:
     # -- snapshots --------------------------------------------------------------------------------------------------
 
     def read(self) -> bool:
-        """Whether anybody reads any of them now; to be asked now and then, before a snapshot is made."""
+        """Return whether any stream has a reader now. Call it at intervals, before a snapshot is made."""
         now = time.monotonic()
         for name, stream in list(self._streams.items()):
             readers = int(stream.publisher.get_subscription_count())
@@ -130,7 +130,10 @@ class Streams:
         return any(stream.readers for stream in self._streams.values())
 
     def show(self, listed: Sequence[Behaviour]) -> int:
-        """Publish how the tree is if that is due, and read; on how many streams."""
+        """Publish the state of the tree on each stream that has readers and is due.
+
+        Returns the number of these streams.
+        """
         now, found = time.monotonic(), statuses(listed)
         message = None
         published = 0
@@ -184,7 +187,7 @@ class Streams:
     # -- services ---------------------------------------------------------------------------------------------------
 
     async def serve(self) -> None:
-        """Take the requests that have come, and answer them."""
+        """Take the requests that have arrived, and answer them."""
         for service, type_, handle in self._services:
             while (found := self._exchange.take(service, type_.Request)) is not None:
                 request, identity = found
@@ -224,7 +227,10 @@ class Streams:
             stream.period = _period(request.parameters.snapshot_period)
 
     def _hint(self, wanted: str) -> str:
-        """The last part of a topic's name. Nobody decides where in the graph this process publishes: a full name is no hint."""
+        """Return the last part of a stream's topic, from the name that a tool wants.
+
+        A full name is ignored, because tools do not decide where in the graph this process publishes.
+        """
         if _NAME.fullmatch(wanted):
             return wanted
         self._opened += 1
@@ -238,7 +244,7 @@ class Streams:
         self._graph.node.destroy_publisher(self._streams.pop(name).publisher)
 
     def close(self) -> None:
-        """Leave all topics and services."""
+        """Remove all topics and services."""
         for name in list(self._streams):
             self._remove(name)
         for service, _, _ in self._services:
@@ -250,10 +256,13 @@ _SERVICES = ("open", "close", "reconfigure")
 
 
 def _period(wanted: float) -> float:
-    """The period that a tool asked for, in seconds. Infinite means on changes only, as does what is no number."""
+    """Return the period that a tool requested, in seconds.
+
+    Infinite means only on changes; so does a value that is not a number.
+    """
     return math.inf if math.isnan(wanted) else max(LEAST, wanted)
 
 
 def _never_called(request: object, response: object) -> object:
-    """Stands where rclpy wants a callback; the queue is drained instead."""
+    """Satisfy rclpy, which requires a callback; the queue is drained instead."""
     return response

@@ -1,6 +1,6 @@
-"""Implements the middleware interface with Fast DDS, as ``rmw_fastrtps_cpp`` runs it.
+"""Implements the middleware interface with Fast DDS, as ``rmw_fastrtps_cpp`` uses it.
 
-Imports what it needs when it is asked: an agent has neither models of the API nor RTPS in memory.
+Modules are imported when they are first used: an agent has neither models of the API nor RTPS in memory.
 """
 
 from __future__ import annotations
@@ -26,13 +26,14 @@ class FastDds(Middleware):
     name = "Fast DDS"
     settings_variable = "FASTRTPS_DEFAULT_PROFILES_FILE"
     common = {"RMW_IMPLEMENTATION": "rmw_fastrtps_cpp", "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}  # noqa: RUF012
-    """UDP only: over shared memory between containers, topics are listed and carry no data."""
+    """UDP only: over shared memory, topics of other containers are discovered but carry no data."""
 
     introspection = {"ROS_SUPER_CLIENT": "TRUE"}  # noqa: RUF012
-    """A plain client of a discovery server hears of matching endpoints only, so it could never learn a topic's type."""
+    """A plain client of a discovery server discovers matching endpoints only, so it could never learn a topic's
+    type."""
 
     def environment(self, ros: Ros, address: str | None) -> dict[str, str]:
-        """Domain and discovery server."""
+        """Return the variables for the domain and the discovery server."""
         environment = {"ROS_DOMAIN_ID": str(ros.domain_id), **self.common}
         match ros.discovery.mode:
             case "Managed":
@@ -45,25 +46,25 @@ class FastDds(Middleware):
         return environment
 
     def introspecting(self, environment: Mapping[str, str]) -> dict[str, str]:
-        """Behind a discovery server, only a super client sees the whole graph."""
+        """Return the environment of a super client: behind a discovery server, only that sees the whole graph."""
         return {**environment, **(self.introspection if self.discovery_server(environment) else {})}
 
     def discovery_server(self, environment: Mapping[str, str]) -> str:
-        """The only server that a robot has."""
+        """Return the discovery server; a robot has only one."""
         return environment.get(SERVER_VARIABLE, "")
 
     def discovery_command(self, address: str, port: int) -> list[str]:
-        """A server that announces this address as its own, since its pod's address changes."""
+        """Return the command of a server that announces this address as its own, since its pod's address changes."""
         return ["understudy-discovery-server", address, str(port)]
 
     def gate_ports(self, outputs: Iterable[Output]) -> dict[str, int]:
-        """By profile name."""
+        """Return the ports by profile name."""
         from understudy.ros.dds import profiles
 
         return profiles.gate_ports(outputs)
 
     def robot_settings(self, outputs: Iterable[Output], reflex: Reflex | None = None) -> str:
-        """Profiles with a gated port for each reader."""
+        """Return the profiles with a gated port for each reader."""
         from understudy.ros.dds import profiles
 
         return profiles.profiles_xml(outputs, reflex)
@@ -71,23 +72,23 @@ class FastDds(Middleware):
     def instance_settings(
         self, tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None
     ) -> str:
-        """Profiles with partitions for tasks, and ownership for outputs with the reflex."""
+        """Return the profiles with partitions for tasks, and ownership for outputs with the reflex."""
         from understudy.ros.dds import profiles
 
         return profiles.instance_profiles_xml(tasks, outputs, reflex)
 
     def host_of(self, gid: bytes) -> bytes:
-        """Vendor and host id."""
+        """Return the vendor and the host id."""
         return gid[HOST]
 
     def host_at(self, address: str) -> bytes:
-        """Of IPv4 addresses only: Fast DDS leaves IPv6 out."""
+        """Return the host part for an IPv4 address. Fast DDS leaves IPv6 out."""
         return VENDOR + host_id(address)
 
     async def reader_locators(
         self, readers: Collection[bytes], address: str, environment: Mapping[str, str], *, within: float
     ) -> dict[bytes, tuple[Locator, ...]]:
-        """As DDS discovery announces them."""
+        """Return the locators that DDS discovery announces."""
         from understudy.ros.dds import reader_locators
 
         discovery = reader_locators.Discovery.of(environment)

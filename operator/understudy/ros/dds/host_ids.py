@@ -1,4 +1,4 @@
-"""The host ids in Fast DDS's GUIDs: they tell which host an endpoint is on.
+"""The host ids in Fast DDS's GUIDs, which identify the host of an endpoint.
 
 Fast DDS begins every GUID with its vendor's id and a 16-bit id of the host, which it derives from the IPv4 addresses of
 the host's interfaces, loopback excluded (``Host`` in its ``utils``).
@@ -11,7 +11,7 @@ import ipaddress
 from functools import lru_cache
 
 VENDOR = bytes([0x01, 0x0F])
-"""How a GID of Fast DDS begins; the host's id follows."""
+"""First bytes of a GID of Fast DDS; the host's id follows."""
 
 HOST = slice(0, 4)
 """The part of a GID that is the same for all writers of a host: the vendor and the host's id."""
@@ -19,9 +19,9 @@ HOST = slice(0, 4)
 
 @lru_cache(maxsize=1024)
 def host_id(*ips: str) -> bytes:
-    """The two bytes of a GID for a host with these IPv4 addresses, in the order of its interfaces.
+    """Return the two bytes of a GID for a host with these IPv4 addresses, in the order of its interfaces.
 
-    Raises ValueError when one is no IPv4 address; Fast DDS leaves IPv6 out.
+    Raises ValueError if one is not an IPv4 address; Fast DDS leaves IPv6 out.
     """
     digest = hashlib.md5(usedforsecurity=False)
     for ip in ips:

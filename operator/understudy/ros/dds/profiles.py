@@ -1,16 +1,17 @@
 """The XML profiles of the robot's side and of the instances.
 
-On the robot's side each gated reader has its own UDP port. A gate can tell ports apart: closing them closes exactly the outputs of a
-standby, and leaves discovery, acknowledgements and everything that it receives open.
+On the robot's side each gated reader has its own UDP port. A gate can distinguish ports: closing them closes exactly
+the outputs of a standby, and leaves discovery, acknowledgements and everything that it receives open.
 
-In an instance, the endpoints of tasks are in a DDS partition of the pod. Clients of the instance see only the server of the task proxy, and
-only the agent in the pod reaches what the instance serves.
+In an instance, the endpoints of tasks are in a DDS partition of the pod. Clients of the instance see only the server of
+the task proxy, and only the agent in the pod reaches what the instance serves.
 
-With the reflex, the readers of outputs on the robot's side choose among the writers of the instances (see exclusive_ownership.py).
+With the reflex, the readers of outputs on the robot's side choose among the writers of the instances (see
+exclusive_ownership.py).
 
 Fast DDS selects the profile of an endpoint by the name of its DDS topic, so the application's source does not change.
 
-Imports no ROS, because the operator writes these profiles.
+This module imports no ROS, because the operator writes these profiles.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ PARTITION = f"understudy-${{{names.POD_VARIABLE}}}"
 
 
 def reader_profiles(output: Output) -> list[str]:
-    """The profile names of all readers that an output can have on the robot's side.
+    """Return the profile names of all readers that an output can have on the robot's side.
 
     A service or an action may be served by the robot or called by it, so both directions are named: a request reader
     (``rq/``) exists in a server, a reply reader (``rr/``) in a client. The names are the DDS topic names of
@@ -53,10 +54,11 @@ def _service_readers(service: str) -> list[str]:
 
 
 def gate_ports(outputs: Iterable[Output]) -> dict[str, int]:
-    """The UDP port of each gated reader by profile name, in the order of the outputs.
+    """Return the UDP port of each gated reader by profile name, in the order of the outputs.
 
-    One port for each, never a shared one: of two readers in one network namespace with the same port, the second
-    receives nothing. The operator, the robot and the monitor must compute the same ports, so they depend on the outputs only.
+    Each reader has its own port: of two readers in one network namespace with the same port, the second receives
+    nothing. The operator, the robot and the monitor must compute the same ports, so the ports depend on the outputs
+    only.
 
     Raises ValueError, naming the output, if the gated range (:data:`names.GATE_PORTS`) is exhausted.
     """
@@ -77,10 +79,11 @@ def gate_ports(outputs: Iterable[Output]) -> dict[str, int]:
 
 
 def profiles_xml(outputs: Iterable[Output], reflex: Reflex | None = None) -> str:
-    """The profile file for FASTRTPS_DEFAULT_PROFILES_FILE, for the robot's nodes and the monitor.
+    """Return the profile file for FASTRTPS_DEFAULT_PROFILES_FILE, for the robot's nodes and the monitor.
 
-    The locators name a port and no address, so that Fast DDS announces it for every interface. Of the QoS, only ownership
-    and deadline are set, for topics with the reflex: rmw_fastrtps overwrites the rest with what the node asked for.
+    The locators name a port and no address, so that Fast DDS announces it for every interface. Of the QoS, only
+    ownership and deadline are set, for topics with the reflex: rmw_fastrtps overwrites the rest with the node's own
+    settings.
 
     Raises ValueError as :func:`gate_ports` does.
     """
@@ -98,10 +101,10 @@ def profiles_xml(outputs: Iterable[Output], reflex: Reflex | None = None) -> str
 
 
 def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (), reflex: Reflex | None = None) -> str:
-    """The profile file for the processes of an instance and its agent; empty if they need none.
+    """Return the profile file for the processes of an instance and its agent; empty if they need none.
 
-    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership too. What differs
-    from pod to pod is left as variables (see api/protocol/profile_placeholders.py).
+    rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership too. Values that
+    differ between pods remain variables (see api/protocol/profile_placeholders.py).
     """
     profiles = "".join(
         _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=PARTITION)
@@ -120,7 +123,7 @@ def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (),
 
 
 def _action_endpoints(action: str) -> list[str]:
-    """The profile names of all readers and writers of an action's server and clients."""
+    """Return the profile names of all readers and writers of an action's server and clients."""
     return reader_profiles(Output(action=action, type="action_msgs/action/Any"))
 
 

@@ -29,7 +29,7 @@ LEASE = 10.0
 """Seconds after which others forget the participant if its farewell is lost."""
 
 RESPONSE = 0.005
-"""Seconds from a heartbeat to the answer: the samples that it announces are mostly on their way already."""
+"""Seconds from a heartbeat to the answer: most of the samples that it announces are already on their way."""
 
 _PORTS, _OURS = 250, 50
 """Number of DDS ports of a ROS domain, and how many of them are tried: the last ones, which other participants take last. A firewall that
@@ -42,12 +42,12 @@ _SERVER = bytes.fromhex("4453005f4550524f53494d41")
 
 @dataclass(frozen=True)
 class Discovery:
-    """Whom to ask."""
+    """The discovery to ask."""
 
     host: str
     port: int
     prefix: bytes = b""
-    """Of a discovery server; empty for all that hear it."""
+    """GUID prefix of a discovery server; empty for all participants that receive the announcement."""
     domain: int = 0
 
     @classmethod
@@ -63,10 +63,11 @@ class Discovery:
 async def locators(
     wanted: Collection[bytes], address: str, discovery: Discovery, *, within: float
 ) -> dict[bytes, tuple[Locator, ...]]:
-    """Where the readers with these GUIDs listen. Those that are not announced within so many seconds are left out.
+    """Return where the readers with these GUIDs listen. Those that are not announced within ``within`` seconds are left
+    out.
 
-    Returns as soon as all are known: the discovery server of a small graph has announced everything after half a second. ``address`` is
-    this host's own, to which answers are sent. Raises OSError.
+    Returns as soon as all are known: the discovery server of a small graph has announced everything after half a
+    second. ``address`` is this host's own, to which answers are sent. Raises OSError.
     """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(discovery.host, discovery.port, family=socket.AF_INET, type=socket.SOCK_DGRAM)
@@ -120,7 +121,7 @@ class _Visit(asyncio.DatagramProtocol):
 
     @property
     def found(self) -> dict[bytes, tuple[Locator, ...]]:
-        """Where the wanted readers listen, as far as known."""
+        """Return where the wanted readers listen, as far as known."""
         places: dict[bytes, tuple[Locator, ...]] = {}
         for guid in self._wanted:
             if (own := self._readers.get(guid)) is None:
@@ -160,7 +161,7 @@ class _Visit(asyncio.DatagramProtocol):
     def error_received(self, exc: Exception) -> None:
         _logger.debug("asking discovery: %s", exc)
 
-    # -- what is told ---------------------------------------------------------------------------------------------------
+    # -- received ----------------------------------------------------------------------------------------------------------
 
     def _take(self, told: Sample | Heartbeat | Gap) -> None:
         if isinstance(told, Gap):
@@ -179,7 +180,7 @@ class _Visit(asyncio.DatagramProtocol):
                 self.over.set()
 
     def _answer(self, writer: bytes) -> None:
-        """Ask a writer for what it has and wasn't had from it yet."""
+        """Request the samples of a writer that were not received yet."""
         heartbeat, had = self._heard.pop(writer), self._had.get(writer, set())
         numbers = range(max(heartbeat.first, 1), heartbeat.last + 1)
         missing = list(itertools.islice((n for n in numbers if n not in had), rtps.MOST_MISSING))
@@ -188,6 +189,6 @@ class _Visit(asyncio.DatagramProtocol):
         elif (participant := self._participants.get(writer[: rtps.PREFIX])) is not None:
             places = participant.discovery
         else:
-            return  # it will say so again, once it has said who it is
+            return  # it repeats the heartbeat after its announcement has arrived
         answer = rtps.acknowledgement(self._prefix, writer, missing, then=heartbeat.last + 1, count=next(self._answers))
         self._send(answer, places)

@@ -1,7 +1,8 @@
-"""As much of DDS's wire protocol (RTPS 2.x, section 9) as it takes to be told by discovery where readers listen.
+"""The part of DDS's wire protocol (RTPS 2.x, section 9) that is needed to learn from discovery where readers listen.
 
-ROS's graph knows who reads a topic, and not at which addresses and ports: DDS keeps those to itself. Pure functions of bytes; the
-conversation is in reader_locators.py. IPv4 only on our side, as the transport that all of a robot's graph is given.
+ROS's graph shows who reads a topic, but not at which addresses and ports: DDS keeps those to itself. All functions are
+pure functions of bytes; the conversation is in reader_locators.py. Our side supports IPv4 only, because that is the
+transport that all of a robot's graph is given.
 """
 
 from __future__ import annotations
@@ -15,25 +16,27 @@ from understudy.ros.dds.host_ids import VENDOR
 from understudy.ros.middleware import Locator
 
 PARTICIPANT = bytes([0x00, 0x00, 0x01, 0xC1])
-"""The entity that is the participant itself. Those that follow are writer and reader of what each tells the others."""
+"""The entity of the participant itself. The next two are the writer and the reader of its announcements and
+subscriptions."""
 
 PARTICIPANTS = (bytes([0x00, 0x01, 0x00, 0xC2]), bytes([0x00, 0x01, 0x00, 0xC7]))
 SUBSCRIPTIONS = (bytes([0x00, 0x00, 0x04, 0xC2]), bytes([0x00, 0x00, 0x04, 0xC7]))
 
 ANSWERED = dict([PARTICIPANTS, SUBSCRIPTIONS])
-"""The writers whose heartbeats are answered, with the readers that do."""
+"""The writers whose heartbeats are answered, with the readers that answer."""
 
 PREFIX = 12
-"""Bytes of a GUID that are the participant's; its entity follows."""
+"""Length in bytes of the participant's part of a GUID; its entity follows."""
 
 MOST_MISSING = 256
-"""Samples that one answer can ask for."""
+"""Number of samples that one answer can request."""
 
 ANNOUNCER, DETECTOR, SUBSCRIPTIONS_DETECTOR = 1 << 0, 1 << 1, 1 << 5
-"""Which of these a participant has, as it says in its announcement: of participants both, and the reader of subscriptions."""
+"""Bits of an announcement for what a participant has: writer and reader of participants, and the reader of
+subscriptions."""
 
 _HEADER = b"RTPS" + bytes([2, 2]) + VENDOR
-_LITTLE = 1  # the flag of every submessage that numbers begin with their least byte
+_LITTLE = 1  # the flag of every submessage with little-endian numbers
 _ACKNACK, _HEARTBEAT, _GAP, _INFO_DST, _DATA = 0x06, 0x07, 0x08, 0x0E, 0x15
 _INLINE_QOS, _HAS_DATA, _HAS_KEY = 2, 4, 8
 _PL_CDR_LE = bytes([0x00, 0x03, 0x00, 0x00])
@@ -43,46 +46,46 @@ _MULTICAST, _DEFAULT, _METATRAFFIC, _PARTICIPANT_GUID, _BUILTIN = 0x30, 0x31, 0x
 _PROPERTIES, _ENDPOINT_GUID, _KEY_HASH, _STATUS, _RELATED = 0x59, 0x5A, 0x70, 0x71, 0x83
 _RELATED_OF_EPROSIMA = 0x800F
 
-_GONE = 3  # of a status: disposed, unregistered
+_GONE = 3  # bits of a status: disposed, unregistered
 _UDPV4, _UDPV6 = 1, 2
 
 
 @dataclass(frozen=True)
 class Participant:
-    """What a participant announced of itself."""
+    """A participant's announcement of itself."""
 
     prefix: bytes
-    """How the GUIDs of all that it has begin."""
+    """The first bytes of the GUIDs of all its entities."""
     discovery: tuple[Locator, ...]
-    """Where it listens for discovery's own traffic."""
+    """Where it listens for the traffic of discovery."""
     default: tuple[Locator, ...]
-    """Where its readers listen that have no place of their own."""
+    """Where those of its readers listen that have no locators of their own."""
 
 
 @dataclass(frozen=True)
 class Reader:
-    """What a participant announced of one of its readers."""
+    """A participant's announcement of one of its readers."""
 
     guid: bytes
     topic: str
-    """As DDS names it, such as ``rt/cmd_vel``."""
+    """The name in DDS, such as ``rt/cmd_vel``."""
     locators: tuple[Locator, ...]
-    """Where it listens by itself, multicast included; empty for the participant's default."""
+    """The reader's own locators, multicast included; empty for the participant's default."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What a writer of discovery has sent."""
+    """A sample of a discovery writer."""
 
     writer: bytes
     number: int
     tells: Participant | Reader | None
-    """None where it tells that something is gone, or of what isn't looked for."""
+    """None if it reports that something is gone, or something that is not needed."""
 
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """Which samples a writer has."""
+    """The range of samples that a writer has."""
 
     writer: bytes
     first: int
@@ -91,7 +94,7 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples that a writer has nothing to say of."""
+    """Samples of a writer that are irrelevant."""
 
     writer: bytes
     numbers: frozenset[int]
@@ -106,7 +109,7 @@ _Parameters = Sequence[tuple[int, bytes]]
 
 
 def parse(datagram: bytes) -> Iterator[Submessage]:
-    """What a datagram says; nothing where it is none of RTPS. Raises ValueError where it is broken."""
+    """Yield the submessages of a datagram; none if it is not RTPS. Raises ValueError if it is malformed."""
     if len(datagram) < 20 or datagram[:4] != b"RTPS":
         return
     prefix, at = datagram[8:20], 20
@@ -114,7 +117,7 @@ def parse(datagram: bytes) -> Iterator[Submessage]:
         kind, flags = datagram[at], datagram[at + 1]
         order = "<" if flags & _LITTLE else ">"
         (length,) = struct.unpack_from(f"{order}H", datagram, at + 2)
-        end = at + 4 + length if length else len(datagram)  # none is given where it is the last
+        end = at + 4 + length if length else len(datagram)  # the last one may have a length of 0
         found = _submessage(kind, flags, order, datagram[at + 4 : end], prefix)
         if found is not None:
             yield found
@@ -140,7 +143,7 @@ def _number(order: str, body: bytes, at: int) -> int:
 
 
 def _gone(order: str, body: bytes) -> Iterator[int]:
-    """A range of numbers, and then some that bits name."""
+    """Yield the numbers of a gap: a range, and then some numbers from a bitmap."""
     start, base = _number(order, body, 8), _number(order, body, 16)
     yield from range(start, min(base, start + 65536))
     (count,) = struct.unpack_from(f"{order}I", body, 24)
@@ -167,7 +170,7 @@ def _sample(flags: int, order: str, body: bytes, prefix: bytes) -> Sample:
 
 
 def _parameters(data: bytes, order: str) -> tuple[list[tuple[int, bytes]], int]:
-    """The parameters of a list, and how long it was."""
+    """Return the parameters of a list, and the length of the list."""
     found: list[tuple[int, bytes]] = []
     at = 0
     while at + 4 <= len(data):
@@ -209,9 +212,10 @@ def _locator(value: bytes, order: str) -> Locator | None:
 
 
 def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: bytes = b"") -> bytes:
-    """A participant's own announcement: that it listens here and asks for participants and subscriptions.
+    """Return a participant's own announcement: it listens at ``at``, and asks for participants and subscriptions.
 
-    ``kind`` is what a discovery server takes it for; ``to`` the prefix of that server, empty for all that hear it.
+    ``kind`` is the kind of client that a discovery server considers it; ``to`` is the prefix of that server, empty for
+    all that receive the announcement.
     """
     where = struct.pack("<iI12x", _UDPV4, at.port) + ipaddress.IPv4Address(at.address).packed
     told = [
@@ -228,13 +232,14 @@ def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: byt
 
 
 def farewell(prefix: bytes, *, to: bytes = b"") -> bytes:
-    """That a participant is gone, with all that it had."""
+    """Return the announcement that a participant is gone, with all that it had."""
     gone = [(_KEY_HASH, prefix + PARTICIPANT), (_STATUS, bytes([0, 0, 0, _GONE]))]
     return _message(prefix, to, _data(prefix, 2, inline=gone))
 
 
 def acknowledgement(prefix: bytes, writer: bytes, missing: Sequence[int], *, then: int, count: int) -> bytes:
-    """What a reader of ours still lacks of what a writer has, oldest first; ``then`` is the next that it will have."""
+    """Return a reader's request for the samples of a writer that are missing, oldest first; ``then`` is the number of
+    the next sample."""
     base = missing[0] if missing else then
     wanted = [number - base for number in missing if number - base < MOST_MISSING]
     bits = wanted[-1] + 1 if wanted else 0
@@ -258,7 +263,7 @@ def _framed(kind: int, flags: int, body: bytes) -> bytes:
 
 def _data(prefix: bytes, number: int, told: _Parameters = (), *, inline: _Parameters = ()) -> bytes:
     writer, reader = PARTICIPANTS
-    # A discovery server passes it on as its own, and knows by this whose it was.
+    # A discovery server passes the announcement on as its own. This field identifies the original writer.
     identity = prefix + writer + struct.pack("<iI", 0, number)
     body = struct.pack("<HH", 0, 16) + reader + writer + struct.pack("<iI", 0, number)
     body += _listed([(_RELATED, identity), (_RELATED_OF_EPROSIMA, identity), *inline])

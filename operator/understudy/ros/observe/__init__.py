@@ -1,4 +1,4 @@
-"""What is observed of a robot's ROS graph: topics, nodes, parameters, lifecycle states.
+"""Observes a robot's ROS graph: topics, nodes, parameters, lifecycle states.
 
 Nothing here changes the robot.
 """

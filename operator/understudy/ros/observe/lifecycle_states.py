@@ -1,4 +1,4 @@
-"""The states of managed nodes of the active instance, from their transition events and their answers."""
+"""The states of managed nodes of the active instance, from their transition events and their answers to requests."""
 
 from __future__ import annotations
 
@@ -12,42 +12,42 @@ GET_STATE = "lifecycle_msgs/srv/GetState"
 
 
 class LifecycleStates(Inquiries[str, str, NodeState]):
-    """States of some managed nodes, by their names, fully qualified."""
+    """States of some managed nodes, by their fully qualified names."""
 
     absent = ""
 
     def topic(self, subject: str) -> str:
-        """Where a node reports its transitions."""
+        """Return the topic on which a node reports its transitions."""
         return f"{subject}{EVENTS}"
 
     def told(self, subject: str, content: Content) -> str | None:
-        """The state that a transition leads to."""
+        """Return the state after a transition."""
         message: Any = content.message()
         return str(message.goal_state.label)
 
     def service(self, subject: str) -> tuple[str, str]:
-        """The service that says its state."""
+        """Return the service that reports the state."""
         return f"{subject}/get_state", GET_STATE
 
     def request(self, subject: str, type_: Any) -> Any:
-        """A request says nothing."""
+        """Return an empty request."""
         return type_.Request()
 
     def answered(self, answer: Any) -> str:
-        """The state that a node says it is in."""
+        """Return the state in an answer."""
         return str(answer.current_state.label)
 
     def words(self, fact: str) -> str:
-        """A state is a word."""
+        """Return the state itself, which is a word."""
         return fact
 
     def blind(self, subject: str, nodes: int, found: str) -> str:
-        """Why its state cannot be determined."""
+        """Return why the state cannot be determined."""
         return (
             f"the state of {subject} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "
             "and the one of the active instance has reported no transition since it has been watched"
         )
 
     def evidence(self, received: float, fact: str | None) -> NodeState:
-        """What is known of it."""
+        """Return the state as evidence."""
         return NodeState(received, fact)

@@ -1,8 +1,9 @@
-"""What nodes of the active instance report about themselves: changes as they happen, and the present at intervals.
+"""Facts that nodes of the active instance report about themselves: changes when they happen, and the present state at
+intervals.
 
-What a node tells has its sender. An answer has none, and a request reaches every node of that name, also a standby's: it
-counts where all that could have answered did so and say the same. Nothing here waits: requests are sent, and answers taken,
-by the loop that drains subscriptions, with no executor.
+An event has a sender. An answer has none, and a request reaches every node of that name, also a standby's. So answers
+count only if all nodes that could have answered did so and agree. Nothing here waits: the loop that drains
+subscriptions also sends requests and takes answers, without an executor.
 """
 
 from __future__ import annotations
@@ -18,118 +19,122 @@ from understudy.ros.runtime.interface_types import interface_class
 from understudy.trees.core.observations import Content, Evidence, TopicRecord, Unreadable
 
 PERIOD = 2.0
-"""Seconds between questions. A change is reported at once; what is asked for is what came before, or got lost."""
+"""Seconds between requests. A change is reported at once; requests find the earlier state and changes whose report was
+lost."""
 
 RETRY = 0.5
-"""Seconds between questions while nothing is known: a server that has not found its client yet drops its answer."""
+"""Seconds between requests while nothing is known: a server that has not discovered its client yet drops its answer."""
 
 LOOK = 0.1
-"""Seconds after which what is known is said again: it is as true of an instance that has just taken control."""
+"""Seconds after which a known fact is reported again with a new time, because it also holds after the instance becomes
+active."""
 
 Subject = TypeVar("Subject", bound=Hashable)
-"""What is asked about, such as a node."""
+"""The subject of a fact, such as a node."""
 
 Fact = TypeVar("Fact", bound=Hashable)
-"""What can be known of it, such as a state."""
+"""A fact about a subject, such as a state."""
 
 Said = TypeVar("Said", bound=Evidence)
-"""How that is said to a health tree."""
+"""The form of a fact for a health tree."""
 
 
 @dataclass
 class _Question(Generic[Fact]):
-    """What every server of a name was asked."""
+    """A request that was sent to every server of a name."""
 
     number: int
     servers: int
-    """How many were there, and can be reached."""
+    """Number of servers that existed and can be reached."""
     own: bool
-    """Whether all of them are of the active instance."""
+    """Whether all of them belong to the active instance."""
     answers: list[Fact] = field(default_factory=list)
 
 
 @dataclass
 class _Inquiry(Generic[Fact, Said]):
-    """What is known of a subject."""
+    """The state of knowledge about a subject."""
 
     client: Any = None
     response: Any = None
     """The class of the answers."""
     fact: Fact | None = None
-    """What is so; None if that is not known."""
+    """The fact; None if it is not known."""
     blind: str = ""
     """Why it cannot be determined."""
     said: Said | None = None
     of: Fact | None = None
-    """The fact that was said."""
+    """The fact that was reported."""
     event: object = None
-    """The message that was looked into last."""
+    """The last message that was examined."""
     servers: frozenset[bytes] | None = None
-    """Those of the active instance when they were last looked for, by GID: others are of another process."""
+    """Servers of the active instance at the last look, by GID. Other servers belong to another process."""
     moved: bool = False
-    """Whether it has reported a change since they were."""
+    """Whether the subject has reported a change since then."""
     question: _Question[Fact] | None = None
     next: float = 0.0
 
 
 class Inquiries(ABC, Generic[Subject, Fact, Said]):
-    """What is known of some subjects. Times are Unix seconds."""
+    """Facts about some subjects. Times are Unix seconds."""
 
     def __init__(
         self, graph: Graph, counts: Callable[[bytes], bool], own: Callable[[str], TopicRecord | None], *, alone: bool
     ) -> None:
-        """``counts`` says of a GID whether an endpoint of it does, ``own`` what was received from such on a topic; ``alone``
-        where no others can be reached.
+        """``counts`` returns whether the endpoint with a GID counts, and ``own`` what was received from such endpoints
+        on a topic.
+
+        ``alone`` says that no other nodes can be reached.
         """
         self._graph, self._counts, self._own, self._alone = graph, counts, own, alone
         self._inquiries: dict[Subject, _Inquiry[Fact, Said]] = {}
 
-    # -- what is asked about ----------------------------------------------------------------------------------------
+    # -- kind of fact ------------------------------------------------------------------------------------------------
 
     absent: Fact
-    """What is so where the active instance has no server of the name."""
+    """The fact if the active instance has no server of the name."""
 
     @abstractmethod
     def topic(self, subject: Subject) -> str:
-        """Where a node reports changes."""
+        """Return the topic on which a node reports changes."""
 
     @abstractmethod
     def told(self, subject: Subject, content: Content) -> Fact | None:
-        """What a message there says of it; None if it says nothing of it. Raises Unreadable."""
+        """Return the fact in a message of that topic; None if it has no fact about the subject. Raises Unreadable."""
 
     @abstractmethod
     def service(self, subject: Subject) -> tuple[str, str]:
-        """The service that tells it, and its type."""
+        """Return the service that reports the fact, and its type."""
 
     @abstractmethod
     def request(self, subject: Subject, type_: Any) -> Any:
-        """The request to it."""
+        """Return the request to that service."""
 
     @abstractmethod
     def answered(self, answer: Any) -> Fact:
-        """What an answer says."""
+        """Return the fact in an answer."""
 
     @abstractmethod
     def words(self, fact: Fact) -> str:
-        """A fact in words, others for each."""
+        """Return a fact as text, different for each fact."""
 
     @abstractmethod
     def blind(self, subject: Subject, nodes: int, found: str) -> str:
-        """Why the fact cannot be determined, with the number of nodes in different pods and what they answered."""
+        """Return why the fact cannot be determined, given the number of nodes in different pods and their answers."""
 
     @abstractmethod
     def evidence(self, received: float, fact: Fact | None) -> Said:
-        """What was so at a time, for a health tree; None if it cannot be determined."""
+        """Return the fact at a time, for a health tree; None if it cannot be determined."""
 
-    # -- what is known ----------------------------------------------------------------------------------------------
+    # -- knowledge ---------------------------------------------------------------------------------------------------
 
     @property
     def problems(self) -> list[str]:
-        """What cannot be determined, in plain words."""
+        """Return what cannot be determined, as text for users."""
         return [inquiry.blind for inquiry in self._inquiries.values() if inquiry.blind]
 
     def follow(self, subjects: Iterable[Subject]) -> None:
-        """Know of these and no others."""
+        """Follow these subjects and no others."""
         subjects = set(subjects)
         for subject in [subject for subject in self._inquiries if subject not in subjects]:
             self._end(self._inquiries.pop(subject))
@@ -137,12 +142,12 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
             self._inquiries[subject] = _Inquiry()
 
     def forget(self) -> None:
-        """Forget what is known: another instance is in control now."""
+        """Forget all facts, because another instance has become active."""
         for subject, inquiry in self._inquiries.items():
             self._inquiries[subject] = _Inquiry(inquiry.client, inquiry.response)
 
     def look(self) -> None:
-        """Take in what has been received, and ask if it is time to."""
+        """Process what has been received, and send requests that are due."""
         now = time.monotonic()
         for subject, inquiry in self._inquiries.items():
             self._follow_events(subject, inquiry)
@@ -160,15 +165,15 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
                 inquiry.said.received += seconds
 
     def of(self, subject: Subject) -> Said | None:
-        """What is known of a subject; None for nothing (yet)."""
+        """Return the fact about a subject; None if nothing is known (yet)."""
         inquiry = self._inquiries.get(subject)
         return inquiry.said if inquiry is not None else None
 
     def close(self) -> None:
-        """End all clients."""
+        """Remove all clients."""
         self.follow(())
 
-    # -- what is told -----------------------------------------------------------------------------------------------
+    # -- events ------------------------------------------------------------------------------------------------------
 
     def _follow_events(self, subject: Subject, inquiry: _Inquiry[Fact, Said]) -> None:
         record = self._own(self.topic(subject))
@@ -184,11 +189,11 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
                 continue
             if fact is not None:
                 inquiry.fact, inquiry.blind = fact, ""
-                inquiry.question, inquiry.moved = None, True  # answers may be of before
+                inquiry.question, inquiry.moved = None, True  # answers may be older than the event
                 inquiry.said, inquiry.of = self.evidence(content.received, fact), fact
                 return
 
-    # -- what is asked ----------------------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------------------------
 
     def _ask(self, subject: Subject, inquiry: _Inquiry[Fact, Said]) -> None:
         if inquiry.question is not None:
@@ -197,7 +202,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         ends = self._graph.servers(service)
         own = frozenset(end.gid for end in ends if self._counts(end.gid))
         if inquiry.servers is not None and own != inquiry.servers and not inquiry.moved:
-            inquiry.fact, inquiry.blind = None, ""  # of another process nothing is known
+            inquiry.fact, inquiry.blind = None, ""  # nothing is known about another process
         inquiry.servers, inquiry.moved = own, False
         if not own:
             inquiry.fact, inquiry.blind = self.absent, ""
@@ -218,20 +223,20 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
             if info is None:
                 return
             if info.request_id.sequence_number != question.number:
-                continue  # too late: it is of an earlier question
+                continue  # a late answer to an earlier request
             question.answers.append(self.answered(answer))
             if len(question.answers) == question.servers:
                 self._conclude(subject, inquiry, question)
 
     def _conclude(self, subject: Subject, inquiry: _Inquiry[Fact, Said], question: _Question[Fact]) -> None:
-        """Make of the answers what can be made of them, when all have come or the time is over."""
+        """Evaluate the answers, when all have arrived or the time is over."""
         inquiry.question = None
         whole = len(question.answers) == question.servers
         words = sorted({self.words(answer) for answer in question.answers})
         if whole and len(words) == 1:
             inquiry.fact, inquiry.blind = question.answers[0], ""
         elif question.own:
-            return  # one that does not answer counts as unchanged
+            return  # a node that does not answer counts as unchanged
         elif inquiry.fact is None or (whole and self.words(inquiry.fact) not in words):
             inquiry.fact = None
             found = f"some are {' and some '.join(words)}" if whole else f"{len(question.answers)} answered"

@@ -1,8 +1,9 @@
-"""Looks now and then at which nodes the active instance has, by the ROS graph.
+"""Checks at intervals which nodes the active instance has, from the ROS graph.
 
-The graph's list of nodes does not say where a node is, and instances of one workload have nodes of the same names. Its
-endpoints do: each has a GID that tells its host (Middleware.host_of), and the name of its node. Every node of rclcpp and rclpy
-has a publisher of ``/parameter_events``, unless it was told not to; then another of its endpoints is looked for.
+The graph's list of nodes does not contain their places, and instances of one workload have nodes of the same names. But
+each endpoint has a GID, which identifies its host (Middleware.host_of), and the name of its node. Every node of rclcpp
+and rclpy has a publisher of ``/parameter_events``, unless it is configured not to. In that case another of its
+endpoints is looked for.
 """
 
 from __future__ import annotations
@@ -14,38 +15,37 @@ from understudy.ros.runtime.graph_node import Graph
 from understudy.trees.core.observations import NodePresence
 
 PERIOD = 0.1
-"""Seconds between looks."""
+"""Seconds between checks."""
 
 AT_LEAST = 1.0
-"""Seconds after which all publishers are gone through though their number is the same: a node may have taken another's
-place. Counting them costs 6 us, going through those of 30 nodes 0.4 ms.
-"""
+"""Seconds after which all publishers are examined even if their number is the same: a node may have taken another's
+place. Counting them costs 6 us, examining those of 30 nodes 0.4 ms."""
 
 EVENTS = "/parameter_events"
 
 
 class NodePresenceWatch:
-    """Whether some nodes are there. Times are Unix seconds."""
+    """Whether some nodes are present. Times are Unix seconds."""
 
     def __init__(self, graph: Graph, counts: Callable[[bytes], bool]) -> None:
-        """``counts`` says of a GID whether an endpoint of it does."""
+        """``counts`` returns whether the endpoint with a GID counts."""
         self._graph, self._counts = graph, counts
         self._seen: dict[str, NodePresence | None] = {}
         self._count = -1
         self._next = self._again = 0.0
 
     def follow(self, nodes: Iterable[str]) -> None:
-        """Look for these nodes, fully qualified, and no others."""
+        """Look for these nodes, by their fully qualified names, and no others."""
         self._seen = {name: self._seen.get(name) for name in nodes}
         self._next = self._again = 0.0
 
     def forget(self) -> None:
-        """Forget what was seen: other endpoints count now."""
+        """Forget all results, because other endpoints count now."""
         self._seen = dict.fromkeys(self._seen)
         self._next = self._again = 0.0
 
     def look(self) -> None:
-        """Look, if it is time to."""
+        """Check, if that is due."""
         now = time.monotonic()
         if not self._seen or now < self._next:
             return
@@ -57,7 +57,7 @@ class NodePresenceWatch:
                     self._seen[seen.node] = NodePresence(looked, seen.node, seen.there, seen.elsewhere)
             return
         ends = self._graph.publishers(EVENTS)
-        # The name of a node comes a moment after its first endpoint.
+        # The name of a node arrives a moment after its first endpoint.
         settled = len(ends) == count and all(end.node for end in ends)
         self._count, self._again = count if settled else -1, now + AT_LEAST
         told: dict[str, bool] = {}
@@ -75,5 +75,5 @@ class NodePresenceWatch:
                 seen.received += seconds
 
     def of(self, name: str) -> NodePresence | None:
-        """What the last look for a node found; None before the first."""
+        """Return the last result for a node; None before the first check."""
         return self._seen.get(name)

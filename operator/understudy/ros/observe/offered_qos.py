@@ -1,7 +1,8 @@
-"""What publishers offer of the delivery of a topic's messages (their QoS), as rosbag2 writes it with the topic.
+"""The QoS that publishers of a topic offer, in the form in which rosbag2 stores it with the topic.
 
-`ros2 bag play` offers the same again: without it a topic that latches its last message would reach nobody who asks for that.
-Policies are named as by rosbag2 of Jazzy and later; if a file does not say the version of its metadata, these take it for their own.
+`ros2 bag play` offers the same QoS again. Otherwise a topic that latches its last message would not match readers that
+request that. Policies have their names of rosbag2 of Jazzy and later, which assume these names if a file does not give
+the version of its metadata.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _SECOND = 1_000_000_000
 
 
 def offers(profiles: Iterable[QoSProfile]) -> str:
-    """Profiles as they stand in a recording, each kind once."""
+    """Return profiles in the form of a recording, each different one once."""
     found: list[dict[str, Any]] = []
     for profile in profiles:
         told = _told(profile)

@@ -1,4 +1,4 @@
-"""Parameters of nodes of the active instance, from their parameter events and their answers."""
+"""Parameters of nodes of the active instance, from their parameter events and their answers to requests."""
 
 from __future__ import annotations
 
@@ -12,24 +12,27 @@ GET_PARAMETERS = "rcl_interfaces/srv/GetParameters"
 
 
 class Setting(NamedTuple):
-    """What a parameter is."""
+    """The value of a parameter."""
 
     value: ParameterValue | None
     lacks: str = ""
-    """Why it has no value, in words."""
+    """Why it has no value, as text."""
 
 
 class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
-    """Some parameters, each by its node's name, fully qualified, and its own."""
+    """Some parameters, each by the fully qualified name of its node and its own name."""
 
     absent = Setting(None, "there is no such node that would say it")
 
     def topic(self, subject: tuple[str, str]) -> str:
-        """Where all nodes report their parameters."""
+        """Return the topic on which all nodes report their parameters."""
         return EVENTS
 
     def told(self, subject: tuple[str, str], content: Content) -> Setting | None:
-        """What a node says of the parameter. A message that lacks its name, or that of the node, is not read."""
+        """Return the parameter in a node's event.
+
+        A message without its name, or without the node's, is not deserialized.
+        """
         node, name = subject
         if not (content.mentions(name) and content.mentions(node)):
             return None
@@ -43,23 +46,24 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         return Setting(None, "it is not set") if gone else None
 
     def service(self, subject: tuple[str, str]) -> tuple[str, str]:
-        """The service that says its value."""
+        """Return the service that reports the value."""
         return f"{subject[0]}/get_parameters", GET_PARAMETERS
 
     def request(self, subject: tuple[str, str], type_: Any) -> Any:
-        """A node that lacks one of several parameters says nothing of the others either: each is asked for on its own."""
+        """Return the request for one parameter: a node that lacks one of several parameters does not report the others
+        either."""
         return type_.Request(names=[subject[1]])
 
     def answered(self, answer: Any) -> Setting:
-        """What a node says that it is."""
+        """Return the value in an answer."""
         return setting(answer.values[0]) if answer.values else Setting(None, "it is not set")
 
     def words(self, fact: Setting) -> str:
-        """A parameter in words, others for each value."""
+        """Return a parameter as text, different for each value."""
         return repr(fact.value) if fact.value is not None else fact.lacks.removeprefix("it is ")
 
     def blind(self, subject: tuple[str, str], nodes: int, found: str) -> str:
-        """Why it cannot be determined."""
+        """Return why the value cannot be determined."""
         node, name = subject
         return (
             f"parameter {name} of {node} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "
@@ -67,14 +71,14 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         )
 
     def evidence(self, received: float, fact: Setting | None) -> ParameterState:
-        """What is known of it."""
+        """Return the parameter as evidence."""
         if fact is None:
             return ParameterState(received, None, "", told=False)
         return ParameterState(received, fact.value, fact.lacks)
 
 
 def setting(value: Any) -> Setting:
-    """What a rcl_interfaces/msg/ParameterValue says."""
+    """Return the contents of a rcl_interfaces/msg/ParameterValue."""
     match value.type:  # rcl_interfaces/msg/ParameterType
         case 0:
             return Setting(None, "it is not set")

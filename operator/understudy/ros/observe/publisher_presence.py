@@ -1,4 +1,4 @@
-"""Looks now and then at who publishes topics, by the ROS graph."""
+"""Checks at intervals which endpoints publish topics, from the ROS graph."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ from understudy.ros.runtime.graph_node import Graph
 from understudy.trees.core.observations import Publishers
 
 PERIOD = 0.1
-"""Seconds between looks."""
+"""Seconds between checks."""
 
 
 class PublisherPresence:
-    """Who publishes some topics. Times are Unix seconds."""
+    """The publishers of some topics. Times are Unix seconds."""
 
     def __init__(self, graph: Graph, counts: Callable[[bytes], bool]) -> None:
-        """``counts`` says of a GID whether its publisher does."""
+        """``counts`` returns whether the publisher with a GID counts."""
         self._graph, self._counts = graph, counts
         self._seen: dict[str, Publishers | None] = {}
         self._next = 0.0
 
     def follow(self, topics: Iterable[str]) -> None:
-        """Look at these topics and no others."""
+        """Check these topics and no others."""
         self._seen = {name: self._seen.get(name) for name in topics}
         self._next = 0.0
 
     def forget(self) -> None:
-        """Forget what was seen: other publishers count now."""
+        """Forget all results, because other publishers count now."""
         self._seen = dict.fromkeys(self._seen)
         self._next = 0.0
 
     def look(self) -> None:
-        """Look, if it is time to."""
+        """Check, if that is due."""
         now = time.monotonic()
         if not self._seen or now < self._next:
             return
@@ -49,5 +49,5 @@ class PublisherPresence:
                 seen.received += seconds
 
     def of(self, name: str) -> Publishers | None:
-        """The publishers of a topic at the last look; None before the first."""
+        """Return the publishers of a topic at the last check; None before the first."""
         return self._seen.get(name)

@@ -1,6 +1,6 @@
-"""The last seconds of what was received, as the bytes that came: bounded by time, and by memory over all topics.
+"""The received messages of the last seconds, as bytes: bounded in time, and in memory over all topics.
 
-A message costs a copy of its bytes and an append. Nothing is read, and nothing is written, before something has failed.
+A message costs a copy of its bytes and an append. Nothing is deserialized or written before a failure.
 """
 
 from __future__ import annotations
@@ -10,18 +10,18 @@ from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 Message = tuple[float, float, int, bytes]
-"""When it was received and when it was sent (Unix seconds, 0 if that is not known), its number in its writer's sequence, and CDR
-with its header."""
+"""Time of receipt and time of sending (Unix seconds, 0 if that is not known), its number in its writer's sequence, and
+CDR with its header."""
 
 OVERHEAD = 200
-"""Bytes that a message takes beside its data."""
+"""Bytes that a message uses besides its data."""
 
 ROOM = 0.75
-"""Share of the memory that the time before a failure may take; the rest is for what comes while it is dealt with."""
+"""Fraction of the memory that the time before a failure may use. The rest is for the messages during the recovery."""
 
 
 class Taken(NamedTuple):
-    """What was kept of a topic."""
+    """The stored messages of a topic."""
 
     topic: str
     type: str
@@ -29,7 +29,7 @@ class Taken(NamedTuple):
 
 
 class SampleTrack:
-    """One topic."""
+    """The messages of one topic."""
 
     __slots__ = ("_messages", "_ring", "size", "topic", "type", "wanted")
 
@@ -38,12 +38,12 @@ class SampleTrack:
         self.topic, self.type = topic, type_
         self._messages: deque[Message] = deque()
         self.size = 0
-        """Bytes that it takes."""
+        """Bytes that it uses."""
         self.wanted = True
-        """Whether it is kept; its bytes need not be copied if it is not."""
+        """Whether messages are stored; otherwise their bytes need not be copied."""
 
     def add(self, received: float, sent: float, sequence: int, data: bytes) -> None:
-        """Keep a message, and forget what is too old by now."""
+        """Store a message, and forget messages that are too old by now."""
         ring, size = self._ring, len(data) + OVERHEAD
         if ring.since is None:
             self.forget(received - ring.seconds)
@@ -54,7 +54,7 @@ class SampleTrack:
         ring.used += size
 
     def forget(self, before: float) -> None:
-        """Forget what was received before a time."""
+        """Forget messages that were received before a time."""
         messages, freed = self._messages, 0
         while messages and messages[0][0] < before:
             freed += len(messages.popleft()[3]) + OVERHEAD
@@ -63,37 +63,37 @@ class SampleTrack:
             self._ring.used -= freed
 
     def leave_out(self) -> None:
-        """Keep nothing of it, now and later."""
+        """Store nothing of this topic, now and later."""
         self._ring.used -= self.size
         self.size, self.wanted = 0, False
         self._messages.clear()
 
     def since(self, since: float) -> list[Message]:
-        """What was received from a time on."""
+        """Return the messages that were received from a time on."""
         return [message for message in self._messages if message[0] >= since]
 
     def shift(self, step: float) -> None:
-        """Move its times with the clock."""
+        """Move all times with the clock."""
         self._messages = deque((at + step, *rest) for at, *rest in self._messages)  # type: ignore[misc]
 
 
 class SampleRing:
-    """All topics. Times are Unix seconds by this machine's clock."""
+    """The messages of all topics. Times are Unix seconds by this machine's clock."""
 
     def __init__(self, seconds: float, memory: int) -> None:
         self.seconds, self._memory = seconds, memory
         self.limit = int(memory * ROOM)
-        """Bytes that it may take now."""
+        """Bytes that it may use now."""
         self.used = 0
-        """Bytes that it takes."""
+        """Bytes that it uses."""
         self.since: float | None = None
-        """Since when all is kept, while that is so."""
+        """Since when all messages are kept, after a failure; None if old messages are forgotten."""
         self.full: float | None = None
-        """From when on messages were missed then, for want of memory; None for none."""
+        """Since when messages were missed after the failure because memory was exhausted; None if none were missed."""
         self._tracks: dict[str, SampleTrack] = {}
 
     def track(self, topic: str, type_: str) -> SampleTrack:
-        """Where a topic's messages go."""
+        """Return the track for a topic's messages."""
         found = self._tracks.get(topic)
         if found is None or found.type != type_:
             if found is not None:
@@ -103,14 +103,17 @@ class SampleRing:
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        """The topics that are not kept, and why, in plain words."""
+        """Return the topics that are not stored, and why, as text for users."""
         why = f"in {self.seconds:g} s it takes more than all topics may together"
         return {name: why for name, track in sorted(self._tracks.items()) if not track.wanted}
 
     def make_room(self, track: SampleTrack, received: float, size: int) -> bool:
-        """Whether so many bytes more can be kept of a topic; where need be, the topic that takes most is left out."""
+        """Whether ``size`` more bytes of a topic can be stored.
+
+        If necessary, the topic that uses most is left out from now on.
+        """
         if self.since is not None:
-            self.full = self.full or received  # what led to the failure is worth more than what came of it
+            self.full = self.full or received  # what led to the failure is worth more than what followed it
             return False
         for each in self._tracks.values():
             each.forget(received - self.seconds)
@@ -122,16 +125,16 @@ class SampleRing:
         return True
 
     def hold(self, failed: float) -> None:
-        """Keep all from the time before a failure on, as far as there is memory, until it is let go."""
+        """Keep all messages from the time before a failure on, as far as there is memory, until :meth:`let_go`."""
         if self.since is None:
             self.since, self.full, self.limit = failed - self.seconds, None, self._memory
 
     def let_go(self) -> None:
-        """Forget again what is too old."""
+        """Forget old messages again."""
         self.since, self.full, self.limit = None, None, int(self._memory * ROOM)
 
     def taken(self, since: float) -> Iterator[Taken]:
-        """What was kept of each topic from a time on."""
+        """Yield the stored messages of each topic from a time on."""
         for track in self._tracks.values():
             if messages := track.since(since):
                 yield Taken(track.topic, track.type, messages)

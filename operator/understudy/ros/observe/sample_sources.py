@@ -1,7 +1,7 @@
-"""Which pod sent a sample.
+"""Attributes samples to pods.
 
-A pod has one address, the cluster knows it, and the GID of a writer tells its host. Two pods can have the same host id in GIDs: that is
-reported, never guessed at.
+A pod has one address, the cluster knows it, and the GID of a writer identifies its host. Two pods can have the same
+host id in GIDs. That is reported and never guessed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,10 @@ class Sources:
     """The pods that may have sent a sample."""
 
     def __init__(self, instances: Mapping[str, str]) -> None:
-        """``instances`` has the IP of each pod; those without one (yet), or with an IPv6 one, can't be told."""
+        """``instances`` has the IP of each pod.
+
+        Pods without one (yet), or with an IPv6 address, cannot be identified.
+        """
         self.instances = dict(instances)
         self.unknown: list[str] = []
         """Pods that no sample can be attributed to."""
@@ -28,21 +31,22 @@ class Sources:
         self._pods = {host: tuple(sorted(names)) for host, names in pods.items()}
 
     def candidates(self, gid: bytes) -> tuple[str, ...]:
-        """The pods that the writer with this GID (its HOST part is enough) may be in; empty for none of them."""
+        """Return the pods that may contain the writer with this GID (its HOST part is enough); empty if none can."""
         return self._pods.get(MIDDLEWARE.host_of(gid), ())
 
     def pod(self, gid: bytes) -> str | None:
-        """The pod that the writer with this GID is in; None where it's none of them, or may be more than one."""
+        """Return the pod that contains the writer with this GID; None if it is none of them, or may be more than
+        one."""
         names = self.candidates(gid)
         return names[0] if len(names) == 1 else None
 
     @property
     def ambiguous(self) -> list[tuple[str, ...]]:
-        """Groups of pods that can't be told apart."""
+        """Groups of pods that cannot be distinguished."""
         return [names for names in self._pods.values() if len(names) > 1]
 
     def problems(self) -> Iterable[str]:
-        """What a user should know about pods that can't be told (apart), in plain words."""
+        """Yield messages for users about pods that cannot be identified or distinguished."""
         for names in self.ambiguous:
             addresses = ", ".join(f"{name} ({self.instances[name]})" for name in names)
             if len({self.instances[name] for name in names}) == 1:

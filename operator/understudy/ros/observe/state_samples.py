@@ -1,8 +1,8 @@
 """The last messages of topics whose state is kept, as serialized bytes, of the active instance or the robot.
 
-Drained like what is watched (topic_watch.py), and never deserialized. A publisher that gives its last message to late
-joiners is asked for that too, so that a pose said once before the monitor started is known; such a message is told
-from a fresh one by its time, and stands until the next one comes.
+The topics are drained like watched ones (topic_watch.py), and messages are never deserialized. If a publisher gives its
+last message to late joiners, that message is requested too, so that a pose published once before the monitor started is
+known. Such a message is distinguished from a fresh one by its time, and remains valid until the next one arrives.
 """
 
 from __future__ import annotations
@@ -23,17 +23,18 @@ from understudy.ros.runtime.sample_taking import SampleTaker
 _logger = logging.getLogger(__name__)
 
 DEPTH = 4
-"""Messages that a topic's queue holds between two drains. Only the last is of interest, but another instance may say the
-same topic; what is more is left to the middleware to drop, since taking it costs."""
+"""Messages that a topic's queue holds between two drains. Only the last is of interest, but another instance may
+publish on the same topic. The middleware drops further messages, since taking them costs time."""
 
 LOOK_UP = 1.0
-"""Seconds between looks at the graph for a topic that nobody publishes yet, and at the number of its publishers."""
+"""Seconds between checks of the graph for a topic that nobody publishes yet, and of the number of its publishers."""
 
 LOOK_AGAIN = 10.0
-"""Seconds between looks at whether publishers are still what they were, where their number has not changed."""
+"""Seconds between checks of whether publishers have changed although their number has not."""
 
 LARGEST_WAITING = 1024 * 1024
-"""Bytes of a standby's message that is remembered for when it takes over; what is larger is a map, and the same."""
+"""Largest message of a standby, in bytes, that is remembered for when it takes over. A larger one is a map, which is
+the same for all."""
 
 
 class Captured(NamedTuple):
@@ -44,10 +45,10 @@ class Captured(NamedTuple):
     data: bytes
     """CDR with its 4-byte header."""
     taken_at: float
-    """When it was received, or written if that was before it was asked for."""
+    """When it was received, or when it was written if that was before the subscription."""
     received_at: float
     standing: Literal["", "instance", "robot"]
-    """By whom it is held for late joiners, if it is: it holds until the next one."""
+    """Who holds it for late joiners, if anybody does. It is valid until the next one."""
     writer: bytes = b""
     """GID of its publisher."""
 
@@ -68,11 +69,11 @@ class _Topic:
     problem: str = ""
     waiting: str = ""
     standing: dict[bytes, Captured] = field(default_factory=dict)
-    """The last message of each instance, by the HOST part of its GIDs, if that is given to late joiners."""
+    """The last message of each instance, by the HOST part of its GIDs, if its publisher gives it to late joiners."""
 
 
 class Capturing:
-    """The topics of a policy's ``state``. For the thread that drains."""
+    """Captures the topics of a policy's ``state``. For the thread that drains."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -83,7 +84,7 @@ class Capturing:
         self._again: list[Captured] = []
 
     def follow(self, topics: Mapping[str, str | None]) -> None:
-        """Take these topics, each with its type if that is known, and no others. Cheap where nothing changed."""
+        """Capture these topics, each with its type if that is known, and no others. Cheap if nothing changed."""
         for name in [name for name, topic in self._topics.items() if topics.get(name, "") != topic.type]:
             self._end(self._topics.pop(name))
         for name, type_name in topics.items():
@@ -94,7 +95,7 @@ class Capturing:
     def attribute(self, instances: Mapping[str, str], active: str) -> bool:
         """Set the instances (IP by pod name) and the active one (empty for none).
 
-        Returns whether another is in control than before. Cheap where nothing changed.
+        Returns whether another instance is active than before. Cheap if nothing changed.
         """
         if active == self._active and instances == self._sources.instances:
             return False
@@ -103,13 +104,13 @@ class Capturing:
         for topic in self._topics.values():
             topic.standing = {host: last for host, last in topic.standing.items() if self._sources.candidates(host)}
             if changed:
-                # What it had said as a standby stands still, and is not said again.
+                # Messages that it published as a standby remain valid, and are not published again.
                 self._again += [last for host, last in topic.standing.items() if self._counts(host)]
         return changed
 
     @property
     def problems(self) -> dict[str, str]:
-        """Why a topic cannot be kept, in plain words that say what to do, by topic."""
+        """Why a topic cannot be kept and how to correct that, as text for users, by topic."""
         return {name: topic.problem for name, topic in self._topics.items() if topic.problem}
 
     @property
@@ -118,14 +119,14 @@ class Capturing:
         return {name: topic.waiting for name, topic in self._topics.items() if topic.waiting}
 
     def _counts(self, host: bytes) -> bool:
-        """Whether a host's messages are state: it is no instance at all, or surely the one in control."""
+        """Whether a host's messages are state: it is no instance at all, or certainly the active one."""
         candidates = self._sources.candidates(host)
         return not candidates or candidates == (self._active,)
 
     # -- subscriptions ----------------------------------------------------------------------------------------------
 
     def _look(self, topic: _Topic) -> None:
-        """Subscribe as the publishers that there are need it."""
+        """Subscribe in the way that the present publishers require."""
         publishers = self._graph.publishers(topic.name)
         topic.next_look = time.monotonic() + (LOOK_AGAIN if publishers else LOOK_UP)
         topic.problem = topic.waiting = ""
@@ -159,7 +160,7 @@ class Capturing:
             topic.subscription = None
 
     def close(self) -> None:
-        """End all subscriptions. The graph is left to its owner."""
+        """Remove all subscriptions. The graph belongs to the caller."""
         for topic in self._topics.values():
             self._end(topic)
         self._topics.clear()
@@ -167,7 +168,7 @@ class Capturing:
     # -- receiving --------------------------------------------------------------------------------------------------
 
     def drain(self) -> list[Captured]:
-        """The last message of each topic that has come since, if one has."""
+        """Return the last message of each topic that has arrived since the last call, if there is one."""
         found, self._again = self._again, []
         now = time.monotonic()
         for topic in self._topics.values():
@@ -185,7 +186,7 @@ class Capturing:
         last: Captured | None = None
         with topic.subscription.handle:
             pointer = topic.subscription.handle.pointer
-            # A writer that is faster than we are must not keep us here.
+            # Limited, because a writer may be faster than this process.
             for _ in range(2 * DEPTH):
                 sample = self._taker.take(pointer, with_data=False)
                 if sample is None:
@@ -212,7 +213,7 @@ class Capturing:
         return [last] if last is not None else []
 
     def shift(self, step: float) -> None:
-        """The clock was set by so many seconds: what is remembered is moved with it."""
+        """Move all times by ``step`` seconds, after the clock was set."""
         for topic in self._topics.values():
             topic.subscribed_at += step
             topic.standing = {
@@ -222,5 +223,5 @@ class Capturing:
 
 
 def _order(message: Captured) -> float:
-    """By which the last of several messages is told: of two writers' held messages, the one written later."""
+    """Sort key of which the largest is the last message: among held messages of two writers, the one written later."""
     return message.taken_at if message.standing else math.inf

@@ -1,8 +1,8 @@
 """Watches topics by draining their queues, without a callback for each message.
 
-Fast DDS keeps what arrives in a subscription's history and stamps it with the time of receipt, so nothing is lost in
-exactness by looking only now and then, and a look costs a few microseconds a message instead of an executor's round.
-:meth:`TopicWatch.drain` is called by the process's own loop; no rclpy executor runs.
+Fast DDS stores arriving messages in a subscription's history and stamps them with the time of receipt. So times are
+exact although the queues are read only at intervals, and reading costs a few microseconds per message instead of an
+executor's round. The process's own loop calls :meth:`TopicWatch.drain`; no rclpy executor runs.
 """
 
 from __future__ import annotations
@@ -44,37 +44,38 @@ from understudy.trees.leaves.lifecycle import EVENTS
 _logger = logging.getLogger(__name__)
 
 STALL = 0.25
-"""Seconds between two drains that a queue must be able to bridge: several ticks, since a busy node stalls us."""
+"""Maximum seconds between two drains that a queue must bridge: several ticks, since a busy node may delay this
+process."""
 
 USUAL_RATE = 50.0
-"""Messages per second that a queue is made for where the tree does not say."""
+"""Messages per second for which a queue is sized if the tree does not give a rate."""
 
 LEAST_DEPTH, MOST_DEPTH = 10, 1000
 
 HISTORY = 10.0
-"""Seconds of arrivals kept per source, for questions about the time since a switch."""
+"""Seconds of arrivals that are kept per source, for questions about the time since a switch."""
 
 FORGET = 600.0
-"""Seconds of silence after which a host may be forgotten; addresses of pods come and go for months."""
+"""Seconds of silence after which a host may be forgotten: over months, many addresses of pods come and go."""
 
 LOOK_UP = 1.0
-"""Seconds between attempts to learn the type of a topic from the graph."""
+"""Seconds between attempts to read the type of a topic from the graph."""
 
 MOST_WRITERS = 64
-"""Writers of one host that are distinguished; a host that restarts its nodes for months has had many."""
+"""Writers of one host that are distinguished. A host that restarts its nodes for months has had many."""
 
 CLOCK_STEP = 0.005
-"""Seconds by which the clock must have moved against the monotonic one to count as having been set."""
+"""Minimum change in seconds between the clock and the monotonic clock that shows that the clock was set."""
 
 
 def depth(topic: WatchedTopic) -> int:
-    """How many samples a topic's queue must hold."""
+    """Return how many samples a topic's queue must hold."""
     rate = topic.rate if topic.rate is not None else USUAL_RATE
     return min(MOST_DEPTH, max(LEAST_DEPTH, math.ceil(rate * STALL)))
 
 
 class SourceRecord(TopicRecord):
-    """What was received on one topic from one host."""
+    """The samples received on one topic from one host."""
 
     __slots__ = ("accepted", "lost", "sequences")
 
@@ -83,12 +84,13 @@ class SourceRecord(TopicRecord):
         self.accepted = True
         """Whether it counts for the active instance."""
         self.lost = 0
-        """Messages that were sent after the first one received and never came, by their sequence numbers."""
+        """Number of messages that were sent after the first received one and never arrived, by their sequence
+        numbers."""
         self.sequences: dict[bytes, int] = {}
         """The last sequence number of each of the host's writers, by GID."""
 
     def number(self, gid: bytes, sequence: int) -> None:
-        """Note a sample's number, and the ones missing before it."""
+        """Note a sample's sequence number, and the missing ones before it."""
         before = self.sequences.get(gid)
         if before is None:
             if len(self.sequences) >= MOST_WRITERS:
@@ -100,39 +102,41 @@ class SourceRecord(TopicRecord):
 
 @dataclass
 class _Topic:
-    """A watched topic and what came of it."""
+    """A watched topic and its samples."""
 
     want: WatchedTopic
     subscription: Any = None
     message: Any = None
-    """The class of what the subscription receives."""
+    """The class of the messages that the subscription receives."""
     type: str = ""
     """Its type."""
     track: SampleTrack | None = None
-    """Where its messages are kept as they came."""
+    """Where its serialized messages are stored."""
     stamped: bool = False
     """Whether its messages begin with a header."""
     mixed: bool = False
-    """Whether what Understudy says itself may be among them, which is no evidence."""
+    """Whether messages of Understudy itself, which are no evidence, may be among them."""
     problem: str = ""
     waiting: str = ""
     sources: dict[bytes, SourceRecord] = field(default_factory=dict)
     counted: TopicRecord = field(default_factory=TopicRecord)
     """Samples that count for the active instance."""
     active: dict[bytes, float] = field(default_factory=dict)
-    """Of an action's status: when each server with an active goal got it, by the GID of its writer."""
+    """For the status topic of an action: when each server with an active goal got the goal, by the GID of its
+    writer."""
 
 
 class TopicWatch:
     """The topics of a health tree, as this process receives them, attributed to pods.
 
-    An Observations of the samples that are not from another instance of the workload than the one in control: the
-    robot's own topics, and the instance's. All times are Unix seconds by this machine's clock; when that is set, they
-    are moved with it, so that a step of the clock does not look like a gap.
+    It provides the Observations from all samples except those of instances of the workload that are not active: the
+    samples of the robot's own topics, and of the active instance. All times are Unix seconds by this machine's clock.
+    When the clock is set, they are moved with it, so that a step of the clock does not look like a gap.
     """
 
     def __init__(self, graph: Graph, own: bytes | None = None, arrivals: ArrivalWakeups | None = None) -> None:
-        """``own`` is the HOST part of GIDs of the instance that is judged, if that is the one this process is in;
+        """``own`` is the HOST part of GIDs of the instance that is judged, if this process is in that instance.
+
         ``arrivals`` wakes the process for messages that must be evaluated on arrival.
         """
         self._graph = graph
@@ -142,7 +146,7 @@ class TopicWatch:
         self._lifecycles = LifecycleStates(graph, self._in_control, self.own, alone=own is not None)
         self._parameters = ParameterValues(graph, self._in_control, self.own, alone=own is not None)
         self.pod_state: PodState | None = None
-        """What the cluster says of the pod of the active instance, where somebody says it here."""
+        """The cluster's state of the active instance's pod, if this process knows it."""
         self._taker = SampleTaker()
         self._arrivals = arrivals
         self._ring: SampleRing | None = None
@@ -153,10 +157,10 @@ class TopicWatch:
         self._clock = _offset()
         self._drained = time.time()
 
-    # -- what is watched --------------------------------------------------------------------------------------------
+    # -- topics ------------------------------------------------------------------------------------------------------
 
     def follow(self, topics: Iterable[WatchedTopic]) -> None:
-        """Watch these topics and no others. Cheap where nothing changed; then what was received is kept."""
+        """Watch these topics and no others. Cheap if nothing changed; what was received is kept then."""
         topics = list(topics)
         self._presence.follow([topic.name for topic in topics if topic.publishers])
         self._inhabitants.follow([topic.name for topic in topics if topic.node])
@@ -174,7 +178,7 @@ class TopicWatch:
                 self._change(known, want)
 
     def record(self, ring: SampleRing | None) -> None:
-        """Keep the messages themselves in a ring from now on, or no longer."""
+        """Store the messages themselves in a ring from now on; with None, no longer."""
         self._ring = ring
         for topic in self._topics.values():
             self._record(topic)
@@ -185,18 +189,18 @@ class TopicWatch:
 
     @property
     def problems(self) -> list[str]:
-        """Why a topic is not watched, in plain words that say what to do."""
+        """Why topics are not watched and how to correct that, as text for users."""
         unwatched = [topic.problem for topic in self._topics.values() if topic.problem]
         return [*unwatched, *self._lifecycles.problems, *self._parameters.problems]
 
     @property
     def unwatchable(self) -> frozenset[str]:
-        """The topics that those problems are of."""
+        """The topics of those problems."""
         return frozenset(name for name, topic in self._topics.items() if topic.problem)
 
     @property
     def waiting(self) -> list[str]:
-        """Topics that cannot be watched before somebody publishes them, in plain words."""
+        """Topics that cannot be watched before somebody publishes them, as text for users."""
         return [topic.waiting for topic in self._topics.values() if topic.waiting]
 
     def _change(self, topic: _Topic, want: WatchedTopic) -> None:
@@ -207,7 +211,7 @@ class TopicWatch:
         topic.want = want
         for source in topic.sources.values():
             source.window = max(want.window, HISTORY)
-            if looks_into:  # What was kept may lack what is needed now.
+            if looks_into:  # the earlier samples may lack what is needed now
                 source.contents = deque(maxlen=want.contents)
         self._count_again(topic)
         if again:
@@ -250,7 +254,7 @@ class TopicWatch:
             self._be_told(topic)
 
     def _be_told(self, topic: _Topic) -> None:
-        """Be woken by messages on arrival, or no longer."""
+        """Start or stop waking this process for messages of a topic on arrival."""
         if self._arrivals is None or topic.subscription is None:
             return
         tell = self._arrivals.tell_of if topic.want.prompt else self._arrivals.forget
@@ -265,30 +269,30 @@ class TopicWatch:
         topic.active.clear()
 
     def _look_up_types(self) -> None:
-        """Try again to subscribe to topics whose type only the graph can tell."""
+        """Try again to subscribe to topics whose type is known only from the graph."""
         for topic in self._topics.values():
             if topic.subscription is None and topic.want.type is None:
                 self._subscribe(topic)
 
     def _forget_servers(self) -> None:
-        """A server that is gone has no goal any more; it could not say so."""
+        """Forget the goals of servers that have gone: such a server can no longer report their end."""
         for topic in self._topics.values():
             if topic.active:
                 there = {endpoint.gid for endpoint in self._graph.publishers(topic.want.name)}
                 for gid in [gid for gid in topic.active if gid not in there]:
                     del topic.active[gid]
 
-    # -- whose samples count ----------------------------------------------------------------------------------------
+    # -- attribution -------------------------------------------------------------------------------------------------
 
     @property
     def in_control(self) -> bool:
-        """Every received sample counts as evidence about the active instance."""
+        """True: every received sample counts as evidence about the active instance."""
         return True
 
     def attribute(self, instances: Mapping[str, str], active: str) -> None:
         """Set the instances (IP by pod name) and the active one (empty for none).
 
-        What was received so far is judged again. Cheap where nothing changed.
+        Samples received so far are evaluated again. Cheap if nothing changed.
         """
         if active == self._active and instances == self._sources.instances:
             return
@@ -310,15 +314,19 @@ class TopicWatch:
         return self._sources
 
     def _accepted(self, host: bytes) -> bool:
-        """Whether a host's samples count: it is no instance at all, or it is (or may be) the one in control.
+        """Whether a host's samples count: it is no instance at all, or it is (or may be) the active one.
 
-        Where two instances cannot be distinguished, what comes through the gate is taken to be from the one that may.
+        If two instances cannot be distinguished, samples through the gate are assumed to be from the one that the gate
+        lets through.
         """
         candidates = self._sources.candidates(host)
         return not candidates or self._active in candidates
 
     def _in_control(self, gid: bytes) -> bool:
-        """Whether an endpoint is (or may be) of the active instance; if no address tells that one, whether it is of no other."""
+        """Whether an endpoint is (or may be) of the active instance.
+
+        If no address identifies that instance: whether it is of no other.
+        """
         if self._own is not None:
             return MIDDLEWARE.host_of(gid) == self._own
         candidates = self._sources.candidates(gid)
@@ -326,7 +334,7 @@ class TopicWatch:
         return self._active in candidates if told else not candidates
 
     def _count_again(self, topic: _Topic) -> None:
-        """Put together what counts: the record of the only source that does, if there is just one, as it is."""
+        """Combine the records that count. If only one source counts, its record is used as it is."""
         accepted = [source for source in topic.sources.values() if source.accepted]
         if len(accepted) == 1:
             topic.counted = accepted[0]
@@ -341,7 +349,7 @@ class TopicWatch:
     # -- receiving --------------------------------------------------------------------------------------------------
 
     def drain(self) -> int:
-        """Take everything that has arrived; how many samples that was."""
+        """Take all samples that have arrived, and return their number."""
         low, high = self._set_clock()
         now = time.monotonic()
         if now >= self._next_look_up:
@@ -363,7 +371,7 @@ class TopicWatch:
         take, sources, handle = self._taker.take, topic.sources, topic.subscription.handle
         bounded = low > -math.inf
         taken = 0
-        # A writer that is faster than we are must not keep us here.
+        # Limited, because a writer may be faster than this process.
         most = 4 * depth(topic.want)
         task, wanted = topic.want.task, topic.want.contents
         mixed, track = topic.mixed, topic.track
@@ -402,7 +410,7 @@ class TopicWatch:
         return source
 
     def _set_clock(self) -> tuple[float, float]:
-        """Follow a step of the clock; the bounds between which the times of samples in the queues can lie.
+        """Follow a step of the clock. Returns the bounds for the times of samples in the queues.
 
         Samples received before the step are stamped by the old clock. They arrived after the last drain.
         """
@@ -427,15 +435,15 @@ class TopicWatch:
             self._ring.shift(step)
         return self._drained, time.time()
 
-    # -- what was received ------------------------------------------------------------------------------------------
+    # -- results -----------------------------------------------------------------------------------------------------
 
     def topic(self, name: str) -> TopicRecord | None:
-        """What counts for the active instance; None if the topic is not watched."""
+        """Return the samples that count for the active instance; None if the topic is not watched."""
         topic = self._topics.get(name)
         return topic.counted if topic is not None else None
 
     def own(self, name: str) -> TopicRecord | None:
-        """What the active instance itself sent on a topic; None if that is nothing (yet)."""
+        """Return the samples of the active instance itself on a topic; None if there are none (yet)."""
         found = [source for host, source in self.records(name).items() if self._in_control(host)]
         if len(found) < 2:
             return found[0] if found else None
@@ -446,12 +454,13 @@ class TopicWatch:
         return joined
 
     def active(self, name: str) -> dict[bytes, float]:
-        """When each server of an action got its active goal, by the GID of the writer of its status."""
+        """Return when each server of an action got its active goal, by the GID of the writer of its status."""
         topic = self._topics.get(name)
         return topic.active if topic is not None else {}
 
     def task(self, name: str) -> float | None:
-        """Since when the active instance (or what is no instance, such as a proxy) has had an active goal."""
+        """Return since when the active instance (or a process that is no instance, such as a proxy) has had an active
+        goal."""
         topic = self._topics.get(name)
         if topic is None:
             return None
@@ -459,42 +468,44 @@ class TopicWatch:
         return min(times, default=None)
 
     def publishers(self, name: str) -> Publishers | None:
-        """Who publishes a topic, of the active instance; None if nobody has looked (yet)."""
+        """Return the active instance's publishers of a topic; None before the first check."""
         return self._presence.of(name)
 
     def node(self, name: str) -> NodePresence | None:
-        """Whether the active instance has a node; None if nobody has looked (yet)."""
+        """Return whether the active instance has a node; None before the first check."""
         return self._inhabitants.of(name)
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """The state of a managed node of the active instance; None if nothing is known (yet)."""
+        """Return the state of a managed node of the active instance; None if nothing is known (yet)."""
         return self._lifecycles.of(name)
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """The value of a parameter of a node of the active instance; None if nothing is known (yet)."""
+        """Return the value of a parameter of a node of the active instance; None if nothing is known (yet)."""
         return self._parameters.of((node, name))
 
     def pod(self) -> PodState | None:
-        """The pod of the active instance; None if nobody says anything of it (yet)."""
+        """Return the state of the active instance's pod; None if it is not known (yet)."""
         return self.pod_state
 
     def records(self, name: str) -> dict[bytes, SourceRecord]:
-        """What was received on a topic, by the host part of the senders' GIDs."""
+        """Return the samples of a topic, by the host part of the senders' GIDs."""
         topic = self._topics.get(name)
         return topic.sources if topic is not None else {}
 
     def last_from(self, name: str, pod: str) -> float | None:
-        """When a topic was last received from a pod; None for never, or where the pod cannot be distinguished from another."""
+        """Return when a topic was last received from a pod; None for never, or if the pod cannot be distinguished from
+        another."""
         record = self._record_of(name, pod)
         return record.last if record is not None else None
 
     def arrivals(self, name: str, pod: str) -> Sequence[float]:
-        """When a topic was received from a pod, of late (HISTORY); empty if the pod cannot be distinguished from another."""
+        """Return when a topic was received from a pod, within HISTORY; empty if the pod cannot be distinguished from
+        another."""
         record = self._record_of(name, pod)
         return record.arrivals if record is not None else ()
 
     def first_from(self, name: str, pod: str, *, since: float) -> float | None:
-        """When a topic was first received from a pod at or after a time, which must not be long ago (HISTORY)."""
+        """Return when a topic was first received from a pod at or after a time, which must be within HISTORY."""
         record = self._record_of(name, pod)
         if record is None:
             return None
@@ -502,7 +513,7 @@ class TopicWatch:
         return record.arrivals[place] if place < len(record.arrivals) else None
 
     def last_from_others(self, name: str, pod: str) -> tuple[float, str] | None:
-        """When a topic was last received from an instance that is surely another than this pod, and from which."""
+        """Return when a topic was last received from an instance that is certainly not this pod, and from which."""
         found = [
             (record.last, ", ".join(pods))
             for host, record in self.records(name).items()
@@ -517,7 +528,7 @@ class TopicWatch:
         return None
 
     def close(self) -> None:
-        """End all subscriptions. The graph is left to its owner."""
+        """Remove all subscriptions. The graph belongs to the caller."""
         for topic in self._topics.values():
             self._end(topic)
         self._topics.clear()
@@ -537,7 +548,10 @@ def _note_goals(active: dict[bytes, float], gid: bytes, received: float, data: b
 
 
 def _offset() -> float:
-    """The clock minus the monotonic one; changes when the clock is set. Between two looks a busy node may stall us."""
+    """Return the clock minus the monotonic clock, which changes when the clock is set.
+
+    A busy node may delay a reading, so the best of several counts.
+    """
     best, offset = math.inf, 0.0
     for _ in range(5):
         before, now, after = time.monotonic(), time.time(), time.monotonic()

@@ -1,4 +1,4 @@
 """A process's place in the ROS graph: nodes, types, serialized samples, services.
 
-What is watched is in `ros.observe`.
+Code that observes the graph is in `ros.observe`.
 """

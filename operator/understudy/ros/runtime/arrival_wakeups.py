@@ -1,8 +1,8 @@
 """Wakes an event loop when messages arrive on drained subscriptions.
 
 The middleware calls a C function for each message, in a thread of its own. Here that function is the C library's
-``eventfd_write``, whose two arguments are just what is handed over: a word of ours, and how many messages came. So no
-Python runs in that thread, and an event loop waits for the descriptor as for any other (eventfd(2)).
+``eventfd_write``, whose two arguments are exactly those that the middleware passes: a word of ours, and the number of
+messages. So no Python runs in that thread, and an event loop waits for the descriptor as for any other (eventfd(2)).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ArrivalWakeups:
         self._reset_error = loaded("librcutils").rcutils_reset_error
 
     def tell_of(self, handle: Any) -> None:
-        """Tell of what arrives on a subscription, of which this is rclpy's handle; also of what waits there already."""
+        """Report messages that arrive on the subscription with this rclpy handle, and those that already wait there."""
         with handle:
             result = self._set(handle.pointer, self._write, self.descriptor)
         if result != 0:
@@ -43,13 +43,13 @@ class ArrivalWakeups:
         self.asked = True
 
     def forget(self, handle: Any) -> None:
-        """Tell no more of a subscription, such as one that is about to end."""
+        """Stop reporting a subscription, for example before it is removed."""
         with handle:
             if self._set(handle.pointer, None, None) != 0:
                 self._reset_error()
 
     def clear(self) -> None:
-        """Take note of all that has arrived."""
+        """Clear the descriptor until the next message arrives."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self.descriptor)
 

@@ -1,6 +1,6 @@
 """This process's place in the ROS graph: one node, which is never spun.
 
-Subscriptions are drained (topic_watch.py), so no executor runs; the node offers no services, since nobody would answer
+Subscriptions are drained (topic_watch.py), so no executor runs. The node offers no services, since nothing would answer
 them.
 """
 
@@ -20,42 +20,46 @@ from understudy.ros.runtime.node_options import own_context, plain_node
 
 
 class NotReceivable(RuntimeError):
-    """A topic cannot be received as a type, by its name or by what else this process has of that topic; the text says why."""
+    """A topic cannot be received as a type, because of its name or because this process already has the topic as
+    another type.
+
+    The text says why.
+    """
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A writer or reader that discovery knows of."""
+    """A writer or reader that discovery has found."""
 
     type: str
     gid: bytes
     node: str
-    """Fully qualified; empty until the node's own announcement has come."""
+    """Fully qualified; empty until the node's own announcement has arrived."""
     latched: bool = False
-    """Whether it is a writer that gives its last messages to those who join late (transient local)."""
+    """Whether it is a writer that gives its last messages to late joiners (transient local)."""
 
 
 class Crossing(Protocol):
-    """What goes between a workload and its robot: a topic, service or action, with None for the others."""
+    """A connection between a workload and its robot: a topic, service or action. The others are None."""
 
     @property
     def topic(self) -> str | None:
-        """Fully qualified, like the others."""
+        """Fully qualified name of the topic."""
 
     @property
     def service(self) -> str | None:
-        """Whichever side serves it."""
+        """Name of the service, whichever side serves it."""
 
     @property
     def action(self) -> str | None:
-        """Whichever side serves it."""
+        """Name of the action, whichever side serves it."""
 
 
 class Graph:
-    """One node and what it can see."""
+    """One node and its view of the graph."""
 
     def __init__(self, name: str, *, domain_id: int | None = None) -> None:
-        """Join the graph as node ``name``; ``domain_id`` is ROS_DOMAIN_ID where it is not given."""
+        """Join the graph as node ``name``; the default of ``domain_id`` is ROS_DOMAIN_ID."""
         for variable, value in MIDDLEWARE.introspection.items():
             os.environ.setdefault(variable, value)
         self._context = own_context(domain_id=domain_id)
@@ -64,15 +68,15 @@ class Graph:
     def subscribe(
         self, topic: str, type_name: str, *, depth: int, latched: bool = False, reliable: bool = False
     ) -> Any:
-        """A subscription that matches every publisher: best effort, volatile, the last ``depth`` samples kept.
+        """Create a subscription that matches every publisher: best effort, volatile, the last ``depth`` samples kept.
 
-        With ``latched`` it matches those that are reliable and transient local, and is given what they had said before; with
-        ``reliable`` those that are, of which it misses nothing.
-        Raises TypeNotInstalled and NotReceivable.
+        With ``latched`` it matches publishers that are reliable and transient local, and receives their earlier
+        messages. With ``reliable`` it matches reliable publishers, and misses none of their messages. Raises
+        TypeNotInstalled and NotReceivable.
         """
         try:
             message = message_class(type_name)
-        except ValueError as error:  # whoever publishes by DDS alone calls its types as it likes
+        except ValueError as error:  # a publisher that uses DDS directly may have any type name
             raise NotReceivable(f"{topic} cannot be received: {error}") from error
         qos = QoSProfile(
             history=HistoryPolicy.KEEP_LAST,
@@ -89,29 +93,30 @@ class Graph:
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
             )
-        except RuntimeError as error:  # of rclpy; one process has a topic as one type
+        except RuntimeError as error:  # from rclpy: a process can have a topic as one type only
             raise NotReceivable(
                 f"{topic} cannot be received as {type_name}: everything that uses the topic in this process must use one type ({error})"
             ) from error
 
     def unsubscribe(self, subscription: Any) -> None:
-        """End a subscription."""
+        """Remove a subscription."""
         self.node.destroy_subscription(subscription)
 
     def publishers(self, topic: str) -> list[Endpoint]:
-        """The publishers of a topic."""
+        """Return the publishers of a topic."""
         return _endpoints(self.node.get_publishers_info_by_topic(topic))
 
     def offered(self, topic: str) -> list[QoSProfile]:
-        """What each publisher of a topic offers."""
+        """Return the QoS that each publisher of a topic offers."""
         return [info.qos_profile for info in self.node.get_publishers_info_by_topic(topic)]
 
     def publisher_count(self, topic: str) -> int:
-        """How many publishers a topic has: a hundredth of the work of looking at them."""
+        """Return the number of a topic's publishers, for a hundredth of the cost of listing them."""
         return int(self.node.count_publishers(topic))
 
     def endpoints_of(self, node: str) -> list[Endpoint]:
-        """Publishers and subscribers of a node, or of several of that full name: those of one of its topics, if it has any."""
+        """Return publishers and subscribers of a node, or of several of that full name: those of one of its topics, if
+        it has any."""
         namespace, _, name = node.rpartition("/")
         try:
             published = self.node.get_publisher_names_and_types_by_node(name, namespace or "/")
@@ -126,23 +131,23 @@ class Graph:
         return next((found for found in looks if found), [])
 
     def subscribers(self, topic: str) -> list[Endpoint]:
-        """The subscribers of a topic, this process's own among them."""
+        """Return the subscribers of a topic, including this process's own."""
         return _endpoints(self.node.get_subscriptions_info_by_topic(topic))
 
     def type_of(self, topic: str) -> str | None:
-        """The type that a topic's publishers announce; None if there are none, or where they disagree."""
+        """Return the type that a topic's publishers announce; None if there are none, or they disagree."""
         types = {endpoint.type for endpoint in self.publishers(topic)}
         return types.pop() if len(types) == 1 else None
 
     def servers(self, service: str) -> list[Endpoint]:
-        """What takes the requests of a service."""
+        """Return the readers of a service's requests."""
         return _endpoints(self.node.get_subscriptions_info_by_topic(f"rq{service}Request", no_mangle=True))
 
     def endpoints(self, output: Crossing) -> list[Endpoint]:
-        """What workloads (and robots, for services and actions) have opened for an output.
+        """Return the endpoints for an output that workloads (and robots, for services and actions) have opened.
 
-        Publishers of a topic; servers and clients of a service, and of an action by its send_goal service. Which of
-        them are a pod's own, their GIDs tell.
+        These are publishers of a topic; servers and clients of a service; and those of an action's send_goal service.
+        Their GIDs identify the pod.
         """
         if output.topic:
             return self.publishers(output.topic)
@@ -159,7 +164,7 @@ class Graph:
 
 
 def _never_called(message: object) -> None:
-    """Stands where rclpy wants a callback; the queue is drained instead."""
+    """Satisfy rclpy, which requires a callback; the queue is drained instead."""
 
 
 def _endpoints(infos: list[Any]) -> list[Endpoint]:

@@ -1,7 +1,7 @@
 """Message, service and action types by name.
 
-The monitor can only watch what its image has the types of. If one is missing, the error says what to do; it is what
-the workload's condition shows.
+The monitor can only watch types that its image contains. If one is missing, the error says what to do, and the
+workload's condition shows the error.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class TypeNotInstalled(LookupError):
 
 
 def interface_class(type_name: str) -> Any:
-    """The Python class of ``package/msg/Name``, ``package/srv/Name`` or ``package/action/Name``, ready for use.
+    """Return the Python class of ``package/msg/Name``, ``package/srv/Name`` or ``package/action/Name``, ready for use.
 
-    Raises ValueError when the name is not one, TypeNotInstalled when the image does not have it.
+    Raises ValueError if the name is malformed, TypeNotInstalled if the image does not have the type.
     """
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] not in ("msg", "srv", "action") or not all(part.isidentifier() for part in parts):
@@ -55,18 +55,18 @@ def interface_class(type_name: str) -> Any:
         raise TypeNotInstalled(type_name, f"{package}.{kind}.{name} is not a ROS type")
     try:
         meta.__import_type_support__()
-    except Exception as error:  # whatever a broken package's libraries raise, the type cannot be used
+    except Exception as error:  # whatever error a broken package's libraries raise, the type cannot be used
         raise TypeNotInstalled(type_name, f"its libraries do not load: {error}") from error
-    if meta._TYPE_SUPPORT is None:  # rosidl notes a failed import in its debug log only
+    if meta._TYPE_SUPPORT is None:  # rosidl reports a failed import in its debug log only
         raise TypeNotInstalled(type_name, "its libraries do not load")
     return found
 
 
 def message_class(type_name: str) -> Any:
-    """The Python class of ``package/msg/Name``; errors as of :func:`interface_class`.
+    """Return the Python class of ``package/msg/Name``; errors as in :func:`interface_class`.
 
-    Also of ``package/action/Name_FeedbackMessage``, as the graph calls what is sent on an action's feedback topic, and of
-    ``package/action/Name_Feedback``, which is in it beside the goal's id.
+    It also accepts ``package/action/Name_FeedbackMessage``, which is the graph's type of an action's feedback topic,
+    and ``package/action/Name_Feedback``, which that contains beside the goal's id.
     """
     if "/action/" in type_name:
         action, _, part = type_name.rpartition("_")
@@ -82,9 +82,9 @@ def message_class(type_name: str) -> Any:
 
 
 def message_fields(type_name: str) -> Mapping[str, str] | None:
-    """The fields of ``package/msg/Name``, or of an action's feedback, with their types, as rosidl names them.
+    """Return the fields of ``package/msg/Name``, or of an action's feedback, with their types, as rosidl names them.
 
-    None if the image does not have it.
+    None if the image does not have the type.
     """
     try:
         found: Mapping[str, str] = message_class(type_name).get_fields_and_field_types()

@@ -1,7 +1,8 @@
 """Keeps the ROS code generator out of memory.
 
-The first message that is used imports its type support through ``rosidl_generator_py``, a package whose one small
-function for that comes with a template engine and an IDL parser: 20 MB resident, in every monitor and every agent.
+The first message that is used imports its type support through ``rosidl_generator_py``. This package has one small
+function for that, and loads a template engine and an IDL parser with it: 20 MB resident, in every monitor and every
+agent.
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ _NEEDED = f"{_GENERATOR}.import_type_support_impl"
 
 
 def leave_out_generator() -> bool:
-    """Import of ``rosidl_generator_py`` only what types need at run time; whether that was possible.
+    """Import only those parts of ``rosidl_generator_py`` that types need at run time. Returns whether that was
+    possible.
 
-    Call it before any type is used. If the package is loaded already, or is made otherwise, nothing is changed.
+    Call it before any type is used. If the package is loaded already, or has a different structure, nothing is changed.
     """
     if _GENERATOR in sys.modules:
         return _NEEDED in sys.modules and not hasattr(sys.modules[_GENERATOR], "generate_py")
@@ -45,9 +47,9 @@ def leave_out_generator() -> bool:
 def import_rclpy() -> None:
     """Import rclpy, from whichever thread comes first.
 
-    Its modules import each other in a circle, which two threads cannot walk at the same time: one finds half of a module.
-    So whatever may run before this process has joined the ROS graph calls this, or in an event loop awaits
-    :func:`rclpy_imported`, before it imports anything of rclpy.
+    Its modules import each other in a circle. If two threads import them at the same time, one finds a module that is
+    half loaded. So code that may run before this process has joined the ROS graph calls this function, or awaits
+    :func:`rclpy_imported` in an event loop, before it imports anything of rclpy.
     """
     with _IMPORTING:
         importlib.import_module("rclpy")
@@ -56,6 +58,6 @@ def import_rclpy() -> None:
 
 
 async def rclpy_imported() -> None:
-    """Have rclpy imported: by a thread, since it takes a second, or as long as another thread needs that is at it."""
+    """Import rclpy in a thread, since it takes a second, or wait for another thread that is importing it."""
     if not _imported.is_set():
         await asyncio.to_thread(import_rclpy)

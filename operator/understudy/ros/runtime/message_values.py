@@ -1,6 +1,7 @@
-"""ROS messages from plain mappings, as trees and requests give them, and back.
+"""Converts plain mappings, as trees and requests contain them, to ROS messages, and back.
 
-rosidl_runtime_py does the same with a template engine in memory (see ros/runtime/lean_imports.py) and with errors that name no field.
+rosidl_runtime_py does the same, but loads a template engine (see ros/runtime/lean_imports.py), and its errors name no
+field.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 from understudy.ros.runtime.interface_types import interface_class
 
 NOW = "now"
-"""Stands for the present time where a field is a builtin_interfaces/Time."""
+"""The value that stands for the current time in a field of type builtin_interfaces/Time."""
 
 _SEQUENCE = re.compile(r"sequence<(.+?)(?:, \d+)?>")
 _ARRAY = re.compile(r"(.+)\[\d+\]")
@@ -23,11 +24,11 @@ _REAL = ("float", "double")
 
 
 class MessageError(ValueError):
-    """A mapping that does not fit its type; names the field, what was found and what would be right."""
+    """A mapping that does not fit its type. The text names the field, what was found and what is expected."""
 
 
 def to_message(cls: Any, values: Mapping[str, Any], *, path: str = "") -> Any:
-    """A message of a class with the given fields; the others keep their defaults. Raises MessageError."""
+    """Return a message of a class with the given fields; the others keep their defaults. Raises MessageError."""
     message = cls()
     fill(message, values, path=path)
     return message
@@ -54,7 +55,7 @@ def fill(message: Any, values: Mapping[str, Any], *, path: str = "") -> None:
 
 
 def _converted(type_name: str, value: Any, path: str) -> Any:
-    """A value as the field's setter takes it."""
+    """Return a value in the form that the field's setter accepts."""
     of_items = _SEQUENCE.fullmatch(type_name) or _ARRAY.fullmatch(type_name)
     if of_items:
         if isinstance(value, bytes | bytearray) and of_items[1] in ("uint8", "octet"):
@@ -83,13 +84,13 @@ def _refuse(type_name: str, value: Any, path: str) -> Any:
 
 
 def now() -> Any:
-    """The present time as a builtin_interfaces/msg/Time."""
+    """Return the current time as a builtin_interfaces/msg/Time."""
     whole, rest = divmod(time.time_ns(), 1_000_000_000)
     return interface_class("builtin_interfaces/msg/Time")(sec=whole, nanosec=rest)
 
 
 def to_mapping(message: Any) -> dict[str, Any]:
-    """All fields of a message as plain Python values; bytes stay bytes."""
+    """Return all fields of a message as plain Python values; bytes stay bytes."""
     return {field: _plain(getattr(message, field)) for field in message.get_fields_and_field_types()}
 
 
@@ -98,6 +99,6 @@ def _plain(value: Any) -> Any:
         return to_mapping(value)
     if isinstance(value, str | bytes | bool | int | float):
         return value
-    if hasattr(value, "tolist"):  # numpy's and array's own
+    if hasattr(value, "tolist"):  # numpy arrays and arrays of the array module
         return value.tolist()
     return [_plain(item) for item in value]

@@ -1,4 +1,4 @@
-"""How processes of ours join the ROS graph: they serve only what they say, and tell only where they want to."""
+"""Options of Understudy's nodes: they offer only the services that the code creates, and publish no log messages."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from rclpy.parameter import Parameter
 
 
 def own_context(*, domain_id: int | None = None) -> Context:
-    """A context of this process's own; ``domain_id`` is ROS_DOMAIN_ID where it is not given.
+    """Create a context of this process's own; the default of ``domain_id`` is ROS_DOMAIN_ID.
 
-    Unlike ``rclpy.init``, a context alone leaves the signals to the process's own loop. Without rcl's logging, which insists on a
-    directory to write to, nothing of value is lost.
+    Unlike ``rclpy.init``, a context alone leaves the signals to the process's own loop. It does not use rcl's logging,
+    which requires a directory to write to; nothing of value is lost.
     """
     context = Context()
     context.init(args=[], initialize_logging=False, domain_id=domain_id)
@@ -19,7 +19,7 @@ def own_context(*, domain_id: int | None = None) -> Context:
 
 
 def plain_node(name: str, context: Context) -> Node:
-    """A node with nothing that others could ask it for, or hear of it, but its name."""
+    """Create a node that offers no services and publishes no log messages."""
     return Node(
         name,
         context=context,

@@ -1,8 +1,8 @@
-"""Takes serialized samples out of a subscription's queue, with who sent them and when they were received.
+"""Takes serialized samples from a subscription's queue, with their senders and times of receipt.
 
-rclpy hands out a message's timestamps and drops its publisher's GID, which alone tells two pods apart that publish the
-same topic. So ``rcl_take_serialized_message`` is called directly, into one buffer that grows as needed and is used
-again, which also costs less than a Python object per message.
+rclpy returns a message's timestamps but drops its publisher's GID, which is the only way to distinguish two pods that
+publish the same topic. So this module calls ``rcl_take_serialized_message`` directly, into one buffer that grows as
+needed and is used again. That also costs less than a Python object per message.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Sample(NamedTuple):
 
 
 class TakeError(RuntimeError):
-    """The middleware failed to give out a sample."""
+    """The middleware failed to return a sample."""
 
 
 class _Allocator(ctypes.Structure):
@@ -63,7 +63,7 @@ publisher (rmw_gid_t: pointer to the implementation's name, 16 bytes), whether f
 
 
 def loaded(name: str) -> ctypes.CDLL:
-    """The library that rclpy has loaded; by its path, since wheels keep it off the loader's search path."""
+    """Return the library that rclpy has loaded; by its path, since wheels keep it off the loader's search path."""
     pattern = re.compile(rf"/{name}(-[0-9a-f]+)?\.so[.0-9]*$")
     with open("/proc/self/maps") as maps:
         for line in maps:
@@ -90,7 +90,8 @@ class SampleTaker:
         self._bytes = _Bytes()
         if utils.rcutils_uint8_array_init(self._bytes, _FIRST_CAPACITY, self._allocator) != _OK:
             raise MemoryError(f"no {_FIRST_CAPACITY} bytes for samples")
-        # Rounded up as the compiler does; read by one unpack, which costs a tenth of looking at fields by ctypes.
+        # Rounded up as the compiler does. It is read by one unpack, which costs a tenth of accessing the fields by
+        # ctypes.
         self._info = ctypes.create_string_buffer((_INFO.size + 7) // 8 * 8)
         self._take = loaded("librcl").rcl_take_serialized_message
         self._take.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
@@ -98,9 +99,9 @@ class SampleTaker:
         weakref.finalize(self, utils.rcutils_uint8_array_fini, self._bytes)
 
     def take(self, pointer: int, *, with_data: bool = True) -> Sample | None:
-        """The oldest sample in the queue, None when there is none.
+        """Take the oldest sample in the queue; None if there is none.
 
-        ``pointer`` is that of an rclpy subscription's handle; the caller has entered the handle (``with
+        ``pointer`` is that of an rclpy subscription's handle. The caller has entered the handle (``with
         subscription.handle``), so that it cannot be destroyed meanwhile. Raises TakeError.
         """
         result = self._take(pointer, *self._into)
@@ -113,6 +114,6 @@ class SampleTaker:
         return Sample(received * 1e-9, sent * 1e-9, gid, sequence, self.data() if with_data else b"")
 
     def data(self, most: int | None = None) -> bytes:
-        """What the sample that was taken last says, up to ``most`` bytes; for where that depends on who sent it."""
+        """Return up to ``most`` bytes of the sample that was taken last, for callers that decide by its sender."""
         length = self._bytes.length
         return ctypes.string_at(self._bytes.buffer, length if most is None else min(most, length))

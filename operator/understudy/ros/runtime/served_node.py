@@ -1,8 +1,9 @@
-"""A node whose services, clients and subscriptions are served by one thread of its own, for a process that runs asyncio.
+"""A node whose services, clients and subscriptions are served by one thread of its own, for a process that runs
+asyncio.
 
-rclpy's executors build a new wait set for every wake-up, which costs a multiple of the work itself; here the set is
-built when the entities change. Everything of ROS happens in the thread, everything else in the loop: what comes in is
-passed to the loop, what goes out is passed to the thread.
+rclpy's executors build a new wait set for every wake-up, which costs a multiple of the work itself. Here the set is
+built only when the entities change. Everything of ROS happens in the thread, everything else in the event loop. The
+thread passes received data to the loop, and the loop passes work to the thread.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ Kind = Literal["subscription", "client", "service"]
 
 _NS = 1_000_000_000
 _LONGEST = 1.0
-"""Seconds of one wait, so that a thread that missed a wake-up would go on."""
+"""Maximum seconds of one wait, so that a thread that missed a wake-up continues."""
 
 
 class ServedNode:
     """A node and the thread that serves it."""
 
     def __init__(self, name: str, *, context: Context | None = None) -> None:
-        """Join the graph as node ``name``, in a context that is there already or in one of its own.
+        """Join the graph as node ``name``, in an existing context or in one of its own.
 
-        Needs a running event loop, which everything that comes in is passed to.
+        Needs a running event loop, which receives everything that arrives.
         """
         self._loop = asyncio.get_running_loop()
         self._own_context = context is None
@@ -66,18 +67,18 @@ class ServedNode:
     # -- from the loop ----------------------------------------------------------------------------------------------
 
     def do(self, work: Callable[[], None]) -> None:
-        """Have the thread do something, in the order in which it was asked. Errors are logged."""
+        """Let the thread carry out some work, in the order of the calls. Errors are logged."""
         self._work.append(work)
         with self._wake:
             self._wake.trigger_guard_condition()
 
     async def get(self, work: Callable[[], T]) -> T:
-        """Have the thread do something and wait for what comes of it. Raises what it raises."""
+        """Let the thread carry out some work, and return its result. Raises what the work raises."""
         future: Future[T] = Future()
 
         def run() -> None:
             if not future.set_running_or_notify_cancel():
-                return  # nobody waits any more
+                return  # the caller no longer waits
             try:
                 future.set_result(work())
             except BaseException as error:
@@ -88,12 +89,12 @@ class ServedNode:
 
     @property
     def silent_for(self) -> float:
-        """Seconds since the thread last came round: at most one longer than its longest piece of work, unless it hangs."""
+        """Seconds since the thread's last round: at most one more than its longest piece of work, unless it hangs."""
         return time.monotonic() - self._turned
 
     @property
     def alive(self) -> bool:
-        """Whether its context is still valid. One that others shut down ends the thread."""
+        """Whether its context is still valid. If another component shuts the context down, the thread ends."""
         return bool(self._context.ok())
 
     async def close(self) -> None:
@@ -114,21 +115,21 @@ class ServedNode:
     # -- from the thread --------------------------------------------------------------------------------------------
 
     def add(self, kind: Kind, entity: Any, on_ready: Callable[[], None]) -> None:
-        """Have ``on_ready`` called, in the thread, whenever there is something to take from an entity of the node's."""
+        """Call ``on_ready`` in the thread whenever there is something to take from one of the node's entities."""
         self._entities[kind].append((entity, on_ready))
 
     def remove(self, kind: Kind, entity: Any) -> None:
-        """No longer serve an entity, and destroy it."""
+        """Stop serving an entity, and destroy it."""
         self._entities[kind] = [entry for entry in self._entities[kind] if entry[0] is not entity]
         getattr(self.node, f"destroy_{kind}")(entity)
 
     def tell(self, function: Callable[..., None], *arguments: Any) -> None:
-        """Call something in the loop."""
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody is left to tell
+        """Call a function in the event loop."""
+        with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(function, *arguments)
 
     def after(self, seconds: float, work: Callable[[], None]) -> None:
-        """Do something in so many seconds."""
+        """Carry out some work after ``seconds``."""
         self._later.append((time.monotonic() + seconds, work))
 
     def _run(self) -> None:

@@ -1,9 +1,9 @@
-"""Requests of services, answered whenever the answer is known, also by another process than the one that took them.
+"""Takes requests of services and answers them at any later time, also from another process than the one that took them.
 
-rclpy answers a request in the callback that it gave it to. A task proxy answers a goal when the instance has decided, a
-request for a result at the goal's end, perhaps after its own restart: so a request's identity is taken as plain bytes,
-and ``rcl_take_request_with_info`` and ``rcl_send_response`` are called directly. The middleware matches an answer to
-its request by that identity alone, not by the process that sends it.
+rclpy answers a request when the callback for it returns. The task proxy answers a goal when the instance has decided,
+and a request for a result at the goal's end, perhaps after its own restart. So this module takes a request's identity
+as plain bytes, and calls ``rcl_take_request_with_info`` and ``rcl_send_response`` directly. The middleware matches an
+answer to its request by that identity alone, not by the process that sends it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import rclpy  # noqa: F401  (loads the libraries that are looked up below)
 from understudy.ros.runtime.sample_taking import loaded
 
 _READER = 0x04
-"""In the last byte of a GUID: the kind of a reader without a key; a writer's is 3."""
+"""The kind in the last byte of a GUID for a reader without a key; a writer's is 3."""
 
 _OK = 0
 _TIMEOUT = 2  # RCL_RET_TIMEOUT: the client is not matched (yet)
@@ -33,7 +33,7 @@ _ID = struct.Struct("@16sq")
 
 
 class RequestId(NamedTuple):
-    """Which request of which client."""
+    """The identity of a request: the client and the number of the request."""
 
     client: str
     """GUID of the client's reader, in hex."""
@@ -41,11 +41,12 @@ class RequestId(NamedTuple):
 
 
 def request_writer(request: RequestId, writers: Iterable[bytes]) -> bytes | None:
-    """Of the writers of a service's requests (their GUIDs), the one of the client that made a request.
+    """Return the writer, among those of a service's requests (their GUIDs), of the client that made a request.
 
-    rmw_fastrtps names a client by its reader and sends no answer to one of which it has taken no request. By its writer,
-    which a client takes its answers under too, any process can answer. Both are of one participant, and the writer is
-    made right after the reader, so that of several the next one is meant.
+    rmw_fastrtps identifies a client by its reader, and sends no answer to a client from which it has taken no request.
+    A client also accepts answers that are addressed to its writer, so any process can answer by that. Both belong to
+    one participant, and the writer is created right after the reader, so if there are several the next one is the
+    client's.
     """
     reader = bytes.fromhex(request.client)
     if not reader[15] & _READER:
@@ -63,7 +64,7 @@ class ServiceExchangeError(RuntimeError):
 
 @dataclass(frozen=True)
 class _Converter:
-    """The functions that turn a message from Python to C and back; only to be called with the GIL."""
+    """The functions that convert a message from Python to C and back. Call them only with the GIL."""
 
     create: Callable[[], int]
     destroy: Callable[[int], None]
@@ -110,7 +111,7 @@ class ServiceExchange:
         self._info = ctypes.create_string_buffer(_INFO.size)
 
     def take(self, service: Any, request_class: Any) -> tuple[Any, RequestId] | None:
-        """The oldest request in a service's queue, None when there is none. Raises ExchangeError."""
+        """Take the oldest request in a service's queue; None if there is none. Raises ServiceExchangeError."""
         converter = _converter(request_class)
         message = converter.create()
         try:
@@ -127,10 +128,11 @@ class ServiceExchange:
             converter.destroy(message)
 
     def answer(self, service: Any, response: Any, request: RequestId) -> bool:
-        """Send the answer of a request; False while the client is not matched, so that it has to be tried again.
+        """Send the answer to a request. Returns False while the client is not matched; the caller then has to try
+        again.
 
-        Blocks for up to 100 ms then. An answer to a client that is gone is sent for all that is known of it.
-        Raises ExchangeError.
+        In that case it blocks for up to 100 ms. If the client has gone, the answer counts as sent. Raises
+        ServiceExchangeError.
         """
         message_class: Any = type(response)
         converter = _converter(message_class)

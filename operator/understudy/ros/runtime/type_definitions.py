@@ -1,7 +1,7 @@
-"""Definitions of message types as they stand in recordings: the text of the type, and of all that it is made of.
+"""Definitions of message types in the form of recordings: the text of the type, and of all types that it contains.
 
-It is what the package's own message file says, with its comments and constants; if that is not installed, and for what is sent
-on an action's topics, the fields are written out.
+The text is that of the package's own message file, with its comments and constants. If the file is not installed, and
+for the messages on an action's topics, the text is generated from the fields.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any
 from understudy.ros.runtime.interface_types import message_class
 
 _BREAK = "=" * 80
-"""Stands between the definitions of a type and of those that it is made of."""
+"""Separates the definition of a type from those of the types that it contains."""
 
 _NAMES = {"double": "float64", "float": "float32", "boolean": "bool", "octet": "byte"}
-"""Basic types that rosidl's Python classes name otherwise than message files do."""
+"""Basic types that have other names in rosidl's Python classes than in message files."""
 
 _SEQUENCE = re.compile(r"sequence<(.+?)(?:, (\d+))?>")
 _ARRAY = re.compile(r"(.+)\[(\d+)\]")
@@ -27,7 +27,7 @@ _STRING = re.compile(r"(w?string)<(\d+)>")
 
 
 def definition(type_name: str) -> str:
-    """The definition of ``package/msg/Name``, or of what an action sends. Raises TypeNotInstalled."""
+    """Return the definition of ``package/msg/Name``, or of a message of an action. Raises TypeNotInstalled."""
     parts = [_text(type_name)]
     done, left = {type_name}, list(_made_of(type_name))
     while left:
@@ -57,7 +57,7 @@ def _installed(type_name: str) -> str:
 
 
 def _made_of(type_name: str) -> Iterator[str]:
-    """The types of its fields that are not basic ones."""
+    """Yield the types of its fields that are not basic ones."""
     slots: Sequence[Any] = message_class(type_name).SLOT_TYPES
     for slot in slots:
         item = getattr(slot, "value_type", slot)
@@ -71,7 +71,7 @@ def _short(type_name: str) -> str:
 
 
 def _written(kind: str) -> str:
-    """A field's type as message files have it."""
+    """Return a field's type in the notation of message files."""
     if found := _SEQUENCE.fullmatch(kind):
         return f"{_written(found[1])}[{f'<={found[2]}' if found[2] else ''}]"
     if found := _ARRAY.fullmatch(kind):
