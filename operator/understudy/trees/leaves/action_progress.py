@@ -1,4 +1,4 @@
-"""The leaf ``progress``: whether an action makes progress with its goal, by its feedback."""
+"""The leaf ``progress``: whether an action makes progress with its goal, judged by its feedback."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from understudy.trees.source.expressions import ExpressionError, Fields, Quantit
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 MOST_GOALS = 16
-"""Goals of one action that are distinguished; most servers have one at a time."""
+"""Greatest number of goals of one action that are distinguished; most servers have one at a time."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Aim:
 
     quantity: Quantity
     sign: int
-    """-1 where it must fall, 1 where it must grow."""
+    """-1 if it must fall, 1 if it must grow."""
     by: float
     within: float
     """Seconds."""
@@ -39,9 +39,11 @@ class Aim:
 
 
 class ProgressLeaf(ContentLeaf):
-    """Holds while no goal is active, or the active one makes progress: feedback arrives, and a quantity in it improves.
+    """Holds while no goal is active, or while the active goal makes progress: feedback arrives, and a quantity in it
+    improves.
 
-    Better than it ever was with this goal: a robot that backs up and tries again the same way has not got on.
+    The quantity must become better than ever before with this goal: a robot that backs up and tries the same way again
+    has made no progress.
     """
 
     def __init__(
@@ -54,19 +56,20 @@ class ProgressLeaf(ContentLeaf):
         aim: Aim | None = None,
         tasks: Sequence[TaskActive],
     ) -> None:
-        """A leaf over an action's feedback, at least one of ``gap`` (seconds) and ``aim`` given; its task is the last one."""
+        """Make a leaf over an action's feedback. At least one of ``gap`` (seconds) and ``aim`` is given. Its own task
+        is the last one."""
         super().__init__(path, feedback_of(action), evaluation, hold_off=0.0, tasks=tasks)
         self._action, self._gap, self._aim = action, gap, aim
         self._best: dict[bytes, float] = {}
         self._why = ""
 
     def forget(self) -> None:
-        """Forget how far the goals were."""
+        """Forget the progress of the goals."""
         self._best.clear()
         self._why = ""
 
     def said(self, content: Content, failed: bool) -> Finding | None:
-        """What the feedback says; None if it is no better than what was there before."""
+        """Evaluate the feedback; None if it is no better than earlier feedback."""
         if self._aim is None:
             return Finding(True, "")
         try:
@@ -79,7 +82,7 @@ class ProgressLeaf(ContentLeaf):
         except AttributeError:
             self._why = f"it cannot be determined: found a {type(content.message()).__name__}, no feedback"
             return None
-        best = self._best.pop(goal, None)  # so that the one that was fed back longest ago is the first
+        best = self._best.pop(goal, None)  # so that the goal with the oldest feedback comes first
         better = best is None or (value - best) * self._aim.sign >= self._aim.by
         self._best[goal] = value if best is None or better else best
         while len(self._best) > MOST_GOALS:
@@ -90,11 +93,11 @@ class ProgressLeaf(ContentLeaf):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def lost(self, track: EvidenceTrack[Content]) -> float:
-        """When it has failed if nothing more arrives."""
+        """Return when it has failed if nothing more arrives."""
         return min(self._silent(), self._stalled(track))
 
     def _silent(self) -> float:
-        """When the gap has failed if nothing more arrives."""
+        """Return when the gap has failed if nothing more arrives."""
         if self._gap is None:
             return math.inf
         record = self._record()
@@ -103,18 +106,18 @@ class ProgressLeaf(ContentLeaf):
         )
 
     def _stalled(self, track: EvidenceTrack[Content]) -> float:
-        """When it has not got on for too long if nothing more arrives."""
+        """Return when it has been without progress for too long if nothing more arrives."""
         if self._aim is None:
             return math.inf
         return max(track.good if track.good is not None else -math.inf, self.begun()) + self._aim.within
 
     def _record(self) -> TopicRecord | None:
-        """The feedback's record, None without any of this instance."""
+        """Return the feedback's record; None without feedback of this instance."""
         record = self._evaluation.observations.topic(self.topic)
         return record if record is not None and (record.last or -math.inf) >= self._evaluation.since else None
 
     def last(self) -> float | None:
-        """When all was last well: when feedback came that counts, or the goal became active."""
+        """Return when all was last well: when feedback with progress was received, or the goal became active."""
         track, record = self.followed(), self._record()
         silent = self._silent() <= self._stalled(track)
         return self._last_with_task(record.last if silent and record is not None else track.good)
@@ -206,7 +209,7 @@ def _aim(reader: Reader, value: Mapping[str, Any], path: str, type_: str, fields
 
 
 def _by(found: object) -> float:
-    # XML has no numbers: there it is written as text.
+    # XML has no numbers: they are written as text there.
     try:
         number = math.nan if isinstance(found, bool) or not isinstance(found, int | float | str) else float(found)
     except (ValueError, OverflowError):

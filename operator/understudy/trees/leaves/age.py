@@ -1,4 +1,5 @@
-"""The leaf ``age``: how old messages are when they arrive, by their own stamp or by when their writer sent them."""
+"""The leaf ``age``: how old messages are when they arrive, by their own stamp or by the time at which their writer sent
+them."""
 
 from __future__ import annotations
 
@@ -32,9 +33,8 @@ HEADER = "std_msgs/Header"
 STAMP, SOURCE = "stamp", "source"
 
 CLOCKS = (STAMP, SOURCE)
-"""What an age can be by: the stamp of the message's header, or the source timestamp that DDS sends with every sample
-(OMG DDS 1.4, 2.2.2.5.5; ``source_timestamp`` of ``rmw_message_info_t``).
-"""
+"""What an age can be measured from: the stamp of the message's header, or the source timestamp that DDS sends with
+every sample (OMG DDS 1.4, 2.2.2.5.5; ``source_timestamp`` of ``rmw_message_info_t``)."""
 
 
 class AgeLeaf(ContentLeaf):
@@ -51,19 +51,19 @@ class AgeLeaf(ContentLeaf):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a topic; ``most`` and ``hold_off`` in seconds, ``by`` one of CLOCKS."""
+        """Make a leaf over a topic; ``most`` and ``hold_off`` in seconds, ``by`` one of CLOCKS."""
         super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._most, self._by = most, by
 
     @property
     def unrecorded(self) -> str:
-        """A bag has when messages were received, and their stamps."""
+        """A bag records only the times of receipt and the stamps."""
         return (
             "it needs the time at which messages were sent, which a bag does not contain" if self._by == SOURCE else ""
         )
 
     def said(self, content: Content, failed: bool) -> Finding:
-        """What the message says by its stamp, or by when it was sent."""
+        """Evaluate the message by its stamp, or by the time at which it was sent."""
         age = content.under_way() if self._by == SOURCE else content.age()
         if age is None:
             lacks = "the middleware did not report when it was sent" if self._by == SOURCE else "there is no stamp"
@@ -77,7 +77,7 @@ class AgeLeaf(ContentLeaf):
 
 
 def rounded(seconds: float) -> str:
-    """An age in words, such as ``412 ms`` or ``3.21 s``."""
+    """Format an age, such as ``412 ms`` or ``3.21 s``."""
     return f"{seconds * 1000:.3g} ms" if seconds < 0.9995 else f"{seconds:.3g} s" if seconds < 1e6 else "over 11 days"
 
 

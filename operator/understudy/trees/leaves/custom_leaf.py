@@ -1,7 +1,8 @@
 """Custom leaves: classes of other packages that judge the messages of a topic (docs/how-to/writing-a-leaf.md).
 
-Such a class is given messages and says why they are not well; all else that makes a leaf (its topic, how long it must not
-hold, the instance that it is for) is done here. A mistake in it costs this one leaf, and never the robot's protection.
+Such a class receives messages and says what is wrong with them. Everything else that a leaf needs (its topic, how long
+the condition must not hold, the judged instance) is here. An error in such a class disables only its leaf, and never
+the robot's protection.
 """
 
 from __future__ import annotations
@@ -43,25 +44,25 @@ _SHARED = (
 )
 
 KEYS = tuple(key.name for key in _SHARED)
-"""The keys of every such leaf."""
+"""The keys of every custom leaf."""
 
 _UNITS: Mapping[str, str] = {**dict.fromkeys(("gap", "window", "settle"), "time"), "count": "int"}
-"""The types of keys that mean the same in all leaves. OpenSCENARIO 2 gives all others as texts."""
+"""The types of keys that mean the same in all leaves. In OpenSCENARIO 2, all others are texts."""
 
 LONGEST = 200
-"""Characters of a reason."""
+"""Most characters of a reason."""
 
 
 class Judge(Protocol):
     """Judges the messages of one instance; each instance gets a new one."""
 
     def judge(self, message: Any) -> str | None:
-        """Why the message is not well, in plain words; None if it is."""
+        """Return in plain words what is wrong with the message; None if it is good."""
         ...
 
 
 class CustomLeaf(ContentLeaf):
-    """Holds while its judge accepts the newest message, and also while the judge itself fails."""
+    """Holds while its judge accepts the newest message, and also if the judge itself fails."""
 
     def __init__(
         self,
@@ -74,18 +75,18 @@ class CustomLeaf(ContentLeaf):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a topic; ``hold_off`` in seconds."""
+        """Make a leaf over a topic; ``hold_off`` in seconds."""
         super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self.kind = kind
         self._make = make
         self._judge: Judge | None = None
 
     def forget(self) -> None:
-        """Judge another instance, of which nothing is known yet."""
+        """Judge another instance, about which nothing is known yet."""
         self._judge = None
 
     def said(self, content: Content, failed: bool) -> Finding:
-        """What the judge says of the message."""
+        """Return the judge's result for the message."""
         try:
             message = content.message()
         except Unreadable as error:
@@ -96,9 +97,9 @@ class CustomLeaf(ContentLeaf):
             why = self._judge.judge(message)
             if why is not None and not isinstance(why, str):
                 raise TypeError(f"judge() returned {found_text(why)}, which is neither a text nor None")
-        except Exception as error:  # whatever a package of others raises
+        except Exception as error:  # a class of another package may raise anything
             self._note(f"{self.kind} cannot judge {self.topic}, {_told(error)}")
-            return Finding(True, "")  # being blind is no failure
+            return Finding(True, "")  # being unable to judge is not a failure
         self.blind = ""
         return Finding(False, why[:LONGEST]) if why else Finding(True, "")
 
@@ -113,7 +114,7 @@ class CustomLeaf(ContentLeaf):
 
 
 class Setting(NamedTuple):
-    """A key that a judge is made with."""
+    """A key with which a judge is made."""
 
     read: Callable[[object], Any]
     """Reads its value. Raises ValueError."""
@@ -121,7 +122,7 @@ class Setting(NamedTuple):
 
 
 def kind_of(name: str, judge: object) -> LeafKind:
-    """The kind of leaf that a class stands for, whose keys are the parameters it is made with. Raises ValueError."""
+    """Return the kind of leaf for a class, whose keys are the parameters of its constructor. Raises ValueError."""
     if not isinstance(judge, type) or not callable(getattr(judge, "judge", None)):
         raise ValueError("it must be a class with a method judge(self, message)")
     settings = _settings(judge)
@@ -178,7 +179,7 @@ def _read(
     make = partial(judge, **given)
     try:
         make()
-    except Exception as error:  # a ValueError is how it refuses a value; with all others the mistake is its own
+    except Exception as error:  # with a ValueError it refuses a value; any other error is its own mistake
         reader.problem(path, str(error) if isinstance(error, ValueError) else f"{name} cannot be made, {_told(error)}")
         return None
     return LeafPlan(

@@ -29,36 +29,37 @@ TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 TOPIC = "/diagnostics"
 
 OWN = "understudy: "
-"""How the statuses begin that monitors publish there themselves (docs/ros-tools.md). They are judgements, not evidence: a tree that
-looked at them would judge itself, or another instance's failure, as its own."""
+"""Prefix of the statuses that monitors publish there themselves (docs/ros-tools.md). They are judgements, not evidence:
+a tree that used them would judge itself, or would take another instance's failure for its own."""
 
 LEVELS = ("OK", "WARN", "ERROR", "STALE")
-"""By their numbers in diagnostic_msgs/msg/DiagnosticStatus."""
+"""The levels in the order of their numbers in diagnostic_msgs/msg/DiagnosticStatus."""
 
 KEPT = 64
-"""Messages that may come between two looks: each node says its own, and none may be missed."""
+"""Greatest number of messages between two evaluations: each node publishes its own, and none may be lost."""
 
 BURST = 250.0
-"""Messages per second to be ready for: many nodes may say theirs at the same moment."""
+"""Expected messages per second: many nodes may publish at the same time."""
 
 MOST_STATUSES = 512
-"""Statuses that are remembered; who makes up names without end must not fill the memory."""
+"""Greatest number of statuses that are remembered: a node that invents names without end must not fill the memory."""
 
 _LONGEST = 120
-"""Characters of a status's own message that are told."""
+"""Most characters of a status's own message in a reason."""
 
 
 class _Level(NamedTuple):
-    """What was last said of a status."""
+    """The last level of a status."""
 
     level: int
     text: str
     well: bool
-    """Whether its level has been allowed once."""
+    """Whether its level has ever been allowed."""
 
 
 class DiagnosticsLeaf(ContentLeaf):
-    """Holds while the last level of each status of a name, or of names that begin so, is at most ``worst``."""
+    """Holds while the last level of each status with a name, or with a name that begins with a prefix, is at most
+    ``worst``."""
 
     every = True
 
@@ -74,7 +75,8 @@ class DiagnosticsLeaf(ContentLeaf):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over the statuses named ``name``, or else all whose names begin with ``prefix``; ``hold_off`` in seconds."""
+        """Make a leaf over the statuses named ``name``, or else all with names that begin with ``prefix``; ``hold_off``
+        in seconds."""
         super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._name, self._prefix, self._worst = name, prefix, worst
         self._levels: dict[str, _Level] = {}
@@ -84,7 +86,7 @@ class DiagnosticsLeaf(ContentLeaf):
         self._levels.clear()
 
     def said(self, content: Content, failed: bool) -> Finding | None:
-        """What all statuses say with this message's; None if none of them is asked for."""
+        """Evaluate all statuses including those of this message; None if the message has none of them."""
         try:
             found = [status for status in _statuses(content.message()) if self._asked(status[0])]
         except Unreadable as error:
@@ -92,7 +94,7 @@ class DiagnosticsLeaf(ContentLeaf):
         if not found:
             return None
         for name, level, text in found:
-            before = self._levels.pop(name, None)  # so that the one said longest ago is the first
+            before = self._levels.pop(name, None)  # so that the oldest one comes first
             well = level <= self._worst or (before is not None and before.well)
             self._levels[name] = _Level(level, text, well)
         while len(self._levels) > MOST_STATUSES:
@@ -102,7 +104,7 @@ class DiagnosticsLeaf(ContentLeaf):
             return Finding(True, "")
         name = max(bad, key=lambda name: bad[name].level)
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
-        # Nodes start one after the other: that the first are well does not end the grace of the others.
+        # Nodes start one after the other: the grace of the others does not end when the first are well.
         starting = content.received < self._evaluation.in_time and not any(said.well for said in bad.values())
         return Finding(False, _told(name, bad[name].level, bad[name].text) + more, starting)
 
@@ -116,14 +118,14 @@ class DiagnosticsLeaf(ContentLeaf):
         return f"a level of at most {LEVELS[self._worst]} of {self.awaited()}"
 
     def awaited(self) -> str:
-        """The statuses that must come."""
+        """The statuses that must arrive."""
         if self._name is not None:
             return f"status {self._name!r} on {self.topic}"
         return f"status {self._prefix + '...'!r} on {self.topic}" if self._prefix else f"status on {self.topic}"
 
 
 def _statuses(message: Any) -> list[tuple[str, int, str]]:
-    """Name, level and text of the statuses of a message. Raises Unreadable."""
+    """Return name, level and text of each status of a message. Raises Unreadable."""
     try:
         return [(str(s.name), _level(s.level), str(s.message)) for s in message.status]
     except (AttributeError, TypeError):

@@ -1,7 +1,7 @@
-"""How a leaf declares itself, and what its declaration becomes when a tree names it.
+"""The declaration of a leaf, and the plan that is read from a tree that uses it.
 
-A leaf's module declares one :class:`LeafKind`. The loaders, the three languages, their libraries and the reference
-page are derived from that declaration: no other module names a leaf, except the registry.
+A leaf's module declares one :class:`LeafKind`. The loaders, the three languages, their libraries and the reference page
+are derived from that declaration: no other module names a leaf, except the registry.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, duration_of
 
 LOOK_INTERVAL = 0.1
-"""The longest time in seconds between two evaluations by the monitor. A failure that takes at least this long is scheduled in time."""
+"""The longest time in seconds between two evaluations by the monitor. A failure that takes at least this long is
+scheduled in time."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +49,12 @@ class Key:
 
 
 Make = Callable[[str, Evaluation, Sequence[TaskActive]], Leaf]
-"""Makes a leaf from its path, the evaluation that it looks through, and the tasks that it is judged for."""
+"""Makes a leaf from its path, the evaluation that provides its input, and the tasks for which it is judged."""
 
 
 @dataclass(frozen=True)
 class LeafPlan:
-    """A leaf that was read from a tree and does not have its place yet."""
+    """A leaf that was read from a tree and does not have its place in the tree yet."""
 
     name: str
     """The name of the leaf if the tree does not give one."""
@@ -61,7 +62,7 @@ class LeafPlan:
     """What it needs of its topic."""
     make: Make
     task: TaskActive | None = None
-    """The task that the leaf itself is about; it is judged only while this is active."""
+    """The task of the leaf itself; it is judged only while this task is active."""
     also: tuple[WatchedTopic, ...] = ()
     """What it needs of other topics. If one of them cannot be watched, the leaf is left out."""
 
@@ -78,7 +79,8 @@ class LeafKind:
     example: str
     """Its value in the short form, as flow-style YAML."""
     read: Callable[[Reader, Mapping[str, Any], str, Fields | None], LeafPlan | None]
-    """Reads its mapping at the given path, with the fields of message types; notes problems, and returns None then."""
+    """Reads its mapping at the given path, with the fields of message types. If there are problems, it notes them and
+    returns None."""
     active_only: bool = False
     """Whether it judges the active instance only. A procedure cannot wait for it, because it prepares another instance."""
 
@@ -100,12 +102,12 @@ TYPE = Key("type", "package/msg/Name")
 
 
 def time_key(name: str, about: str, *, default: str = "") -> Key:
-    """A key whose value is a duration."""
+    """A key with a duration as its value."""
     return Key(name, about, "time", default=default)
 
 
 def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, key: str = "topic") -> str | None:
-    """The topic of a leaf."""
+    """Read the topic of a leaf."""
     if key not in value:
         reader.problem(f"{path}.{key}", f"missing; give the topic's fully qualified name, such as {example}")
     return reader.matching(value, key, path, ROS_NAME_PATTERN, f"a fully qualified topic name such as {example}")
@@ -114,7 +116,7 @@ def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, 
 def node_of(
     reader: Reader, value: Mapping[str, Any], path: str, key: str = "node", *, required: bool = True
 ) -> str | None:
-    """The node of a leaf, fully qualified."""
+    """Read the node of a leaf, fully qualified."""
     if required and key not in value:
         reader.problem(f"{path}.{key}", "missing; give the node's fully qualified name, such as /controller_server")
     return reader.matching(
@@ -123,12 +125,12 @@ def node_of(
 
 
 def type_of(reader: Reader, value: Mapping[str, Any], path: str) -> str | None:
-    """The type of the topic's messages."""
+    """Read the type of the topic's messages."""
     return reader.matching(value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "msg"), "package/msg/Name")
 
 
 def hold_off_of(reader: Reader, value: Mapping[str, Any], path: str) -> float:
-    """``for``: how long a condition must not hold before that is a failure, in seconds; 0 if it is not given."""
+    """Read ``for``: the seconds for which a condition must not hold before that is a failure; 0 if it is not given."""
     return reader.given(value, "for", path, duration_of) or 0.0
 
 

@@ -18,13 +18,13 @@ from understudy.trees.source.value_reader import Reader, found_text
 TYPE = "lifecycle_msgs/msg/TransitionEvent"
 
 EVENTS = "/transition_event"
-"""Where a managed node reports its transitions, after its name."""
+"""Suffix of the topic on which a managed node reports its transitions, after the node's name."""
 
 STATES = ("unconfigured", "inactive", "active", "finalized")
 """States in which a managed node rests."""
 
 BURST = 100.0
-"""Transitions per second to be ready for: a whole stack is brought up at once, two for each step."""
+"""Expected transitions per second: a whole stack is brought up at once, with two for each step."""
 
 
 class LifecycleLeaf(EvidenceLeaf[NodeState]):
@@ -42,35 +42,35 @@ class LifecycleLeaf(EvidenceLeaf[NodeState]):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a node, fully qualified; ``hold_off`` in seconds."""
+        """Make a leaf over a node, fully qualified; ``hold_off`` in seconds."""
         super().__init__(path, f"{node}{EVENTS}", evaluation, hold_off=hold_off, tasks=tasks)
         self._node, self._state = node, state
 
     def _found(self) -> NodeState | None:
-        """What is known of it since the instance took control."""
+        """Return the known state of the node since the instance took control."""
         found = self._evaluation.observations.lifecycle(self._node)
         return found if found is not None and found.received >= self._evaluation.since else None
 
     def fresh(self, track: EvidenceTrack[NodeState]) -> list[NodeState]:
-        """What is known now, once."""
+        """Return the known state, once."""
         found = self._found()
         return [found] if found is not None and found is not track.seen else []
 
     def said(self, content: NodeState, failed: bool) -> Finding | None:
-        """What it says of the state."""
+        """Evaluate the state."""
         if content.state is None:
             return None
         if content.state == self._state:
             return Finding(True, "")
         why = f"it is {content.state}" if content.state else "it is not there"
         if self._track.bad is not None:
-            self._track.why = why  # on its way from state to state the last one tells most
+            self._track.why = why  # while the node changes its state, the last state says most
         return Finding(False, why)
 
     def _limits(self, track: EvidenceTrack[NodeState]) -> tuple[float, float]:
         found = self._found()
         if found is not None and found.state is None:
-            return math.inf, math.inf  # being blind is no failure
+            return math.inf, math.inf  # being unable to judge is not a failure
         return super()._limits(track)
 
     def condition(self) -> str:
@@ -78,7 +78,7 @@ class LifecycleLeaf(EvidenceLeaf[NodeState]):
         return f"state {self._state} of node {self._node}"
 
     def awaited(self) -> str:
-        """What must come first."""
+        """What must arrive first."""
         return f"answer of node {self._node} to what state it is in"
 
 

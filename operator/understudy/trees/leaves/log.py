@@ -1,4 +1,5 @@
-"""The leaf ``log``: what nodes of the instance must not log, or not too often (rcl_interfaces/msg/Log on ``/rosout``)."""
+"""The leaf ``log``: messages that nodes of the instance must not log, or not too often (rcl_interfaces/msg/Log on
+``/rosout``)."""
 
 from __future__ import annotations
 
@@ -22,40 +23,42 @@ TYPE = "rcl_interfaces/msg/Log"
 TOPIC = "/rosout"
 
 LEVELS = {"DEBUG": 10, "INFO": 20, "WARN": 30, "ERROR": 40, "FATAL": 50}
-"""By their names, the numbers of rcl_interfaces/msg/Log."""
+"""The numbers of the levels in rcl_interfaces/msg/Log, by name."""
 
 LEVEL = 12
-"""Where the level stands in a serialized message: after CDR's own header and the stamp. Most messages go no further."""
+"""Offset of the level in a serialized message: after the CDR header and the stamp. For most messages, nothing more is
+read."""
 
 KEPT = 256
-"""Messages that may come between two looks: all nodes share the topic."""
+"""Greatest number of messages between two evaluations: all nodes share the topic."""
 
 BURST = 1000.0
-"""Messages per second to be ready for."""
+"""Expected messages per second."""
 
 MOST = 1000
-"""Messages that may be asked for."""
+"""The greatest count that a tree may state."""
 
 QUIET = 10.0
-"""Seconds without such a message after which all is well again, if the tree says neither that nor a window."""
+"""Seconds without such a message after which all is well again, if the tree states neither these nor a window."""
 
 _LONGEST = 120
-"""Characters of a message that are told."""
+"""Most characters of a message in a reason."""
 
 
 @dataclass(frozen=True)
 class Pattern:
-    """Which messages count."""
+    """Selects the messages that count."""
 
     level: str | None = None
-    """The least level; any if there is none."""
+    """The lowest level that counts; None for any."""
     node: str | None = None
-    """The node that says it, fully qualified; any if there is none."""
+    """The node that logs it, fully qualified; None for any."""
     says: str | None = None
-    """Text that is in it, in which ``*`` stands for any characters. Found part by part, so that its time is bounded."""
+    """Text that it contains, in which ``*`` stands for any characters. The search takes a bounded time, because it
+    looks for one part after the other."""
 
     def matched(self, content: Content) -> Any:
-        """The message, if it counts; else None. Raises Unreadable."""
+        """Return the message if it counts, else None. Raises Unreadable."""
         if self.level is not None and (content.byte(LEVEL) or 255) < LEVELS[self.level]:
             return None
         parts = [part for part in (self.says or "").split("*") if part]
@@ -69,7 +72,7 @@ class Pattern:
             raise Unreadable(f"found a {type(message).__name__}, not a {TYPE}") from None
         if self.level is not None and level < LEVELS[self.level]:
             return None
-        # A node's loggers are named after it, with dots for the slashes of its name and before those of its parts.
+        # A node's loggers are named after it, with dots in place of the slashes of its name and before their own parts.
         if logger and name != logger and not name.startswith(f"{logger}."):
             return None
         place = 0
@@ -89,27 +92,27 @@ class Pattern:
 
 @dataclass
 class _Heard:
-    """What one instance has logged. Times are Unix seconds."""
+    """The messages that one instance has logged. Times are Unix seconds."""
 
     since: float
-    """Which instance: when it took control."""
+    """When the instance took control, which identifies it."""
     active: float = -math.inf
-    """Since when it counts: the task's start, if it is for one."""
+    """Since when messages count: the start of the task, if the leaf is for one."""
     seen: Content | None = None
-    """The newest message that was looked into."""
+    """The newest message that was evaluated."""
     received: float = 0.0
     """When that was received, by the clock at that time."""
     times: deque[float] = field(default_factory=deque)
     """When the last of the messages that count were received."""
     first: float | None = None
-    """When the first of those was received that were too many; None while there were not."""
+    """When the first of the messages that were too many was received; None while they were not too many."""
     last: float = -math.inf
     """When the last message that counts was received."""
     why: str = ""
-    """The message with which they were too many: a text that stays while the failure does."""
+    """The message with which they became too many. The text stays the same while the failure lasts."""
 
     def shift(self) -> None:
-        """Follow a step of the clock, with which the time of the newest message was moved."""
+        """Follow a step of the clock, which moved the time of the newest message."""
         if self.seen is None or self.seen.received == self.received:
             return
         step = self.seen.received - self.received
@@ -125,10 +128,11 @@ class _Heard:
 
 
 class LogLeaf(Leaf):
-    """Fails with the message that is the ``count``-th of its kind within ``window``, until none has come for ``quiet``.
+    """Fails with the message that is the ``count``-th of its kind within ``window``, until none has arrived for
+    ``quiet``.
 
-    There is nothing to wait for first: an instance that logs nothing of the kind is well. One that does so
-    within its grace is starting for as long as that lasts.
+    It need not wait for a first message: an instance that logs nothing of the kind is well. An instance that does so
+    within its grace is starting until the grace ends.
     """
 
     def __init__(
@@ -142,21 +146,21 @@ class LogLeaf(Leaf):
         quiet: float = QUIET,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over the messages of a pattern; ``window`` and ``quiet`` in seconds."""
+        """Make a leaf over the messages of a pattern; ``window`` and ``quiet`` in seconds."""
         super().__init__(path, TOPIC, evaluation, tasks)
         self._pattern, self._count, self._window, self._quiet = pattern, count, window, quiet
         self._heard = _Heard(math.nan)
 
-    # -- what was logged --------------------------------------------------------------------------------------------
+    # -- logged messages --------------------------------------------------------------------------------------------
 
     def _followed(self) -> _Heard:
-        """What was logged until the time of the evaluation; looks into everything once."""
+        """Return what was logged up to the time of the evaluation. Each message is evaluated once."""
         evaluation, heard = self._evaluation, self._heard
         if heard.since != evaluation.since:
             heard = self._heard = _Heard(evaluation.since, times=deque(maxlen=self._count))
         heard.shift()
         found = task_timing(self.tasks, evaluation)
-        # What was logged while the task was not active does not count when it is: its clock begins with it.
+        # The leaf's clock starts with the task: messages that were logged while the task was not active do not count.
         active = found.active if found is not None else math.inf
         if abs(heard.active - active) > 1e-3:
             heard.begin(active)
@@ -179,14 +183,15 @@ class LogLeaf(Leaf):
         try:
             message = self._pattern.matched(content)
         except Unreadable:
-            return  # what cannot be read says nothing
+            return  # a message that cannot be read does not count
         if message is None:
             return
         if heard.first is not None and content.received >= heard.last + self._quiet:
             heard.begin(heard.active)  # it was well again in between
         heard.last = content.received
         heard.times.append(content.received)
-        # The window is open at its end: as many in a window's length are too many, as a gap fails when it is as long.
+        # The window is open at its end: as many messages in exactly a window's length are too many, like a gap of
+        # exactly its limit.
         if heard.first is not None or len(heard.times) < self._count:
             return
         if self._count == 1 or heard.times[-1] - heard.times[0] < self._window:
@@ -195,7 +200,8 @@ class LogLeaf(Leaf):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def _limits(self) -> tuple[float, float, float]:
-        """When what was logged makes it no longer healthy, when failed, and when healthy again; all infinite for never."""
+        """Return when the messages make it no longer healthy, when failed, and when healthy again; infinite for
+        never."""
         heard, evaluation = self._followed(), self._evaluation
         if heard.first is None:
             return math.inf, math.inf, math.inf
@@ -212,7 +218,7 @@ class LogLeaf(Leaf):
         return "Starting" if now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None if it is not healthy. Another message can come at any time."""
+        """When it stops being healthy; None if it is not healthy. Another message can arrive at any time."""
         begins, _, ends = self._limits()
         now = self._evaluation.now
         if now >= ends:
@@ -222,11 +228,11 @@ class LogLeaf(Leaf):
         return begins if begins < ends else math.inf
 
     def changes(self) -> list[float]:
-        """The moments after that of the evaluation at which the state may be another with no further message."""
+        """Return the times after the evaluation at which the state may change without a further message."""
         return [moment for moment in self._limits() if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
-        """When all was last well: when the first of the messages was received that were too many."""
+        """Return when all was last well: when the first of the messages that were too many was received."""
         return self._followed().first
 
     def _plain_reason(self, state: State) -> str:

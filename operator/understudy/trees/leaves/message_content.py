@@ -7,13 +7,13 @@ from understudy.trees.core.observations import Content
 
 
 class ContentLeaf(EvidenceLeaf[Content]):
-    """Holds while the messages say so."""
+    """Holds while the contents of the messages meet its condition."""
 
     every = False
-    """Whether each message is looked into, and not only the newest at each look."""
+    """Whether each message is evaluated, and not only the newest one at each evaluation."""
 
     def fresh(self, track: EvidenceTrack[Content]) -> list[Content]:
-        """The instance's messages that have not been looked into, oldest first."""
+        """Return the instance's messages that have not been evaluated, oldest first."""
         record = self._evaluation.observations.topic(self.topic)
         if record is None or not record.contents or record.contents[-1] is track.seen:
             return []

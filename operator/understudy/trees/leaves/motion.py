@@ -20,20 +20,22 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
 
 KEPT = 128
-"""Messages of each topic that may come between two looks; the looks are at most some tenths of a second apart."""
+"""Greatest number of messages of each topic between two evaluations, which are at most some tenths of a second
+apart."""
 
 UNSAID = 1e-4
-"""m2/s2 and rad2/s2: the variance of a velocity whose source states none."""
+"""Variance of a velocity whose source states none, in m2/s2 or rad2/s2."""
 
 FASTEST = 100.0
-"""What a velocity in m/s or rad/s, or an acceleration, may be in a tree."""
+"""Greatest velocity in m/s or rad/s, and greatest acceleration, that a tree may state."""
 
 
 class MotionLeaf(Leaf):
-    """Holds unless the observed velocity differs from the commanded one by more than the tolerance and the noise explain.
+    """Holds unless the observed velocity differs from the commanded one by more than the tolerance and the noise
+    explain.
 
-    If nothing is seen, or nothing commanded, it cannot be determined and holds; so it does for an instance that is not in
-    control: what the robot does is not its doing.
+    If no observation or no command is received, the difference cannot be determined, and the leaf holds. It also holds
+    for an instance that is not in control, because that instance does not cause what the robot does.
     """
 
     def __init__(
@@ -46,7 +48,7 @@ class MotionLeaf(Leaf):
         *,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a topic with the odometry of somebody outside the robot, and one with commands."""
+        """Make a leaf over a topic with the odometry of an observer outside the robot, and a topic with commands."""
         super().__init__(path, topic, evaluation, tasks)
         self._commands, self._allowance = commands, allowance
         self._following = CommandFollowing(allowance)
@@ -55,12 +57,13 @@ class MotionLeaf(Leaf):
         self._unreadable = ""
 
     def _followed(self) -> CommandFollowing:
-        """What has been received until the time of the evaluation, each message once."""
+        """Return the comparison with everything received up to the time of the evaluation. Each message is used
+        once."""
         evaluation = self._evaluation
         found = task_timing(self.tasks, evaluation) if self.tasks else None
         began = (evaluation.since, max(evaluation.since, found.active) if found is not None else evaluation.since)
         if began != self._began and (found is not None or not self.tasks):
-            # Who commands it is another one, or begins to only now.
+            # Another instance commands the robot, or the task begins only now.
             self._began, self._following, self._seen = began, CommandFollowing(self._allowance), {}
         self._follow_clock()
         fresh = [
@@ -94,7 +97,7 @@ class MotionLeaf(Leaf):
         return found[::-1]
 
     def _follow_clock(self) -> None:
-        """Follow a step of the clock, with which the times of the messages were moved."""
+        """Follow a step of the clock, which moved the times of the messages."""
         steps = [content.received - received for content, received in self._seen.values()]
         if any(steps):
             self._following.shift(max(steps, key=abs))
@@ -103,7 +106,7 @@ class MotionLeaf(Leaf):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def _failing(self) -> tuple[float, float] | None:
-        """From when to when it fails if nothing more arrives; None if it does not."""
+        """Return from when to when it fails if nothing more arrives; None if it does not."""
         if not self._evaluation.observations.in_control or not self.counts():
             return None
         following = self._followed()
@@ -120,18 +123,18 @@ class MotionLeaf(Leaf):
         return "Failed" if failing is not None and failing[0] <= self._evaluation.now else "Healthy"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None if it is not healthy."""
+        """When it stops being healthy; None if it is not healthy."""
         failing = self._failing()
         if failing is None:
             return math.inf
         return failing[0] if self._evaluation.now < failing[0] else None
 
     def changes(self) -> list[float]:
-        """The moments after that of the evaluation at which the state may be another with no further message."""
+        """Return the times after the evaluation at which the state may change without a further message."""
         return [moment for moment in self._failing() or () if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
-        """When the robot was last seen to move as commanded, or its task became active."""
+        """Return when the robot was last seen to move as commanded, or when its task became active."""
         well = self._following.well
         return self._last_with_task(well if well is not None and well >= self._evaluation.since else None)
 
@@ -170,7 +173,7 @@ _QUANTITY = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(m/s2|m/s|rad/s2|rad/s|%)")
 
 
 def _quantity(unit: str, example: str, least: float = 0.0) -> Callable[[object], float]:
-    """Reads a number with a unit."""
+    """Return a function that reads a number with a unit."""
 
     def read(found: object) -> float:
         match = _QUANTITY.fullmatch(found) if isinstance(found, str) and len(found) <= 32 else None

@@ -1,4 +1,4 @@
-"""The leaf ``node``: whether the instance has a node, by the ROS graph."""
+"""The leaf ``node``: whether the instance has a node, according to the ROS graph."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
     def __init__(
         self, path: str, node: str, evaluation: Evaluation, *, hold_off: float = 0.0, tasks: Sequence[TaskActive] = ()
     ) -> None:
-        """A leaf over a node, fully qualified; ``hold_off`` in seconds."""
+        """Make a leaf over a node, fully qualified; ``hold_off`` in seconds."""
         super().__init__(path, node, evaluation, hold_off=hold_off, tasks=tasks)
 
     def fresh(self, track: EvidenceTrack[NodePresence]) -> list[NodePresence]:
-        """The last look at the ROS graph, once."""
+        """Return the last observation of the ROS graph, once."""
         found = self._evaluation.observations.node(self.topic)
         if found is None or found is track.seen or found.received < self._evaluation.since:
             return []
         return [found]
 
     def said(self, content: NodePresence, failed: bool) -> Finding:
-        """What the look says."""
+        """Evaluate the observation."""
         if content.there:
             return Finding(True, "")
-        # Where one of its name is in another pod, who looks with `ros2 node list` sees it and wonders.
+        # If a node of this name is in another pod, a user sees it with `ros2 node list` and needs this explanation.
         return Finding(False, "another instance or the robot has one of that name" if content.elsewhere else "")
 
     def condition(self) -> str:
@@ -45,7 +45,7 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
         return f"node {self.topic}"
 
     def awaited(self) -> str:
-        """What must come first."""
+        """What must arrive first."""
         return f"look for node {self.topic}"
 
     def _plain_reason(self, state: State) -> str:

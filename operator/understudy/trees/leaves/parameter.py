@@ -20,21 +20,21 @@ from understudy.trees.source.value_reader import Reader, found_text
 TYPE = "rcl_interfaces/msg/ParameterEvent"
 
 EVENTS = "/parameter_events"
-"""Where every node reports its parameters when they change."""
+"""The topic on which every node reports changes of its parameters."""
 
 BURST = 4000.0
-"""Messages per second to be ready for: a stack that starts reports each of its parameters."""
+"""Expected messages per second: a starting stack reports each of its parameters."""
 
 KEPT = 256
-"""Messages that may come between two looks. What is lost is asked for."""
+"""Greatest number of messages between two evaluations. What is lost is requested."""
 
 LONGEST = 256
-"""Characters of a name or a value."""
+"""Most characters of a name or a value."""
 
 MOST_VALUES = 32
 
 SEPARATOR = ";"
-"""Between values that are written as one text, as in BehaviorTree.CPP."""
+"""Separates values that are written as one text, as in BehaviorTree.CPP."""
 
 _WHOLE = re.compile(r"[-+]?[0-9]{1,20}")
 _NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]{1,3})?"
@@ -46,21 +46,22 @@ class Expected(ABC):
 
     @abstractmethod
     def holds(self, value: ParameterValue) -> bool:
-        """Whether a value is that."""
+        """Return whether a value is as expected."""
 
     @abstractmethod
     def __str__(self) -> str:
-        """In words, after the parameter's name."""
+        """Return the condition in words, to follow the parameter's name."""
 
 
 @dataclass(frozen=True)
 class OneOf(Expected):
-    """One of several values, each as it is written. It is compared as the parameter's own type: a number, a string or a boolean."""
+    """One of several values, each as it is written. They are compared as the parameter's own type: number, string or
+    boolean."""
 
     texts: tuple[str, ...]
 
     def holds(self, value: ParameterValue) -> bool:
-        """Whether a value is one of them."""
+        """Return whether a value is one of them."""
         return any(_equal(value, text) for text in self.texts)
 
     def __str__(self) -> str:
@@ -77,7 +78,7 @@ class Between(Expected):
     most: float
 
     def holds(self, value: ParameterValue) -> bool:
-        """Whether a value is a number between them."""
+        """Return whether a value is a number in the interval."""
         return isinstance(value, int | float) and not isinstance(value, bool) and self.least <= value <= self.most
 
     def __str__(self) -> str:
@@ -95,7 +96,7 @@ def _equal(value: ParameterValue, text: str) -> bool:
 
 
 class ParameterLeaf(EvidenceLeaf[ParameterState]):
-    """Holds while a parameter of a node has the right value, or while its value cannot be determined."""
+    """Holds while a parameter of a node has an expected value, or while its value cannot be determined."""
 
     hears = False
 
@@ -110,35 +111,35 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a parameter of a node, fully qualified; ``hold_off`` in seconds."""
+        """Make a leaf over a parameter of a node, fully qualified; ``hold_off`` in seconds."""
         super().__init__(path, EVENTS, evaluation, hold_off=hold_off, tasks=tasks)
         self._node, self._name, self._expected = node, name, expected
 
     def _found(self) -> ParameterState | None:
-        """What is known of it since the instance took control."""
+        """Return the known value since the instance took control."""
         found = self._evaluation.observations.parameter(self._node, self._name)
         return found if found is not None and found.received >= self._evaluation.since else None
 
     def fresh(self, track: EvidenceTrack[ParameterState]) -> list[ParameterState]:
-        """What is known now, once."""
+        """Return the known value, once."""
         found = self._found()
         return [found] if found is not None and found is not track.seen else []
 
     def said(self, content: ParameterState, failed: bool) -> Finding | None:
-        """What it says of the value."""
+        """Evaluate the value."""
         if not content.told:
             return None
         if content.value is not None and self._expected.holds(content.value):
             return Finding(True, "")
         why = f"it is {found_text(content.value)}" if content.value is not None else content.lacks
         if self._track.bad is not None:
-            self._track.why = why  # of wrong values the last one tells most
+            self._track.why = why  # of several wrong values, the last one says most
         return Finding(False, why)
 
     def _limits(self, track: EvidenceTrack[ParameterState]) -> tuple[float, float]:
         found = self._found()
         if found is not None and not found.told:
-            return math.inf, math.inf  # being blind is no failure
+            return math.inf, math.inf  # being unable to judge is not a failure
         return super()._limits(track)
 
     def condition(self) -> str:
@@ -146,7 +147,7 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
         return f"parameter {self._name} of node {self._node} {self._expected}"
 
     def awaited(self) -> str:
-        """What must come first."""
+        """What must arrive first."""
         return f"answer of node {self._node} to what {self._name} is"
 
 
@@ -213,7 +214,7 @@ _READ = {"equals": _equals, "one_of": _one_of, "between": _between}
 
 
 def _text(found: object) -> str:
-    """A value as it is written; those of YAML may be numbers, or true or false."""
+    """Return a value as it is written. A value in YAML may be a number or a boolean."""
     if isinstance(found, bool):
         return str(found).lower()
     if isinstance(found, float) and not math.isfinite(found):

@@ -1,4 +1,4 @@
-"""The leaves that other installed packages bring, by their entry points (docs/how-to/writing-a-leaf.md)."""
+"""Finds leaves of other installed packages through entry points (docs/how-to/writing-a-leaf.md)."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from understudy.trees.leaves.leaf_plan import LeafKind
 _logger = logging.getLogger(__name__)
 
 GROUP = "understudy.leaves"
-"""The group of entry points, each of which is a leaf's key in the short form and the class that judges."""
+"""The group of entry points. Each one maps a leaf's key in the short form to the class that judges."""
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)+")
 
 
 @dataclass(frozen=True)
 class PluginLeaves:
-    """What was found."""
+    """The leaves that were found."""
 
     leaves: Mapping[str, LeafKind]
-    """By their keys in the short form."""
+    """Usable leaves by their keys in the short form."""
     refused: Mapping[str, str]
-    """Those that cannot be used, and why."""
+    """Unusable leaves, and why."""
 
 
 def load_plugins(taken: Collection[str]) -> PluginLeaves:
-    """The leaves of all installed packages; none can have a name that is ``taken``.
+    """Load the leaves of all installed packages. None can have a name that is ``taken``.
 
-    What cannot be used is logged, and reported where a tree names it. Robots whose trees do not name it stay protected.
+    A leaf that cannot be used is logged, and reported if a tree names it. Robots whose trees do not name it stay
+    protected.
     """
     leaves: dict[str, LeafKind] = {}
     refused: dict[str, str] = {}
@@ -49,7 +50,7 @@ def load_plugins(taken: Collection[str]) -> PluginLeaves:
 
 
 def _leaf(name: str, entries: list[EntryPoint], taken: Collection[str]) -> LeafKind:
-    """The leaf of a name. Raises ValueError."""
+    """Load the leaf of a name. Raises ValueError."""
     if not _NAME.fullmatch(name):
         raise ValueError("its name must be two words at least, such as acme_lively: a-z and 0-9, with _ between them")
     if name in taken:
@@ -58,11 +59,11 @@ def _leaf(name: str, entries: list[EntryPoint], taken: Collection[str]) -> LeafK
         raise ValueError("several packages have a leaf of that name; install only one")
     try:
         judge = entries[0].load()
-    except Exception as error:  # whatever a package raises as it is imported
+    except Exception as error:  # a package may raise anything during its import
         raise ValueError(f"{entries[0].value} cannot be loaded, {type(error).__name__}: {error!s:.200}") from error
     return kind_of(name, judge)
 
 
 def _package(entry: EntryPoint) -> str:
-    """If it is from, such as ``acme-leaves 1.0``."""
+    """Return the name and version of its package, such as ``acme-leaves 1.0``."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist is not None else "a package without a name"

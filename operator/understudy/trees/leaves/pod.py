@@ -1,7 +1,8 @@
 """The leaf ``pod``: what Kubernetes reports about the pod of the active instance.
 
-Only who watches the cluster can tell, which is the workload's monitor. For an instance that waits the leaf holds: it is
-judged by its own agent, and that one by what its pod says would go in a circle.
+Only the workload's monitor can evaluate it, because it watches the cluster. For a waiting instance the leaf holds: such
+an instance is judged by its own agent, and its pod's status depends on the agent's judgement, so the evaluation would
+be circular.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, duration_of, found_text, whole_number_of
 
 POD = "pod"
-"""What stands for it among what is watched; no topic is called so, since names of topics begin with a slash."""
+"""Stands for the pod among the watched topics. No topic has this name, because names of topics begin with a slash."""
 
 STATUSES = ("True", "False", "Unknown")
 
 MOST_RESTARTS = 1000
 
 LONGEST = 64
-"""Characters of a bound."""
+"""Most characters of a bound."""
 
 _UNRECORDED = "it needs the cluster's API, which a bag does not contain"
 
@@ -45,10 +46,10 @@ class Bound:
 
     sign: str
     text: str
-    """The quantity, as it is written."""
+    """The quantity as it is written."""
 
     def holds(self, value: float) -> bool:
-        """Whether a figure is."""
+        """Return whether a figure is within the bound."""
         return _SIGNS[self.sign](value, float(amount(self.text)))
 
     def __str__(self) -> str:
@@ -63,11 +64,11 @@ RESOURCES: Mapping[str, Callable[[float], str]] = {
     "cpu": lambda cores: f"{cores:.3g}",
     "memory": lambda size: f"{size / 2**20:.4g}Mi",
 }
-"""What a pod takes of its node, and how a figure is said."""
+"""The resources whose usage can be judged, and how a figure of each is formatted."""
 
 
 class _LookLeaf(EvidenceLeaf[PodState]):
-    """Holds while the looks at the pod say so."""
+    """Holds while the observations of the pod meet its condition."""
 
     hears = False
     of_cluster = True
@@ -77,7 +78,7 @@ class _LookLeaf(EvidenceLeaf[PodState]):
         super().__init__(path, POD, evaluation, hold_off=hold_off, tasks=tasks)
 
     def fresh(self, track: EvidenceTrack[PodState]) -> list[PodState]:
-        """The last look at the pod, once."""
+        """Return the last observation of the pod, once."""
         found = self._evaluation.observations.pod()
         if found is None or found is track.seen or found.received < self._evaluation.since:
             return []
@@ -87,7 +88,7 @@ class _LookLeaf(EvidenceLeaf[PodState]):
         return super()._limits(track) if self._evaluation.observations.in_control else (math.inf, math.inf)
 
     def awaited(self) -> str:
-        """What must come first."""
+        """What must arrive first."""
         return "look at the pod"
 
 
@@ -104,12 +105,12 @@ class ConditionLeaf(_LookLeaf):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a condition by its type; ``hold_off`` in seconds."""
+        """Make a leaf over a condition by its type; ``hold_off`` in seconds."""
         super().__init__(path, evaluation, hold_off=hold_off, tasks=tasks)
         self._condition, self._status = condition, status
 
     def said(self, content: PodState, failed: bool) -> Finding:
-        """What the look says. A condition that the pod has not got is unknown (Kubernetes' API conventions)."""
+        """Evaluate the observation. A condition that the pod does not have is Unknown (Kubernetes' API conventions)."""
         found = next((one for one in content.conditions if one.type == self._condition), None)
         if (found.status if found is not None else "Unknown") == self._status:
             return Finding(True, "")
@@ -123,7 +124,7 @@ class ConditionLeaf(_LookLeaf):
 
 
 class UsageLeaf(_LookLeaf):
-    """Holds while the pod's use of a resource is within its bound; also while that cannot be determined."""
+    """Holds while the pod's usage of a resource is within its bound, and also while the usage cannot be determined."""
 
     def __init__(
         self,
@@ -135,14 +136,14 @@ class UsageLeaf(_LookLeaf):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over one of RESOURCES; ``hold_off`` in seconds."""
+        """Make a leaf over one of RESOURCES; ``hold_off`` in seconds."""
         super().__init__(path, evaluation, hold_off=hold_off, tasks=tasks)
         self._what, self._bound = what, bound
 
     def said(self, content: PodState, failed: bool) -> Finding:
-        """What the last figures say."""
+        """Evaluate the last figures."""
         if content.usage is None:
-            return Finding(True, "")  # being blind is no failure
+            return Finding(True, "")  # being unable to judge is not a failure
         taken = getattr(content.usage, self._what)
         if self._bound.holds(taken):
             return Finding(True, "")
@@ -158,17 +159,17 @@ class _Counted:
     """The restarts of one instance. Times are Unix seconds."""
 
     since: float
-    """Which instance: when it took control."""
+    """When the instance took control, which identifies it."""
     times: deque[float] = field(default_factory=deque)
-    """When the last of them were seen: one more than there may be."""
+    """When the last of them were seen: one more than allowed."""
     total: int | None = None
-    """How many there were in all at the last look."""
+    """The total number at the last observation."""
     seen: PodState | None = None
     received: float = 0.0
-    """When that look was, by the clock at that time."""
+    """When that was observed, by the clock at that time."""
 
     def shift(self) -> None:
-        """Follow a step of the clock, with which the time of the last look was moved."""
+        """Follow a step of the clock, which moved the time of the last observation."""
         if self.seen is None or self.seen.received == self.received:
             return
         step, self.received = self.seen.received - self.received, self.seen.received
@@ -178,7 +179,7 @@ class _Counted:
 class RestartsLeaf(Leaf):
     """Holds while the containers of the pod are not restarted too often within a window.
 
-    It fails with the restart that is one too many, and is well again when the first of these is out of the window.
+    It fails with the first restart that is too many, and is well again when enough restarts are older than the window.
     """
 
     hears = False
@@ -188,13 +189,13 @@ class RestartsLeaf(Leaf):
     def __init__(
         self, path: str, evaluation: Evaluation, most: int, window: float, *, tasks: Sequence[TaskActive] = ()
     ) -> None:
-        """A leaf that allows ``most`` restarts in ``window`` seconds."""
+        """Make a leaf that allows ``most`` restarts in ``window`` seconds."""
         super().__init__(path, POD, evaluation, tasks)
         self._most, self._window = most, window
         self._counted = _Counted(math.nan)
 
     def _followed(self) -> _Counted:
-        """The restarts until the time of the evaluation."""
+        """Return the restarts up to the time of the evaluation."""
         evaluation, counted = self._evaluation, self._counted
         if counted.since != evaluation.since:
             counted = self._counted = _Counted(evaluation.since, deque(maxlen=self._most + 1))
@@ -202,14 +203,14 @@ class RestartsLeaf(Leaf):
         pod = evaluation.observations.pod()
         if pod is None or pod is counted.seen or pod.received < evaluation.since:
             return counted
-        # How often an instance was restarted before it took control, or before anybody looked, is not held against it.
+        # Restarts before the instance took control, or before the first observation, do not count.
         new = pod.restarts - counted.total if counted.total is not None else 0
         counted.times.extend([pod.received] * min(max(new, 0), self._most + 1))
         counted.total, counted.seen, counted.received = pod.restarts, pod, pod.received
         return counted
 
     def _failing(self) -> tuple[float, float] | None:
-        """From when to when it fails if there is no further restart; None if it does not."""
+        """Return from when to when it fails if there is no further restart; None if it does not."""
         counted = self._followed()
         if len(counted.times) <= self._most or not self._evaluation.observations.in_control:
             return None
@@ -227,18 +228,18 @@ class RestartsLeaf(Leaf):
         return "Failed" if failing is not None and failing[0] <= self._evaluation.now < failing[1] else "Healthy"
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None if it is not healthy. Another restart can be seen at any time."""
+        """When it stops being healthy; None if it is not healthy. Another restart can be seen at any time."""
         failing = self._failing()
         if failing is None or self._evaluation.now >= failing[1]:
             return math.inf
         return failing[0] if self._evaluation.now < failing[0] else None
 
     def changes(self) -> list[float]:
-        """The moments after that of the evaluation at which the state may be another with no further restart."""
+        """Return the times after the evaluation at which the state may change without a further restart."""
         return [moment for moment in self._failing() or () if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
-        """When all was last well: when the restart that was one too many was seen."""
+        """Return when all was last well: when the last restart was seen."""
         counted = self._counted
         return self._last_with_task(counted.times[-1] if counted.times else None)
 
@@ -261,7 +262,7 @@ _WITH: Mapping[str, tuple[str, ...]] = {
     "restarts": ("window",),
     **dict.fromkeys(RESOURCES, ("for",)),
 }
-"""What is looked at, and what may be given with it."""
+"""What the leaf can evaluate, and the keys that may be given with it."""
 
 
 def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:

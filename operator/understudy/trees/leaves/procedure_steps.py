@@ -1,6 +1,6 @@
-"""The leaves that only procedures and checks have, as they are declared to the three languages.
+"""Declares to the three languages the leaves that only procedures and checks have.
 
-What they do is in `trees.languages.short.procedure_loader`.
+`trees.languages.short.procedure_loader` implements them.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ STEPS: Mapping[str, StepKind] = {
     ),
     "resend_goals": StepKind("has unfinished goals sent to the instance here"),
 }
-"""What a procedure does, by its key in the short form."""
+"""The steps of procedures, by their keys in the short form."""
 
 CONDITIONS: Mapping[str, StepKind] = {
     "lifecycle_is": StepKind("a managed node is in a state", (_MANAGED_NODE, _STATE)),
@@ -86,4 +86,4 @@ CONDITIONS: Mapping[str, StepKind] = {
         ),
     ),
 }
-"""What is checked once, unlike the leaves of health trees, which are watched."""
+"""Conditions that are checked once, unlike the leaves of health trees, which are watched."""

@@ -1,4 +1,4 @@
-"""The leaf ``publisher``: whether a topic has publishers, by the ROS graph."""
+"""The leaf ``publisher``: whether a topic has publishers, according to the ROS graph."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Reader, whole_number_of
 
 MOST = 1000
-"""Publishers that may be asked for; topics have a few."""
+"""Greatest number of publishers that a tree may require; topics have a few."""
 
 
 class PublisherLeaf(EvidenceLeaf[Publishers]):
-    """Holds while a topic has enough publishers of the instance, in one node or in any."""
+    """Holds while enough publishers of the instance exist for a topic, in one node or in any."""
 
     hears = False
 
@@ -34,19 +34,19 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a topic; ``node`` is fully qualified, ``hold_off`` in seconds."""
+        """Make a leaf over a topic; ``node`` is fully qualified, ``hold_off`` in seconds."""
         super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._count, self._node = count, node
 
     def fresh(self, track: EvidenceTrack[Publishers]) -> list[Publishers]:
-        """The last look at the ROS graph, once."""
+        """Return the last observation of the ROS graph, once."""
         found = self._evaluation.observations.publishers(self.topic)
         if found is None or found is track.seen or found.received < self._evaluation.since:
             return []
         return [found]
 
     def said(self, content: Publishers, failed: bool) -> Finding:
-        """What the look says."""
+        """Evaluate the observation."""
         count = sum(self._node in (None, node) for node in content.nodes)
         if count >= self._count:
             return Finding(True, "")
@@ -57,7 +57,7 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         return f"a count of at least {self._count} publisher{'s' if self._count > 1 else ''} of {self._asked()}"
 
     def awaited(self) -> str:
-        """What must come first."""
+        """What must arrive first."""
         return f"look at the publishers of {self._asked()}"
 
     def _asked(self) -> str:

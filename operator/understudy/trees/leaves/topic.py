@@ -20,11 +20,11 @@ from understudy.trees.source.value_reader import Reader, duration_of, found_text
 class TopicLeaf(Leaf):
     """Holds while a topic is received often enough.
 
-    - Gap: failed from the moment at which the last sample is that old.
+    - Gap: failed from the time at which the last sample is that old.
     - Rate: failed while the count in a full window is outside the band.
 
-    Before the first sample, and for a rate until the band has held for the first time, it is starting, for as long as
-    the grace lasts; and in any case until a window has passed since the first sample.
+    Before the first sample, and for a rate until the band has held for the first time, the leaf is starting until the
+    grace ends. A rate is always starting until a window has passed since the first sample.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class TopicLeaf(Leaf):
         window: Window | None = None,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a topic; ``gap`` in seconds. At least one of gap and window is given."""
+        """Make a leaf over a topic; ``gap`` in seconds. At least one of gap and window is given."""
         super().__init__(path, topic, evaluation, tasks)
         self.gap = gap
         self.window = window
@@ -57,11 +57,11 @@ class TopicLeaf(Leaf):
         return "Starting" if "Starting" in states else "Healthy"
 
     def remember(self) -> None:
-        """Note that the instance has been healthy here: a rate has no more grace then."""
+        """Note that the instance has been healthy by this leaf: a rate then has no more grace."""
         self._held = self._evaluation.since
 
     def healthy_until(self) -> float | None:
-        """When it is no longer healthy; None if it is not healthy."""
+        """When it stops being healthy; None if it is not healthy."""
         if self.tasks:
             return self._task_healthy_until()
         record, now, since = (
@@ -80,7 +80,7 @@ class TopicLeaf(Leaf):
         return until if now < until else None
 
     def changes(self) -> list[float]:
-        """The moments after that of the evaluation at which the state may be another with no further message."""
+        """Return the times after the evaluation at which the state may change without a further message."""
         record = self._record()
         moments = [self._evaluation.in_time]
         if self.tasks and (found := task_timing(self.tasks, self._evaluation)) is not None:
@@ -97,7 +97,8 @@ class TopicLeaf(Leaf):
         return [moment for moment in moments if moment > self._evaluation.now]
 
     def last(self) -> float | None:
-        """When all was last well: when the instance's last sample was received, or its task became active, in Unix seconds."""
+        """Return when all was last well: when the instance's last sample was received, or its task became active, in
+        Unix seconds."""
         record = self._record()
         return self._last_with_task(record.last if record is not None else None)
 
@@ -138,7 +139,7 @@ class TopicLeaf(Leaf):
             failed.append(not unjudged and not self.window.holds(arrivals, evaluation.now))
         if not any(failed):
             return "Healthy"
-        # Grace is for an instance that has not been healthy yet.
+        # Grace applies only to an instance that has not been healthy yet.
         fresh = record is None or (self.window is not None and failed[-1] and self._held != evaluation.since)
         return "Starting" if in_grace and fresh else "Failed"
 
@@ -163,18 +164,20 @@ class TopicLeaf(Leaf):
         return found is not None and self.gap is not None and self._evaluation.now >= self._gap_limit(found, record)
 
     def _gap_limit(self, found: TaskTiming, record: TopicRecord | None) -> float:
-        """When a gap fails if nothing more arrives. An instance that took over an active task has the grace instead."""
+        """Return when a gap fails if nothing more arrives. An instance that took over an active task has the grace
+        instead."""
         assert self.gap is not None
         last = record.last if record is not None and record.last is not None else -math.inf
         begun = found.active if found.active >= self._evaluation.since else -math.inf
         return max(found.settled, max(last, begun) + self.gap)
 
     def _judged_from(self, found: TaskTiming, window: Window) -> float:
-        """When a rate is judged first: a window after what it counts could have started."""
+        """Return when a rate is judged for the first time: one window after the messages that it counts could have
+        started."""
         return window.leaves(max(found.settled, found.active, self._evaluation.since))
 
     def _task_arrivals(self, found: TaskTiming, record: TopicRecord | None) -> Sequence[float]:
-        """The instance's arrivals since the task became active."""
+        """Return the instance's arrivals since the task became active."""
         if record is None:
             return ()
         arrivals = list(record.arrivals)
@@ -199,19 +202,19 @@ class TopicLeaf(Leaf):
         exceeded = window.exceeded(arrivals, now)
         rate, bound = window.rate(arrivals, now), (band.high if exceeded else band.low) or 0
         where = "above" if exceeded else "below"
-        if rate == bound:  # A strict bound, just met: "below 8 Hz" would be wrong of 8 Hz.
+        if rate == bound:  # A strict bound that is just met: "below 8 Hz" would be wrong for 8 Hz.
             where = "not below" if exceeded else "not above"
         return f"{self.topic} at {hertz(rate)}, {where} {hertz(bound)} over {duration(window.length)}"
 
     def _record(self) -> TopicRecord | None:
-        """The topic's record, None without a sample of this instance."""
+        """Return the topic's record; None without a sample of this instance."""
         record = self._evaluation.observations.topic(self.topic)
         if record is None or record.last is None or record.last < self._evaluation.since:
             return None
         return record
 
     def _arrivals(self, record: TopicRecord) -> Sequence[float]:
-        """The instance's arrivals, at least one."""
+        """Return the instance's arrivals, at least one."""
         arrivals = record.arrivals
         if arrivals[0] >= self._evaluation.since:
             return arrivals

@@ -1,4 +1,5 @@
-"""The leaf ``transform``: whether a transform between two frames is received, and not too old when it is (tf2)."""
+"""The leaf ``transform``: whether a transform between two frames is received, and is not too old when it arrives
+(tf2)."""
 
 from __future__ import annotations
 
@@ -34,18 +35,20 @@ TOPIC = "/tf"
 STATIC = "tf_static"
 
 KEPT = 256
-"""Messages that may come between two looks: all frames share the topic, and those that are asked for may be rare among them."""
+"""Greatest number of messages between two evaluations: all frames share the topic, and the frames of the leaf may be
+rare among them."""
 
 BURST = 1000.0
-"""Messages per second to be ready for."""
+"""Expected messages per second."""
 
 _FRAME = re.compile(r"[^\s/]\S{0,255}")
 
 
 class TransformLeaf(ContentLeaf):
-    """Holds while a transform is received: failed once none of the topic's messages has had it for ``gap`` seconds.
+    """Holds while a transform is received: failed if no message of the topic has contained it for ``gap`` seconds.
 
-    With ``most`` also by one that was older than that, by its own stamp, when it was received.
+    With ``most``, it also fails because of a transform that was older than that, by its own stamp, when it was
+    received.
     """
 
     every = True
@@ -63,12 +66,13 @@ class TransformLeaf(ContentLeaf):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over the transform to the frame ``child``, from ``parent`` or whatever its parent is. All times in seconds."""
+        """Make a leaf over the transform to the frame ``child``, from ``parent`` or, if that is None, from any parent.
+        Times in seconds."""
         super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._child, self._parent, self._gap, self._most = child, parent, gap, most
 
     def said(self, content: Content, failed: bool) -> Finding | None:
-        """What the message says; None if the transform is not in it."""
+        """Evaluate the message; None if the transform is not in it."""
         if not content.mentions(self._child):
             return None
         stamps = list(self._stamps(content))
@@ -83,24 +87,24 @@ class TransformLeaf(ContentLeaf):
         return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
 
     def _stamps(self, content: Content) -> Iterator[float]:
-        """The stamps of the transform in a message, in Unix seconds."""
+        """Return the stamps of the transform in a message, in Unix seconds."""
         try:
             transforms: Any = getattr(content.message(), "transforms", ())
         except Unreadable:
-            return  # what cannot be read has no transform in it that anybody could use
+            return  # a message that cannot be read contains no usable transform
         for one in transforms:
-            # tf2 takes a frame that begins with a slash for the one without.
+            # tf2 treats a frame with a leading slash like the one without.
             same = one.child_frame_id.removeprefix("/") == self._child
             if same and self._parent in (None, one.header.frame_id.removeprefix("/")):
                 stamp = one.header.stamp
                 yield stamp.sec + stamp.nanosec * 1e-9
 
     def lost(self, track: EvidenceTrack[Content]) -> float:
-        """When it has failed if nothing more arrives: by the gap, or by its age."""
+        """Return when it has failed if nothing more arrives: because of the gap or the age."""
         return min(super().lost(track), self._silent(track))
 
     def _silent(self, track: EvidenceTrack[Content]) -> float:
-        """When the gap has failed if nothing more arrives."""
+        """Return when the gap has failed if nothing more arrives."""
         return max(track.heard if track.heard is not None else -math.inf, self.begun()) + self._gap
 
     def condition(self) -> str:
@@ -110,7 +114,7 @@ class TransformLeaf(ContentLeaf):
         return f"an age of at most {duration(self._most)} of {self.awaited()}"
 
     def awaited(self) -> str:
-        """The transform that must come."""
+        """The transform that must arrive."""
         frames = f"{self._parent} -> {self._child}" if self._parent is not None else f"to {self._child}"
         return f"transform {frames} on {self.topic}"
 

@@ -30,7 +30,7 @@ from understudy.trees.source.value_reader import Reader, found_text
 class ValueLeaf(ContentLeaf):
     """Holds while a condition is true for the newest message.
 
-    With ``recovers``, one that has failed holds again only when that does.
+    With ``recovers``, a failed leaf holds again only when that condition is true.
     """
 
     def __init__(
@@ -44,12 +44,12 @@ class ValueLeaf(ContentLeaf):
         hold_off: float = 0.0,
         tasks: Sequence[TaskActive] = (),
     ) -> None:
-        """A leaf over a topic; ``hold_off`` in seconds."""
+        """Make a leaf over a topic; ``hold_off`` in seconds."""
         super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
         self._holds, self._recovers = holds, recovers
 
     def said(self, content: Content, failed: bool) -> Finding:
-        """What the message says by its values."""
+        """Evaluate the values of the message."""
         wanted = self._recovers if failed and self._recovers is not None else self._holds
         try:
             message = content.message()
