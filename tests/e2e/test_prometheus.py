@@ -243,7 +243,7 @@ def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
     given = ("--since", "1h", "-o", str(tmp_path / "report.html"), "--csv", str(tmp_path / "csv"))
     reported = understudy(kubectl, "report", *given, "--prometheus", prometheus)
     assert reported.returncode == 0, reported.stderr
-    assert reported.stdout.endswith("; 1 recovery by Prometheus, 0 of them failed\n")
+    assert reported.stdout.endswith("; Prometheus counted 1 recovery, 0 of them failed\n")
     (record,), times = (rows(tmp_path / "csv" / name) for name in ("recoveries.csv", "prometheus-times.csv"))
     (whole,) = (row for row in times if row["part"] == "whole")
     assert (whole["strategy"], whole["mean_seconds"]) == (record["strategy"], record["recovery_seconds"])

@@ -99,6 +99,4 @@ class TestWorkloads:
         spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS, workloadRef=reference)["spec"])
         assert action_proxy_container.instance_profiles(spec) == ""
         assert not action_proxy_container.proxied(spec)
-        assert "the pods of Deployment arm serve /goto directly" in action_proxy_container.problem(
-            "w", spec, TEMPLATE
-        )
+        assert "the pods of Deployment arm serve /goto directly" in action_proxy_container.problem("w", spec, TEMPLATE)
