@@ -1,4 +1,4 @@
-"""The notations of trees: each is read into the short form, whose meaning is defined once.
+"""The notations of trees. Each is converted into the short form, whose meaning is defined once.
 
-Leaves know nothing of notations.
+Leaves do not depend on notations.
 """

@@ -1,4 +1,4 @@
-"""The forms that a health tree can be written in, all loaded in this one place."""
+"""Loads health trees in all of their notations."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from understudy.trees.source.expressions import Fields
 from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 from understudy.trees.source.problems import Problem, TreeError, did_you_mean
 
-if TYPE_CHECKING:  # an agent has no use for it, and is to be there soon
+if TYPE_CHECKING:  # agents do not need it, and must start quickly
     from understudy.api.kinds.failure_policy import Monitoring
     from understudy.api.kinds.tree_spec import Written
 
 _LOADERS: dict[str, Callable[..., HealthTree]] = {"yaml": load, "xml": load_xml, "osc": load_osc}
 
 FORMS = tuple(_LOADERS)
-"""All forms, each the field of ``spec.monitoring`` that a tree of it stands in."""
+"""All notations. Each is the field of ``spec.monitoring`` that holds such a tree."""
 
 TEXTS = ("xml", "osc")
-"""The forms that are texts, with lines and columns of their own."""
+"""The notations that are texts, with lines and columns of their own."""
 
 
 def load_health(
@@ -36,10 +36,11 @@ def load_health(
     path: str | None = None,
     begins: TextOffset = WHOLE_FILE,
 ) -> HealthTree:
-    """A health tree of a form, which is the field of ``spec.monitoring`` that it stands in. ``grace`` in seconds; ``path``
-    names the place in problems if it is not the field.
-    Conditions over messages are checked by their types' ``fields``, if these are known. The lines and columns of
-    problems with a text are those of the file in which it ``begins``.
+    """Load a health tree in the notation ``form``, which is its field in ``spec.monitoring``.
+
+    ``grace`` is in seconds; ``path`` names the place in problems if it is not that field. Conditions over messages are
+    checked with the ``fields`` of their types, if these are known. The lines and columns of problems with a text are
+    those of the file in which it ``begins``.
 
     Raises TreeError with all problems.
     """
@@ -50,12 +51,13 @@ def load_health(
 
 
 def load_monitoring(monitoring: Monitoring, *, fields: Fields | None = None) -> HealthTree:
-    """The health tree of a policy; ``fields`` as of :func:`load_health`. Raises TreeError with all problems."""
+    """Load the health tree of a policy; ``fields`` as in :func:`load_health`. Raises TreeError with all problems."""
     return load_health(monitoring.form, monitoring.tree, grace=seconds(monitoring.startup_grace), fields=fields)
 
 
 def load_inline(tree: Written, *, path: str, grace: float, fields: Fields | None = None) -> HealthTree:
-    """A tree that stands at ``path``, such as ``spec.degraded.monitoring``; ``grace`` and ``fields`` as of :func:`load_health`.
+    """Load the tree at ``path``, such as ``spec.degraded.monitoring``; ``grace`` and ``fields`` as in
+    :func:`load_health`.
 
     Raises TreeError with all problems.
     """

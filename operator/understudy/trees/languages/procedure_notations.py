@@ -1,6 +1,6 @@
-"""The forms that procedures and checks can be written in, all turned into the short form in this one place.
+"""Loads procedures and checks in all of their notations.
 
-What is written in another language is turned into the short form by whoever reads it from the API, so that agents know that alone.
+The component that reads a tree from the API converts it into the short form, so that agents need to know only that.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ class LoadedProcedure:
     """In the short form."""
     tree: ProcedureTree
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where in its text each of its nodes is, by path in the short form; empty if it was written in that."""
+    """By path in the short form, the position of each node in its text; empty if it was written in the short form."""
 
 
 def compose(form: str, tree: Any, *, check: bool, path: str, begins: TextOffset = WHOLE_FILE) -> LoadedProcedure:
-    """A procedure or, with ``check``, a check of a form, which is the field that it stands in.
+    """Load a procedure or, with ``check``, a check in the notation ``form``, which is its field.
 
-    ``path`` is what problems are named by; their lines and columns are those of the file in which a text ``begins``. Raises
-    TreeError with all problems.
+    Problems are reported with ``path``. Their lines and columns are those of the file in which a text ``begins``.
+    Raises TreeError with all problems.
     """
     load = load_check if check else load_procedure
     if form not in TEXTS:
@@ -59,7 +59,8 @@ def compose(form: str, tree: Any, *, check: bool, path: str, begins: TextOffset 
 
 
 def composed(procedure: Procedure | Check, *, path: str) -> LoadedProcedure:
-    """Return the procedure of a spec, loaded once; ``path`` as of :func:`compose`. Raises TreeError with all problems."""
+    """Return the procedure of a spec, which is loaded only once; ``path`` as in :func:`compose`. Raises TreeError with
+    all problems."""
     return _composed(procedure.form, json.dumps(procedure.tree), isinstance(procedure, Check), path)
 
 

@@ -1,4 +1,4 @@
-"""Loads a health tree that is a text on its own, such as a key of a ConfigMap; problems name their line and column."""
+"""Loads a health tree from a text of its own, such as a key of a ConfigMap. Problems have their line and column."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
 
 DEEPEST = 100
-"""Levels that the text of a tree may have; a node of the short form has two."""
+"""Greatest depth of a tree's text; a node of the short form has two levels."""
 
 
 def load_text(form: str, text: str, *, path: str, grace: float, begins: TextOffset = WHOLE_FILE) -> Any:
-    """The tree that a text of a form stands for, as it would stand in ``spec.monitoring``, once it has been loaded.
+    """Load a tree to check it, and return it in the form that ``spec.monitoring`` has.
 
-    ``path`` is what problems are named by, ``grace`` in seconds; lines and columns are those of the file in which the text
-    ``begins``. Raises TreeError with all problems.
+    Problems are reported with ``path``; ``grace`` is in seconds. Lines and columns are those of the file in which the
+    text ``begins``. Raises TreeError with all problems.
     """
     if len(text) > LONGEST_TEXT:
         raise TreeError([Problem(path, f"has {len(text)} characters; a tree may have {LONGEST_TEXT}")])
@@ -44,7 +44,7 @@ class _Place(NamedTuple):
 
 
 class _Read:
-    """The short form's node that a text stands for, and where in it everything is. Raises TreeError."""
+    """Reads a text into a node of the short form, and records all positions. Raises TreeError."""
 
     def __init__(self, text: str, path: str, begins: TextOffset) -> None:
         self._path, self._begins = path, begins
@@ -56,7 +56,7 @@ class _Read:
             raise TreeError(self._problems)
 
     def placed(self, problem: Problem) -> Problem:
-        """A problem with the short form, with its place in the text."""
+        """Return a problem with the short form, with its position in the text."""
         inner = problem.path.removeprefix(self._path)
         return self._problem_at(nearest(self._places, inner) or _Place(1, 1), inner, problem.message)
 
@@ -84,7 +84,7 @@ class _Read:
         return node
 
     def _at(self, line: int, column: int) -> _Place:
-        """A place of the text as one of the file."""
+        """Convert a position of the text into one of the file."""
         return _Place(line + 1 + self._begins.lines, column + 1 + self._begins.columns)
 
     def _of(self, node: Node) -> _Place:
@@ -95,7 +95,7 @@ class _Read:
 
     def _value(self, node: Node, inner: str, depth: int) -> Any:
         self._places.setdefault(inner, self._of(node))
-        # What is written once and stands for many is how a small text becomes a tree that never ends.
+        # Repeated references could make a small text into a tree without end.
         if id(node) in self._seen:
             self._refuse(node, inner, "is an alias (*) of something further up; write it out")
             return None

@@ -11,10 +11,11 @@ from numbers import Integral, Real
 from typing import Any
 
 MOST_ELEMENTS = 4096
-"""Elements of an array that are gone through; the rays of a laser scan, not the points of a cloud."""
+"""Greatest number of elements of an array that are iterated: enough for the rays of a laser scan, not for the points of
+a cloud."""
 
 Evaluate = Callable[[Any, Any], Any]
-"""The value for a message and, inside any and all, an element."""
+"""Returns the value for a message and, inside ``any`` and ``all``, for an element."""
 
 _NUMERIC = frozenset((int, float))
 _OWN = frozenset((bool, int, float, str))
@@ -25,7 +26,8 @@ class Undefined(Exception):
 
 
 def field_of(evaluate: Evaluate, name: str) -> Evaluate:
-    """The value of a field: only what the message's type says is one, and none of its class's attributes."""
+    """Return what evaluates a field. Only fields of the message's type are accessible, and none of its class's
+    attributes."""
     known: dict[type, bool] = {}
 
     def field(message: Any, element: Any) -> Any:
@@ -42,7 +44,7 @@ def field_of(evaluate: Evaluate, name: str) -> Evaluate:
 
 
 def plain_value(value: Any) -> Any:
-    """A field's value as Python's own; the octet and numpy's scalars are not."""
+    """Convert a field's value into a plain Python value: octets and numpy's scalars are not."""
     if type(value) in _OWN:
         return value
     if isinstance(value, bytes) and len(value) == 1:
@@ -89,7 +91,8 @@ def as_truth(value: object, text: str) -> bool:
 
 
 def extreme_of(name: str, values: Sequence[float]) -> float:
-    """The least or greatest; NaN where one of them is, since Python's own depends on their order then."""
+    """Return the least or greatest value; NaN if one of them is NaN, because Python's own result then depends on their
+    order."""
     if any(value != value for value in values):
         return math.nan
     return min(values) if name == "min" else max(values)
@@ -126,7 +129,8 @@ def value_or_undefined(evaluate: Evaluate, message: Any, element: Any) -> Any:
 def comparison_of(
     compare: Callable[[Any, Any], bool], ordered: bool, values: Sequence[Evaluate], texts: Sequence[str]
 ) -> Evaluate:
-    """The usual comparison, of two values; of numbers by little work, since it may be made for each element of an array."""
+    """Return what evaluates a comparison. The usual comparison, of two numbers, is fast, because it may run for each
+    element of an array."""
     left, right = values
 
     def evaluate(message: Any, element: Any) -> bool:
@@ -159,7 +163,8 @@ def compared(compare: Callable[[Any, Any], bool], ordered: bool, values: Sequenc
 
 
 def all_of(parts: Sequence[Evaluate], conjunction: bool) -> Evaluate:
-    """``and`` of conditions, or ``or``: the first that decides it does, else it is untold if one of them is."""
+    """Return what evaluates ``and`` or ``or``: the first condition that decides it, or else Undefined if one of them
+    is."""
 
     def evaluate(message: Any, element: Any) -> bool:
         untold: Undefined | None = None
@@ -182,7 +187,7 @@ def negation_of(truth: Evaluate) -> Evaluate:
 
 
 def any_holds(message: Any, values: Iterable[Any], truth: Evaluate) -> bool:
-    """Whether a condition holds for any element."""
+    """Return whether a condition holds for any element."""
     untold: Undefined | None = None
     for value in values:
         try:

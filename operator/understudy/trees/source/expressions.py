@@ -1,11 +1,12 @@
 """Conditions over the fields of a message, such as ``percentage > 0.15 or charging``.
 
-Python's grammar is used to read them, and nothing of Python to evaluate them: each construct that is allowed is turned
-into a closure of its own, and all else is refused when the expression is read. A name is a field of the message, so
-nothing but the message's own data can be reached. The work that an expression can cause is bounded.
+Python's grammar parses them, but Python does not evaluate them: each supported construct becomes a closure of its own,
+and all others are refused when the expression is read. A name is a field of the message, so an expression can reach
+only the message's own data. The work that an expression can cause is bounded.
 
-The truth has three values: where a number is NaN, a divisor 0 or an element missing, a comparison cannot be determined
-(:class:`Undefined`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: what one side decides alone is decided.
+Truth has three values: if a number is NaN, a divisor is 0 or an element is missing, a comparison has no truth value
+(:class:`Undefined`). ``and``, ``or``, ``not``, ``any`` and ``all`` then follow Kleene: if one side decides the result
+alone, the result is defined.
 """
 
 from __future__ import annotations
@@ -42,26 +43,26 @@ from understudy.trees.source.expression_values import (
 from understudy.trees.source.problems import did_you_mean
 
 LONGEST = 500
-"""Characters that an expression may have."""
+"""Most characters of an expression."""
 
 MOST_NODES = 100
-"""Names, numbers and operations that an expression may have."""
+"""Greatest number of names, numbers and operations in an expression."""
 
 DEEPEST = 24
-"""Levels that an expression may have."""
+"""Greatest depth of an expression."""
 
 MOST_LOOPS = 4
-"""``any`` and ``all`` that an expression may have."""
+"""Greatest number of ``any`` and ``all`` in an expression."""
 
 LARGEST = 2.0**64
-"""Largest number that may be written, the end of the largest integer field."""
+"""Greatest number that may be written: the end of the largest integer type."""
 
 SHOWN = 3
-"""Values that are shown with a condition that does not hold."""
+"""How many values are shown for a condition that does not hold."""
 
 Fields = Callable[[str], Mapping[str, str] | None]
-"""The fields of a message type with their types, as rosidl names them (``double``, ``sequence<geometry_msgs/Point>``);
-None if the type is not known here."""
+"""Returns the fields of a message type with their types, as rosidl names them (``double``,
+``sequence<geometry_msgs/Point>``); None if the type is not known here."""
 
 _FIELD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _ARRAY = re.compile(r"sequence<(.+?)(?:, \d+)?>|(.+)\[\d+\]")
@@ -74,11 +75,11 @@ class ExpressionError(ValueError):
 
 @dataclass(frozen=True)
 class _Kind:
-    """What a value is, as far as it is known before there is one."""
+    """The type of a value, as far as it is known before the evaluation."""
 
     text: str
     item: _Kind | None = None
-    """Of an array, what its elements are."""
+    """Of an array, the type of its elements."""
     message: str = ""
     """Of a message, its type."""
 
@@ -90,7 +91,7 @@ _STRING = _Kind("a string")
 
 
 def _kind_of(type_name: str) -> _Kind:
-    """What a field of a rosidl type is."""
+    """Return the kind of a field with a rosidl type."""
     if array := _ARRAY.fullmatch(type_name):
         return _Kind("an array", _kind_of(array[1] or array[2]))
     if nested := _NESTED.fullmatch(type_name):
@@ -111,7 +112,7 @@ class Expression:
 
     @classmethod
     def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Expression:
-        """Read a condition over messages of a type, whose fields are checked if they are known.
+        """Parse a condition over messages of a type, whose fields are checked if they are known.
 
         Raises ExpressionError.
         """
@@ -121,11 +122,12 @@ class Expression:
         return cls(text, evaluate, compiler.shown[:SHOWN])
 
     def holds(self, message: object) -> bool:
-        """Whether it holds for a message. Raises Untold."""
+        """Return whether it holds for a message. Raises Undefined."""
         return as_truth(self._evaluate(message, None), self.text)
 
     def values(self, message: object) -> str:
-        """The first few values that it looks at, such as ``percentage is 0.12``; empty if there are none to show."""
+        """Return the first few values that it reads, such as ``percentage is 0.12``; empty if there are none to
+        show."""
         told = []
         for name, evaluate in self._shown:
             try:
@@ -146,13 +148,14 @@ class Quantity:
 
     @classmethod
     def parse(cls, text: str, type_name: str = "", fields: Fields | None = None) -> Quantity:
-        """Read a number over messages of a type, whose fields are checked if they are known. Raises ExpressionError."""
+        """Parse a number over messages of a type, whose fields are checked if they are known. Raises
+        ExpressionError."""
         text = text.strip()
         compiler, tree = _read(text, type_name, fields, "a number such as distance_remaining")
         return cls(text, compiler.number(tree, 1))
 
     def value(self, message: object) -> float:
-        """What it is for a message, finite. Raises Untold."""
+        """Return its value for a message, which is finite. Raises Undefined."""
         try:
             value = float(self._evaluate(message, None))
         except OverflowError:
@@ -163,7 +166,7 @@ class Quantity:
 
 
 def _read(text: str, type_name: str, fields: Fields | None, example: str) -> tuple[_Compiler, ast.expr]:
-    """What is to be compiled, by what. Raises ExpressionError."""
+    """Return the compiler and the syntax tree of an expression. Raises ExpressionError."""
     if len(text) > LONGEST:
         raise ExpressionError(f"it has {len(text)} characters; {LONGEST} are allowed")
     if "\\" in text:
@@ -175,7 +178,7 @@ def _read(text: str, type_name: str, fields: Fields | None, example: str) -> tup
         raise ExpressionError(f"{text!r:.80} cannot be read{place}; write {example}") from None
     except (ValueError, MemoryError, RecursionError):
         raise ExpressionError(f"{text!r:.80} cannot be read; write {example}") from None
-    if sum(1 for _ in ast.walk(tree)) > 3 * MOST_NODES:  # operators and contexts are nodes of Python's too
+    if sum(1 for _ in ast.walk(tree)) > 3 * MOST_NODES:  # Python counts operators and contexts as nodes too
         raise ExpressionError(f"it has more than {MOST_NODES} names, numbers and operations")
     return _Compiler(text, _Kind(f"a {type_name}" if type_name else "the message", message=type_name), fields), tree
 
@@ -201,11 +204,11 @@ _FUNCTIONS = ("abs", "min", "max", "len", "sqrt", "isfinite", "any", "all")
 
 
 class _Compiler:
-    """Turns Python's syntax tree into closures, construct by construct."""
+    """Converts Python's syntax tree into closures, construct by construct."""
 
     def __init__(self, text: str, message: _Kind, fields: Fields | None) -> None:
         self.shown: list[tuple[str, Evaluate]] = []
-        """What is worth telling of a message: the fields that are looked at."""
+        """The fields that are read, to be shown with a result."""
         self._text, self._message, self._fields = text, message, fields
         self._element: tuple[str, _Kind] | None = None
         """Name and kind of the element, inside of any and all."""
@@ -214,11 +217,11 @@ class _Compiler:
     # -- kinds of values --------------------------------------------------------------------------------------------
 
     def truth(self, node: ast.expr, depth: int) -> Evaluate:
-        """What is true or false."""
+        """Return what evaluates a truth value."""
         return self._wanted(node, depth, _TRUTH, "compare it with something")
 
     def number(self, node: ast.expr, depth: int) -> Evaluate:
-        """What is a number."""
+        """Return what evaluates a number."""
         evaluate, text = self._wanted(node, depth, _NUMBER, "calculate with numbers"), self._source(node)
         return lambda message, element: as_number(evaluate(message, element), text)
 
@@ -271,7 +274,7 @@ class _Compiler:
     # -- fields -----------------------------------------------------------------------------------------------------
 
     def _path(self, node: ast.expr, depth: int) -> tuple[_Kind, Evaluate]:
-        """A field, a field of a field, or an element of an array."""
+        """Return a field, a field of a field, or an element of an array."""
         if depth > DEEPEST:
             raise ExpressionError(f"it is more than {DEEPEST} levels deep")
         if isinstance(node, ast.Name):
@@ -318,7 +321,7 @@ class _Compiler:
         return kind.item or _ANY, evaluate
 
     def _show(self, node: ast.expr, found: tuple[_Kind, Evaluate]) -> None:
-        """Show a value, unless it is one of an element."""
+        """Show a value, except if it belongs to an element."""
         kind, evaluate = found
         text = self._source(node)
         if self._element is None and kind in (_ANY, _NUMBER, _TRUTH, _STRING) and (text not in dict(self.shown)):
@@ -443,7 +446,7 @@ class _Compiler:
         return extreme
 
     def _loop(self, node: ast.expr, name: str, depth: int) -> Evaluate:
-        """``any`` and ``all`` over the elements of one array, those that a filter lets through."""
+        """Return what evaluates ``any`` or ``all`` over the elements of one array that pass the filter."""
         if not isinstance(node, ast.GeneratorExp) or len(node.generators) != 1 or node.generators[0].is_async:
             raise ExpressionError(f"{self._source(node)} cannot be iterated; write {_CALLS[name]}")
         if self._element is not None:
@@ -464,7 +467,7 @@ class _Compiler:
         self._element = None
         wanted = name == "any"
         each = all_of([*filters, truth if wanted else negation_of(truth)], True)
-        # all(c for e in a) is not any(not c for e in a); so both are one search.
+        # all(c for e in a) equals not any(not c for e in a), so one search serves both.
         return lambda message, element: (
             any_holds(message, bounded_elements(array(message, element), text), each) == wanted
         )
@@ -487,7 +490,7 @@ _CALLS = {
 
 
 def _index(node: ast.expr) -> int | None:
-    """The number of an element, counted from the end if it is negative."""
+    """Return the index of an element, counted from the end if it is negative."""
     sign = 1
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         sign, node = -1, node.operand

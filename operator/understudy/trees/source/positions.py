@@ -12,7 +12,7 @@ Place = TypeVar("Place")
 
 @dataclass(frozen=True)
 class TextOffset:
-    """Where a text begins in the file that it is part of; its own first character, if it is a file on its own."""
+    """Where a text begins in the file that contains it; zero for a text that is a whole file."""
 
     lines: int = 0
     """Lines of the file before it."""
@@ -35,7 +35,7 @@ _LAST = re.compile(r"(\.[^.\[]*|\[\d+\])$")
 
 
 def nearest(places: Mapping[str, Place], path: str) -> Place | None:
-    """The place of what a path leads to, or of the next thing around it that has one."""
+    """Return the position at a path, or of the closest parent that has one."""
     while path not in places and (shorter := _LAST.sub("", path)) != path:
         path = shorter
     return places.get(path)

@@ -1,4 +1,4 @@
-"""Problems with a tree: where, what was found, and what would be right."""
+"""Problems with a tree: the place, what was found, and what would be right."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 MOST_LISTED = 10
-"""Problems of one tree that are listed if there is no room for all of them."""
+"""Most problems of one tree that are listed if there is no room for all of them."""
 
 _LONGEST_TOLD = 1000
 _LONGEST_WORD = 64
 _MOST_WORDS = 50
-# To compare words takes the square of their length, and whoever wrote the tree chose many of them.
+# The time to compare words grows with the square of their length, and the tree's author chooses many of them.
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Problem:
     """One mistake in a tree."""
 
     path: str
-    """Where, such as ``spec.monitoring.yaml.parallel[1].topic.gap``."""
+    """Its place, such as ``spec.monitoring.yaml.parallel[1].topic.gap``."""
     message: str
     """What was found and what would be right."""
 
@@ -30,21 +30,21 @@ class Problem:
 
 
 class TreeError(ValueError):
-    """A tree cannot be loaded; has all its problems."""
+    """A tree cannot be loaded. It has all problems of the tree."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:
         self.problems = list(problems)
         super().__init__("; ".join(str(problem) for problem in problems))
 
     def in_short(self) -> str:
-        """The first of them, in as much text as a condition can have among others."""
+        """Return the first problems, short enough for a condition that may contain other texts."""
         told = [f"{problem!s:.{_LONGEST_TOLD}}" for problem in self.problems]
         more = f"; and {len(told) - MOST_LISTED} more" if len(told) > MOST_LISTED else ""
         return "; ".join(told[:MOST_LISTED]) + more
 
 
 def did_you_mean(found: str, known: Iterable[str]) -> str:
-    """``, did you mean X?`` where a known word is close, else the list of what is known."""
+    """Return ``, did you mean X?`` if a known word is similar, else the list of known words."""
     known = list(itertools.islice((word for word in known if len(word) <= _LONGEST_WORD), _MOST_WORDS))
     close = difflib.get_close_matches(found, known, n=1, cutoff=0.6) if len(found) <= _LONGEST_WORD else []
     if close:

@@ -10,18 +10,18 @@ class TreeKind:
     """A kind of tree."""
 
     one: str
-    """Such as ``health tree``."""
+    """In singular, such as ``health tree``."""
     named: bool
-    """Whether the names of its nodes say something; in others they are for people alone."""
+    """Whether the names of its nodes have a meaning; in other kinds they are only for readers."""
 
     @property
     def a(self) -> str:
-        """Such as ``a health tree``."""
+        """With its article, such as ``a health tree``."""
         return f"a {self.one}"
 
     @property
     def many(self) -> str:
-        """Such as ``health trees``."""
+        """In plural, such as ``health trees``."""
         return f"{self.one}s"
 
 

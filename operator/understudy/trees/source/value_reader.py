@@ -1,4 +1,4 @@
-"""Reads the short YAML form of trees value by value, and collects everything that is wrong with it."""
+"""Reads the short YAML form of trees value by value, and collects all problems."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from understudy.api.durations import seconds
 from understudy.trees.source.problems import Problem, did_you_mean
 
 DEEPEST = 32
-"""Levels a tree may have; a healthy one has three or four."""
+"""Greatest depth of a tree; a reasonable tree has three or four levels."""
 
 MOST = 512
-"""Nodes a tree may have."""
+"""Greatest number of nodes in a tree."""
 
 LONGEST = 24 * 3600
-"""Seconds that a length of time in a tree may have."""
+"""Longest duration in a tree, in seconds."""
 
 JSON_PREFIX = "json:"
 """The prefix of a value that is JSON (basic_types.h of BehaviorTree.CPP 4.6), which may contain braces."""
@@ -25,7 +25,7 @@ _NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,63}")
 
 
 class Reader:
-    """Collects problems; what has one reads as None."""
+    """Collects problems; a value with a problem reads as None."""
 
     def __init__(self) -> None:
         self.problems: list[Problem] = []
@@ -36,7 +36,7 @@ class Reader:
         self.problems.append(Problem(path, message))
 
     def is_node(self, value: object, path: str, depth: int, kinds: Sequence[str]) -> TypeGuard[Mapping[str, Any]]:
-        """Whether something can be read as one more node, which is of one of these kinds; a problem is noted if it cannot."""
+        """Return whether a value can be read as one more node of one of these kinds; note a problem if it cannot."""
         self._nodes += 1
         if self._nodes > MOST:
             if self._nodes == MOST + 1:
@@ -51,7 +51,7 @@ class Reader:
         return True
 
     def kind(self, value: Mapping[str, Any], path: str, kinds: Sequence[str]) -> str | None:
-        """Which one of these kinds a node is; a problem is noted if it is none or several."""
+        """Return which of these kinds a node is; note a problem if it is none or several."""
         found = [kind for kind in kinds if kind in value]
         if len(found) > 1:
             self.problem(path, f"found {' and '.join(found)} in one node; give each a node of its own")
@@ -63,7 +63,7 @@ class Reader:
         return found[0]
 
     def name(self, value: Mapping[str, Any], path: str) -> str | None:
-        """The name that a node was given."""
+        """Return the name of a node, if it has one."""
         if "name" not in value:
             return None
         name = value["name"]
@@ -75,14 +75,14 @@ class Reader:
         return name
 
     def known(self, value: Mapping[str, Any], keys: Iterable[str], path: str) -> None:
-        """Note the keys that nobody knows."""
+        """Note unknown keys as problems."""
         keys = tuple(keys)
         for key in value:
             if key not in keys:
                 self.problem(f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), keys)}")
 
     def matching(self, value: Mapping[str, Any], key: str, path: str, pattern: str, right: str) -> str | None:
-        """A text of a form; ``right`` says how it is written."""
+        """Return a text that matches a pattern; ``right`` describes how it is written."""
         if key not in value:
             return None
         found = value[key]
@@ -95,7 +95,7 @@ class Reader:
         return found
 
     def given(self, value: Mapping[str, Any], key: str, path: str, read: Callable[[object], Any]) -> Any:
-        """A value as read by a function that raises ValueError."""
+        """Return a value as ``read`` converts it, which raises ValueError."""
         if key not in value:
             return None
         try:
@@ -106,7 +106,7 @@ class Reader:
 
 
 def duration_of(value: object) -> float:
-    """Seconds that a duration such as ``500ms`` stands for. Raises ValueError."""
+    """Return the seconds of a duration such as ``500ms``. Raises ValueError."""
     if not isinstance(value, str):
         raise ValueError(f"found {found_text(value)}, which has no unit; write it with ms, s, m or h, such as 500ms")
     length = seconds(value)
@@ -118,7 +118,8 @@ def duration_of(value: object) -> float:
 
 
 def whole_number_of(most: int, *, least: int = 1) -> Callable[[object], int]:
-    """Reads a whole number from ``least`` to ``most``, also if it is written as text, as in XML. Raises ValueError."""
+    """Return a function that reads a whole number from ``least`` to ``most``, also if it is written as text, as in XML.
+    It raises ValueError."""
 
     def read(found: object) -> int:
         digits = isinstance(found, str) and found.isascii() and found.isdigit() and len(found) < 10
@@ -131,7 +132,7 @@ def whole_number_of(most: int, *, least: int = 1) -> Callable[[object], int]:
 
 
 def found_text(value: object) -> str:
-    """A value in words for a message."""
+    """Describe a value for a message."""
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):

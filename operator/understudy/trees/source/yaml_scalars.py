@@ -1,4 +1,4 @@
-"""YAML scalars as Kubernetes reads them, wherever a tree or a manifest is read with its lines and columns."""
+"""YAML scalars as Kubernetes reads them, for trees and manifests that are read with lines and columns."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SCALARS = tuple(f"{TAG}{name}" for name in ("str", "bool", "int", "float", "null
 
 
 def plain(node: ScalarNode) -> bool | int | float | str | None:
-    """A scalar as Kubernetes reads it: YAML 1.1, but times and numbers with colons are texts."""
+    """Return a scalar as Kubernetes reads it: as in YAML 1.1, except that times and numbers with colons are texts."""
     text: str = node.value
     match node.tag.removeprefix(TAG):
         case "null":

@@ -1,4 +1,4 @@
-"""Trees as BehaviorTree.CPP 4 writes them, turned into the short form.
+"""Reads trees in the XML of BehaviorTree.CPP 4 and converts them into the short form.
 
-What a tree means is defined in `trees.languages.short`.
+The meaning of a tree is defined in `trees.languages.short`.
 """

@@ -1,4 +1,5 @@
-"""Blackboard entries: constants that a <SubTree> is given. Nothing in a health tree writes, so they are known beforehand."""
+"""Blackboard entries: the constants that a <SubTree> receives. No node of a health tree writes an entry, so all values
+are known in advance."""
 
 from __future__ import annotations
 
@@ -9,14 +10,15 @@ from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import JSON_PREFIX, found_text
 
 Board = Mapping[str, str | None]
-"""Values by entry; None if one could not be read, which was said already."""
+"""Values by entry; None if one could not be read, which was reported already."""
 
 SAME = "="
-"""``{=}`` is the entry that is called like the port."""
+"""``{=}`` is the entry with the same name as the port."""
 
 
 def entry(value: str, port: str) -> str | None:
-    """The entry that a port's value names, None if it is a plain value. Raises ValueError for a part of a value."""
+    """Return the entry that a port's value names; None if it is a plain value. Raises ValueError if only a part of the
+    value is an entry."""
     text = value.strip()
     if text.startswith(JSON_PREFIX):
         return None
@@ -36,7 +38,8 @@ def _mapping(value: str) -> str:
 
 
 def resolve(value: str, port: str, board: Board) -> str | None:
-    """A port's value; None if the entry it names could not be read. Raises ValueError if there is no such entry."""
+    """Return a port's value; None if the entry that it names could not be read. Raises ValueError if there is no such
+    entry."""
     name = entry(value, port)
     if name is None:
         return value
@@ -52,7 +55,7 @@ def resolve(value: str, port: str, board: Board) -> str | None:
 
 
 def autoremap(element: Element) -> bool:
-    """Whether a <SubTree> sees the entries of the tree that it is in. Raises ValueError."""
+    """Return whether a <SubTree> sees the entries of the tree that contains it. Raises ValueError."""
     value = element.attributes.get("_autoremap", "false")
     if value.lower() not in ("true", "false", "1", "0"):
         raise ValueError(f"found {found_text(value)}; give true or false")
@@ -60,18 +63,19 @@ def autoremap(element: Element) -> bool:
 
 
 def used(tree: Element) -> set[str] | None:
-    """The entries that a <BehaviorTree> reads; None if it cannot be determined, since a tree in it sees all of them."""
+    """Return the entries that a <BehaviorTree> reads; None if they cannot be determined, because a tree in it sees all
+    of them."""
     found = set()
     for element in _descendants(tree):
         try:
             if autoremap(element):
                 return None
-        except ValueError:  # said where the <SubTree> is read
+        except ValueError:  # reported when the <SubTree> is read
             return None
         for port, value in element.attributes.items():
             try:
                 name = entry(value, port)
-            except ValueError:  # said where the value is read
+            except ValueError:  # reported when the value is read
                 continue
             if name is not None:
                 found.add(name)

@@ -1,4 +1,4 @@
-"""The parts of a file: its trees, the main one, and the models of their ports."""
+"""The parts of a file: its trees, the main tree, and the models of their ports."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import found_text
 
 FORMAT = "4"
-"""The version of BehaviorTree.CPP whose format this is."""
+"""The version of BehaviorTree.CPP whose format is read."""
 
 
 class Document:
@@ -23,9 +23,9 @@ class Document:
         self.trees: dict[str, Element] = {}
         """By ID."""
         self.models: dict[str, SubTreeModel] = {}
-        """Of trees, by ID."""
+        """Models of subtrees, by ID."""
         self.main: str | None = None
-        """The tree that is to be executed; None if that cannot be determined. Others than those in it do not matter."""
+        """The tree to execute; None if it cannot be determined. Trees that it does not use are ignored."""
         self.library = library
         self._path = path
         if root.tag != "root":

@@ -1,4 +1,5 @@
-"""The nodes that a health tree in XML can have, and why it cannot have the others of BehaviorTree.CPP 4."""
+"""The nodes that a health tree in XML can have, and for the other nodes of BehaviorTree.CPP 4 why it cannot have
+them."""
 
 from __future__ import annotations
 
@@ -17,15 +18,15 @@ Category = Literal["Action", "Condition", "Control", "Decorator"]
 
 @dataclass(frozen=True)
 class Node:
-    """A node that can be written."""
+    """A supported node."""
 
     category: Category
     key: str
-    """What it is in the short form; a Parallel says by its thresholds which."""
+    """Its key in the short form; a Parallel's key depends on its thresholds."""
     ports: Mapping[str, str] = field(default_factory=dict)
-    """Where the value of each of its ports goes in the short form, as a path from the node; empty if it goes nowhere."""
+    """By port, the path from the node to the port's value in the short form; empty if the value is dropped."""
     reads: Mapping[str, Callable[[str], Any]] = field(default_factory=dict)
-    """What reads the values of ports that are no texts in the short form. Raises ValueError."""
+    """By port, the parser of values that are not texts in the short form. Raises ValueError."""
 
     @property
     def a(self) -> str:
@@ -61,7 +62,7 @@ EXPLICIT = ("Action", "Condition", "Control", "Decorator")
 """Tags of the explicit notation, ``<Condition ID="Topic"/>`` for ``<Topic/>``."""
 
 IGNORED = frozenset({"_description", "_collapsed", "_fullpath", "_uid"})
-"""What Groot 2, and BehaviorTree.CPP when it writes a running tree, add to nodes for themselves."""
+"""Attributes for their own use that Groot 2 adds to nodes, and BehaviorTree.CPP when it writes a running tree."""
 
 SCRIPTS = frozenset({"_skipIf", "_successIf", "_failureIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post"})
 """Pre- and postconditions, which are scripts."""
@@ -83,7 +84,7 @@ _LOOKS = (
 )
 
 REFUSED_PLUGIN_TAGS: Mapping[str, str] = {tag_of(name): why for name, why in REFUSED_PLUGINS.items()}
-"""Why leaves of other packages cannot be used."""
+"""Why leaves of other packages cannot be used, by tag."""
 
 REFUSED: Mapping[str, str] = {
     **REFUSED_PLUGIN_TAGS,
@@ -128,23 +129,25 @@ REFUSED: Mapping[str, str] = {
     "RoundRobin": f"{_ANEW} <Fallback>",
     "RateController": _ONCE,
 }
-"""Why other nodes of BehaviorTree.CPP (and the control nodes that Nav2 adds) are not for health trees, and what is."""
+"""Why health trees cannot have other nodes of BehaviorTree.CPP (and the control nodes that Nav2 adds), and what to use
+instead."""
 
 
 @dataclass(frozen=True)
 class Library:
-    """What trees of one kind can have."""
+    """The nodes that trees of one kind can have."""
 
     subject: TreeKind
     nodes: Mapping[str, Node]
     refused: Mapping[str, str]
-    """Why they cannot have other nodes, and what is right."""
+    """Why they cannot have other nodes, and what to use instead."""
     no_scripts: str
-    """What is said of scripts."""
+    """The message about scripts."""
     group: str
-    """The node that most often has others in it."""
+    """The node that most often has children."""
     parallel: Callable[[str, Mapping[str, str], int], str]
-    """What a <Parallel> is in the short form: its tag, its thresholds and how many nodes it has. Raises ValueError."""
+    """Returns the key of a <Parallel> in the short form, from its tag, its thresholds and its number of children.
+    Raises ValueError."""
 
 
 HEALTH = Library(

@@ -1,4 +1,4 @@
-"""Reads the nodes of a tree, those of the subtrees that it uses in their places."""
+"""Reads the nodes of a tree, and replaces each subtree by its nodes."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ SUBTREE = "SubTree"
 
 @dataclass(frozen=True)
 class _Spot:
-    """Where in the tree a node is."""
+    """The place of a node in the tree."""
 
     board: Board
     trees: tuple[str, ...]
-    """The trees that it is in, the main tree first."""
+    """The trees that contain it, the main tree first."""
     uses: tuple[int, ...]
-    """The lines in which those but the first are used."""
+    """The lines in which all of these trees but the first are used."""
     depth: int
 
     def below(self) -> _Spot:
@@ -43,7 +43,7 @@ class Nodes:
         self._read: dict[str, set[str] | None] = {}
 
     def tree(self, main: str) -> ParsedNode | None:
-        """The tree of this name with all that it uses."""
+        """Read the tree with this name, and all trees that it uses."""
         return self._tree(main, _Spot({}, (main,), (), 1))
 
     def _tree(self, name: str, spot: _Spot) -> ParsedNode | None:
@@ -83,7 +83,7 @@ class Nodes:
         return ParsedNode(origin(element, spot.uses), key, name, ports, values, children, reads=node.reads)
 
     def _tag(self, element: Element) -> str | None:
-        """Which of the known nodes it is, in the compact notation or the explicit one."""
+        """Return which of the known nodes it is, in the compact or the explicit notation."""
         tag = element.tag
         if tag in EXPLICIT:
             if "ID" not in element.attributes:
@@ -105,7 +105,7 @@ class Nodes:
         return None
 
     def _values(self, element: Element, tag: str, board: Board) -> dict[str, str] | None:
-        """What its ports were given; None if one of them cannot be determined."""
+        """Return the values of its ports; None if one of them cannot be determined."""
         ports, whole = self._library.nodes[tag].ports, True
         values: dict[str, str] = {}
         for attribute, value in element.attributes.items():
@@ -118,7 +118,7 @@ class Nodes:
                 self._note(element, f"unknown port{did_you_mean(attribute, known)}", attribute)
             elif (found := self._resolved(element, attribute, value, board)) is None:
                 whole = False
-            elif found.strip():  # an editor writes down the ports that were left empty
+            elif found.strip():  # an editor writes the ports that were left empty too
                 values[attribute] = found
         return values if whole else None
 
@@ -130,7 +130,7 @@ class Nodes:
             return None
 
     def _key(self, element: Element, tag: str, values: dict[str, str] | None) -> str | None:
-        """What it is in the short form; None if what is in it does not fit."""
+        """Return its key in the short form; None if it cannot have these children."""
         count, category = len(element.children), self._library.nodes[tag].category
         if category in ("Action", "Condition") and count:
             self._note(element, f"has {_nodes(element)} in it; a leaf has none: put them beside it")
@@ -167,11 +167,12 @@ class Nodes:
         called = _name(element, name) if self._library.subject.named else None
         if tree is None or called is None:
             return tree
-        # Its leaves are called by its name, as they are by that of any node that they are in.
+        # The paths of its leaves contain its name, as with any other parent node.
         return ParsedNode(origin(element, spot.uses), "parallel", called, children=[tree])
 
     def _board(self, element: Element, name: str, above: Board) -> Board:
-        """The entries of a subtree: the attributes, what its model says of the others, and all of the tree above if asked for."""
+        """Return the entries of a subtree: its attributes, the defaults of its model, and all entries of the tree above
+        if requested."""
         model = self._document.models.get(name)
         try:
             remapped = blackboard.autoremap(element)
@@ -199,7 +200,7 @@ class Nodes:
         return board
 
     def _known(self, name: str) -> set[str] | None:
-        """The entries that a tree can be given; None if that cannot be determined."""
+        """Return the entries that a tree can receive; None if they cannot be determined."""
         if name not in self._read:
             read = blackboard.used(self._document.trees[name])
             if read is not None:
@@ -223,7 +224,7 @@ class Nodes:
 
 
 def _name(element: Element, default: str) -> str | None:
-    """The name that a node was given, as opposed to the one that BehaviorTree.CPP gives it on its own."""
+    """Return the name that the author gave to a node, as opposed to the name that BehaviorTree.CPP assigns."""
     name = element.attributes.get("name")
     return name if name != default else None
 

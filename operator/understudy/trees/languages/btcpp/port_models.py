@@ -1,4 +1,5 @@
-"""<TreeNodesModel>: the ports that the author of a text, most often Groot 2, expects of nodes and subtrees."""
+"""Reads <TreeNodesModel>: the ports of nodes and subtrees that the author of a text expects. Most often Groot 2 writes
+it."""
 
 from __future__ import annotations
 
@@ -14,18 +15,18 @@ from understudy.trees.source.problems import did_you_mean
 PORTS = ("input_port", "output_port", "inout_port")
 
 Note = Callable[[Element, str], None]
-"""Takes the note of a mistake in an element."""
+"""Records a mistake in an element."""
 
 
 @dataclass
 class SubTreeModel:
-    """The ports of a subtree, which then has no others."""
+    """The ports of a subtree. A subtree with a model has no other ports."""
 
     ports: dict[str, str | None] = field(default_factory=dict)
-    """What each is if it is not given; None if it must be."""
+    """The default of each port; None if the port is required."""
 
     def entries(self) -> set[str]:
-        """The entries of the tree above that it reads on its own."""
+        """Return the entries of the tree above that its defaults read."""
         found = set()
         for port, default in self.ports.items():
             with contextlib.suppress(ValueError):  # reported where it is used
@@ -34,9 +35,8 @@ class SubTreeModel:
 
 
 def read(element: Element, nodes: Mapping[str, Node], note: Note) -> Mapping[str, SubTreeModel]:
-    """The subtrees with a model. Models of known ``nodes`` are compared with what these are; all others
-    do not matter.
-    """
+    """Return the models of subtrees. Models of known ``nodes`` are compared with the nodes; all other models are
+    ignored."""
     subtrees: dict[str, SubTreeModel] = {}
     for model in element.children:
         name = model.attributes.get("ID", "")

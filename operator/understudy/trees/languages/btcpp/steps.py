@@ -1,4 +1,5 @@
-"""The nodes that a procedure or a check in XML can have, and why it cannot have the others of BehaviorTree.CPP 4."""
+"""The nodes that a procedure or a check in XML can have, and for the other nodes of BehaviorTree.CPP 4 why it cannot
+have them."""
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ from understudy.trees.source.value_reader import found_text
 
 
 def _milliseconds(text: str) -> str:
-    """A length of time as the short form writes it."""
+    """Convert a duration in milliseconds into the short form."""
     if not (text.isascii() and text.isdigit()):
         raise ValueError(f"found {found_text(text)}; give a whole number of milliseconds, such as 5000")
     return f"{text}ms"

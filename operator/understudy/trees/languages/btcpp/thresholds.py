@@ -1,4 +1,5 @@
-"""Which thresholds of <Parallel> and <ParallelAll> trees know: all of them must hold, or, in a health tree, one is enough."""
+"""The supported thresholds of <Parallel> and <ParallelAll>: all children must succeed or, in a health tree, one is
+enough."""
 
 from __future__ import annotations
 
@@ -8,9 +9,10 @@ from understudy.trees.source.value_reader import found_text
 
 
 def key_of(tag: str, values: Mapping[str, str], count: int) -> str:
-    """``parallel`` or ``selector``, for a node over ``count`` others. Raises ValueError if it is something between.
+    """Return ``parallel`` or ``selector`` for a node with ``count`` children. Raises ValueError for thresholds in
+    between.
 
-    A threshold below zero counts from the end, so -1 is all of them (BehaviorTree.CPP 4, parallel_node.h).
+    A threshold below zero counts from the end, so -1 means all of them (BehaviorTree.CPP 4, parallel_node.h).
     """
     if tag == "ParallelAll":
         failures = _threshold(values, "max_failures", 1, count)
@@ -33,7 +35,8 @@ def key_of(tag: str, values: Mapping[str, str], count: int) -> str:
 
 
 def all_of(tag: str, values: Mapping[str, str], count: int) -> str:
-    """``parallel``, for a <Parallel> of a procedure over ``count`` others. Raises ValueError if not all must succeed."""
+    """Return ``parallel`` for a <Parallel> of a procedure with ``count`` children. Raises ValueError if not all must
+    succeed."""
     successes = _threshold(values, "success_count", -1, count)
     failures = _threshold(values, "failure_count", 1, count)
     if successes == count:

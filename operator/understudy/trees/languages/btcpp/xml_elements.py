@@ -1,7 +1,7 @@
-"""Reads untrusted XML, with the place of each element.
+"""Reads untrusted XML, with the position of each element.
 
-Without a document type there are no entities but XML's own five, so nothing can be expanded and nothing is fetched. Texts
-with one are refused before they are parsed: expat goes on to the end of a text after a handler has raised.
+Without a document type there are no entities except XML's own five, so nothing is expanded or fetched. Texts with a
+document type are refused before they are parsed: expat continues to the end of a text after a handler has raised.
 """
 
 from __future__ import annotations
@@ -13,31 +13,33 @@ from understudy.api.durations import LONGEST_TEXT
 from understudy.trees.source.positions import WHOLE_FILE, Malformed, TextOffset
 
 DEEPEST = 64
-"""Elements that may be nested."""
+"""Greatest depth of nested elements."""
 
 MOST = 4096
-"""Elements that a text may have: with the models that Groot 2 adds for nodes of other libraries, more than a tree has."""
+"""Greatest number of elements in a text: more than a tree has, to allow for the models that Groot 2 adds for nodes of
+other libraries."""
 
 _DOCTYPE = "<!DOCTYPE"
 
 
 @dataclass(frozen=True)
 class Element:
-    """One element with what is in it."""
+    """One element with its contents."""
 
     tag: str
     attributes: dict[str, str]
     line: int
-    """Of its first character; the first line of the file is 1."""
+    """Line of its first character; the first line of the file is 1."""
     column: int
-    """Of its first character, in characters; the first one of a line is 1."""
+    """Column of its first character, counted in characters from 1."""
     children: list[Element] = field(default_factory=list)
     texts: list[str] = field(default_factory=list)
-    """What stands between its elements, without what is only white space."""
+    """The texts between its elements, except white space."""
 
 
 def parse(text: str, begins: TextOffset = WHOLE_FILE) -> Element:
-    """The outermost element, with the lines and columns of the file in which the text ``begins``. Raises Malformed."""
+    """Return the root element, with the lines and columns of the file in which the text ``begins``. Raises
+    Malformed."""
     try:
         return _parsed(text, begins)
     except Malformed as error:

@@ -1,4 +1,6 @@
-"""Trees in OpenSCENARIO 2 (ASAM OpenSCENARIO DSL 2.1), turned into the short form: what that means is said there alone.
+"""Reads trees in OpenSCENARIO 2 (ASAM OpenSCENARIO DSL 2.1) and converts them into the short form, which alone defines
+their meaning.
 
-The language is read by the parser of the package scenario-execution, the tree engine of the paper; none of its behaviours is ever run.
+The parser is that of the package scenario-execution, the tree engine of the paper. None of its behaviours is ever
+executed.
 """

@@ -1,4 +1,5 @@
-"""The part of the language that one kind of tree can use. That of procedures is in steps.py, which agents do not load."""
+"""The part of the language that one kind of tree can use. The dialects of procedures are in steps.py, which agents do
+not load."""
 
 from __future__ import annotations
 
@@ -13,21 +14,21 @@ from understudy.trees.source.tree_kinds import TreeKind
 
 @dataclass(frozen=True)
 class Dialect:
-    """What trees of one kind can have."""
+    """The parts of the language that trees of one kind can have."""
 
     subject: TreeKind
     actions: Mapping[str, Behavior]
     modifiers: Mapping[str, Behavior]
     refused: Mapping[str, str]
-    """Why they cannot have other behaviours, and what is right."""
+    """Why they cannot have other behaviours, and what to use instead."""
     words: Mapping[str, str]
-    """Why they cannot have words and signs of the language."""
+    """Why they cannot have some words and signs of the language."""
     scenario: str
-    """How a scenario of it may be called."""
+    """An example of a scenario's name."""
     do: str
-    """What that most often does, such as ``do parallel:``."""
+    """The usual beginning of a scenario, such as ``do parallel:``."""
     example: str
-    """One of the actions."""
+    """An example of an action."""
 
 
 HEALTH = Dialect(

@@ -1,4 +1,4 @@
-"""What is in a file: its imports, its scenario, and the parameters of that."""
+"""The parts of a file: its imports, its scenario, and the scenario's parameters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Document:
         self.constants: dict[str, Constant] = {}
         """The parameters of the scenario."""
         self.main: Part | None = None
-        """What the scenario does; None if that cannot be determined."""
+        """The behaviour of the scenario; None if it cannot be determined."""
         self.dialect = dialect
         self._path = path
         self._imports(file)
@@ -46,7 +46,7 @@ class Document:
             self._note(file, "the text", f"does not import its library; begin it with: import {PACKAGE}")
 
     def _import(self, reference: Part) -> bool:
-        """Whether an import is that of our library, or was reported as wrong."""
+        """Return whether an import is that of our library, or was reported as wrong."""
         name = reference.text_of("structuredIdentifier")
         if name in (PACKAGE, STANDARD):
             return name == PACKAGE

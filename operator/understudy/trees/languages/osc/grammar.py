@@ -1,7 +1,8 @@
-"""Reads untrusted OpenSCENARIO 2 with the parser of scenario-execution, into plain parts with their places.
+"""Reads untrusted OpenSCENARIO 2 with the parser of scenario-execution, into plain parts with their positions.
 
-Only its lexer and parser are used. Its model would follow imports into files, load the entry points of whatever else is installed,
-and make the behaviours. To import the parser takes 0.1 s and 15 MB, so only a policy in this language does.
+Only its lexer and parser are used. Its model would follow imports into files, load the entry points of other installed
+packages, and create the behaviours. The import of the parser takes 0.1 s and 15 MB, so it is imported only for a policy
+in this language.
 """
 
 from __future__ import annotations
@@ -22,38 +23,38 @@ expression implication disjunction conjunction inversion relation sumExpression 
 """
 
 _CHAIN = frozenset(_EXPRESSIONS.split())
-"""Rules of an expression that stand for nothing by themselves: who binds closer than whom."""
+"""Rules for the precedence of operators in expressions, which mean nothing by themselves."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """What one rule of the grammar, or one word, matched."""
+    """The match of one rule of the grammar, or one word."""
 
     rule: str
     """Name of the rule in the grammar, such as ``behaviorInvocation``; empty for a word."""
     text: str
-    """As it was written."""
+    """The matched text."""
     line: int
     column: int
-    """Of its first character in the file, counted from 1."""
+    """Column of its first character in the file, counted from 1."""
     parts: tuple[Part, ...] = ()
 
     def all(self, *rules: str) -> Iterator[Part]:
-        """The parts of some rules."""
+        """Yield the parts of some rules."""
         return (part for part in self.parts if part.rule in rules)
 
     def first(self, rule: str) -> Part | None:
-        """The first part of a rule."""
+        """Return the first part of a rule."""
         return next(self.all(rule), None)
 
     def text_of(self, rule: str) -> str:
-        """What the first part of a rule was written as; empty if there is none."""
+        """Return the text of the first part of a rule; empty if there is none."""
         found = self.first(rule)
         return found.text if found is not None else ""
 
 
 def parse(text: str, dialect: Dialect, begins: TextOffset = WHOLE_FILE) -> Part:
-    """The whole of a text that has only the words of a dialect, with the lines and columns of the file in which it ``begins``.
+    """Parse a text that has only the words of a dialect, with the lines and columns of the file in which it ``begins``.
 
     Raises Malformed.
     """
@@ -63,14 +64,14 @@ def parse(text: str, dialect: Dialect, begins: TextOffset = WHOLE_FILE) -> Part:
         error.line += begins.lines
         error.column += begins.columns
         raise
-    except RecursionError as error:  # what is too deep has been refused; this is for an unforeseen way to be so
+    except RecursionError as error:  # too deep texts were refused before; this is for an unforeseen way to nest
         raise Malformed("the nesting is too deep") from error
 
 
 def _parsed(text: str, dialect: Dialect, begins: TextOffset) -> Part:
     if len(text) > LONGEST_TEXT:
         raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
-    # Not before they are needed, see above.
+    # Imported late because of its cost, see above.
     from antlr4 import CommonTokenStream, InputStream
     from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexer
     from scenario_execution.osc2_parsing.OpenSCENARIO2Parser import OpenSCENARIO2Parser
@@ -81,7 +82,7 @@ def _parsed(text: str, dialect: Dialect, begins: TextOffset) -> Part:
     stream = CommonTokenStream(lexer)
     parser = OpenSCENARIO2Parser(stream)
     for recognizer in (lexer, parser):
-        recognizer.removeErrorListeners()  # those print
+        recognizer.removeErrorListeners()  # the default listeners print
         recognizer.addErrorListener(complaints)
     stream.fill()
     found = [_token(parser, token) for token in stream.tokens]
@@ -100,7 +101,7 @@ _SIGNS = {"OPEN_PAREN": "(", "CLOSE_PAREN": ")", "OPEN_BRACK": "[", "CLOSE_BRACK
 
 
 class _Parts:
-    """Turns what the parser has found into parts."""
+    """Converts the parser's result into parts."""
 
     def __init__(self, rules: list[str], source: Any, begins: TextOffset) -> None:
         self._rules, self._source, self._begins = rules, source, begins
@@ -114,7 +115,7 @@ class _Parts:
         if rule in _CHAIN and len(children) == 1 and getattr(children[0], "symbol", None) is None:
             return self.part(children[0])
         start, stop = found.start, found.stop or found.start
-        if rule == "osc_file":  # which begins at its first word otherwise
+        if rule == "osc_file":  # otherwise it begins at its first word
             place = (1 + self._begins.lines, 1 + self._begins.columns)
             return Part(rule, "", *place, tuple(self.part(child) for child in children))
         text = self._source.getText(start.start, max(start.start, stop.stop)) if rule in _WRITTEN else ""
@@ -131,4 +132,4 @@ functionApplicationExpression fieldAccessExpression
 """
 
 _WRITTEN = _CHAIN | frozenset(_NAMED.split())
-"""Rules of which it matters as what they were written; the others are long."""
+"""Rules whose text is needed; the text of the others is long."""

@@ -1,7 +1,7 @@
-"""The actions and modifiers of a health tree in OpenSCENARIO 2, derived from the leaves that the short form has.
+"""The actions and modifiers of a health tree in OpenSCENARIO 2, derived from the leaves of the short form.
 
-A leaf that is added there is an action here, with the arguments that its keys are. What they are called follows scenario-execution's
-own ROS library (``topic_name``, ``action_type``) where the key is a word of the language or would not say whose name it is.
+Every leaf of the short form is an action here, with its keys as arguments. If a key is a word of the language, or is
+ambiguous, the argument has the name that scenario-execution's own ROS library uses (``topic_name``, ``action_type``).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from understudy.trees.leaves.leaf_plan import Key
 from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 
 PACKAGE = "osc.understudy"
-"""How a policy imports the library."""
+"""The name with which a policy imports the library."""
 
 STANDARD = "osc.types"
-"""The types of the standard, which the library imports; a policy may too."""
+"""The standard's types, which the library imports; a policy may import them too."""
 
 ENUMS: Mapping[str, tuple[str, ...]] = {
     key.type: key.members for leaf in LEAVES.values() for key in leaf.arguments if key.members
@@ -33,12 +33,12 @@ name associated_actor
 """
 
 WORDS = frozenset(_WORDS.split())
-"""The words of the language, and those that scenario-execution keeps for itself, which no argument can be called."""
+"""The words of the language and those that scenario-execution reserves. No argument can have such a name."""
 
 _SUBJECTS = ("topic", "action", "service")
 
 RATES: Mapping[str, str] = {"rate_above": ">", "rate_min": ">=", "rate_below": "<", "rate_max": "<="}
-"""The bounds of a rate: OpenSCENARIO has units, but no text such as ``> 8 Hz``."""
+"""The bounds of a rate, as arguments: OpenSCENARIO has units, but no texts such as ``> 8 Hz``."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Argument:
     type: str
     """``string``, ``int``, ``float``, a physical type or an enum."""
     where: str
-    """Where its value goes in the short form, as a path from the node."""
+    """Path from the node to its value in the short form."""
     reads: Callable[[str], Any] | None = None
-    """What reads its value, if that is no text in the short form. Raises ValueError."""
+    """The parser of its value, if that is not a text in the short form. Raises ValueError."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,14 @@ class Behavior:
     """An action or a modifier."""
 
     key: str
-    """What it is in the short form."""
+    """Its key in the short form."""
     arguments: Mapping[str, Argument]
-    """By name, in the order in which they can be given without it."""
+    """By name, in the order in which they can be given without a name."""
 
 
 def behavior_of(kind: str, keys: Sequence[Key], reads: Mapping[str, Callable[[str], Any]] | None = None) -> Behavior:
-    """Return the action that a leaf or step with these keys is; ``reads`` has what reads texts, by the type of a key."""
+    """Return the action for a leaf or step with these keys; ``reads`` has the parsers of texts, by the type of a
+    key."""
     found: list[Argument] = []
     for key in keys:
         where = f"{kind}.{key.name}"
@@ -88,7 +89,7 @@ def _name(kind: str, key: Key, keys: Sequence[Key]) -> str:
 
 
 ACTIONS: Mapping[str, Behavior] = {kind: behavior_of(kind, leaf.arguments) for kind, leaf in LEAVES.items()}
-"""The leaves, by name."""
+"""The leaves as actions, by name."""
 
 MODIFIERS: Mapping[str, Behavior] = {
     "inverter": Behavior("inverter", {}),
@@ -101,14 +102,14 @@ MODIFIERS: Mapping[str, Behavior] = {
         },
     ),
 }
-"""What is written in the ``with:`` of a node, by name."""
+"""The modifiers for the ``with:`` of a node, by name."""
 
 COMPOSITIONS: Mapping[str, str] = {"serial": "sequence", "parallel": "parallel", "one_of": "selector"}
-"""What the operators of the language are in the short form."""
+"""The operators of the language and their keys in the short form."""
 
 _STATUSES = ("failure", "running", "success")
 STATUS_CHANGES = tuple(f"{one}_is_{other}" for one in _STATUSES for other in _STATUSES)
-"""What scenario-execution calls the modifiers by which one status counts as another."""
+"""scenario-execution's names of the modifiers that convert one status into another."""
 
 _ONCE = "a health tree is evaluated continuously; leave it out, and give the leaf in it a longer gap or window"
 _LATER = "gap, window and settle, and debounce of the policy, say how long something may be missing; leave it out"
@@ -142,4 +143,4 @@ _OTHERS: Mapping[str, str] = {
 }
 
 REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in ACTIONS}
-"""Why behaviours that users of scenario-execution know are not for health trees, and what is."""
+"""Why health trees cannot have other behaviours of scenario-execution, and what to use instead."""

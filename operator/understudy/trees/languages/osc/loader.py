@@ -1,4 +1,4 @@
-"""Loads a health tree from OpenSCENARIO 2 (docs/trees-osc.md) and says everything that is wrong with it at once."""
+"""Loads a health tree from OpenSCENARIO 2 (docs/trees-osc.md), and reports all problems at once."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from understudy.trees.source.expressions import Fields
 from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 
 CALLED = "an OpenSCENARIO 2 file"
-"""What such a text is."""
+"""What messages call such a text."""
 
 
 def load_osc(
@@ -24,18 +24,18 @@ def load_osc(
     fields: Fields | None = None,
     begins: TextOffset = WHOLE_FILE,
 ) -> HealthTree:
-    """The health tree that a text stands for: that of the short form which says the same.
+    """Load a health tree from a text. It is the tree of the equivalent short form.
 
-    ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. Conditions over messages are checked by their types' ``fields``, if these are known. Lines and
-    columns are those of the file in which the text ``begins``. Raises TreeError with all problems; of those with the
-    language itself, the first.
+    Problems are reported with ``path``; ``grace`` is the number of seconds within which an instance must become healthy
+    for the first time. Conditions over messages are checked with the ``fields`` of their types, if these are known.
+    Lines and columns are those of the file in which the text ``begins``. Raises TreeError with all problems; of
+    problems with the language itself, it has only the first.
     """
     return load_language(text, reader(HEALTH), called=CALLED, path=path, grace=grace, fields=fields, begins=begins)
 
 
 def reader(dialect: Dialect) -> Read:
-    """Reads trees that can have what a dialect has."""
+    """Return a function that reads trees in a dialect."""
 
     def read(text: str, path: str, begins: TextOffset) -> tuple[ParsedNode | None, list[LocatedProblem]]:
         document = Document(parse(text, dialect, begins), path, dialect)

@@ -1,4 +1,4 @@
-"""Reads the nodes of a scenario: compositions, actions, and the modifiers that are written with them."""
+"""Reads the nodes of a scenario: compositions, actions, and their modifiers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import DEEPEST, MOST
 
 _Given = dict[str, tuple[str, Part]]
-"""By argument, its value as the short form writes it, and the place where it was written."""
+"""By argument, its value in the short form, and its position in the text."""
 
 _Read = Callable[[Part, Part | None, int], ParsedNode | None]
 
@@ -28,25 +28,25 @@ class Nodes:
         self._count = 0
 
     def tree(self, main: Part) -> ParsedNode | None:
-        """What a scenario does, with all that is in it."""
+        """Read the behaviour of a scenario with everything in it."""
         return self._member(main, 1)
 
     def _member(self, member: Part, depth: int) -> ParsedNode | None:
-        """A node with its name in front of it."""
+        """Read a node with an optional name in front of it."""
         name = member.first("labelName")
         for found in member.parts:
             if found.rule == "composition":
                 return self._modified(found, name, depth, self._composition)
             if found.rule == "behaviorInvocation":
                 return self._modified(found, name, depth, self._action)
-        # What waits, sends events or calls functions has been refused by its first word.
+        # Words that wait, send events or call functions have been refused before.
         self._note(
             member, "do", f"is not a node; give serial:, parallel:, one_of: or a leaf such as {self._dialect.example}"
         )
         return None
 
     def _counted(self, part: Part, label: str, depth: int) -> bool:
-        """Whether there may be one more node here."""
+        """Return whether one more node is allowed here."""
         self._count += 1
         if self._count == MOST + 1:
             self._note(part, label, f"the tree has more than {MOST} nodes")
@@ -92,11 +92,11 @@ class Nodes:
         return None
 
     def _named(self, name: Part | None) -> Part | None:
-        """The name in front of a node, where such names say something."""
+        """Return the name in front of a node, if names have a meaning in this kind of tree."""
         return name if self._dialect.subject.named else None
 
     def _modified(self, part: Part, name: Part | None, depth: int, read: _Read) -> ParsedNode | None:
-        """A node in the modifiers that are written with it, the first of them the outermost."""
+        """Wrap a node in its modifiers, the first of which is the outermost."""
         block = part.first("behaviorWithDeclaration")
         modifiers = [found for member in block.all("behaviorWithMember") for found in member.parts] if block else []
         around = [self._modifier(found, depth + index) for index, found in enumerate(modifiers)]
@@ -129,7 +129,7 @@ class Nodes:
     # -- arguments --------------------------------------------------------------------------------------------------
 
     def _arguments(self, part: Part, label: str, behavior: Behavior) -> _Given | None:
-        """What the arguments were given, by name; None if one of them cannot be determined."""
+        """Return the values of the arguments by name; None if one of them cannot be determined."""
         known = list(behavior.arguments.values())
         listed = part.first("argumentList")
         given: dict[str, tuple[str, Part]] = {}
@@ -165,7 +165,7 @@ class Nodes:
             return None
 
     def _rated(self, part: Part, label: str, given: _Given) -> bool:
-        """Whether the bounds of a rate are ones that the short form has; puts them together."""
+        """Combine the bounds of a rate; return whether the short form supports the combination."""
         bounds = [name for name in given if name in RATES]
         if len(bounds) > 1 and set(bounds) != {"rate_min", "rate_max"}:
             self._note(
@@ -194,10 +194,10 @@ class Nodes:
 def _written(
     origin: Origin, behavior: Behavior, given: _Given, name: Part | None, children: list[ParsedNode] | None = None
 ) -> ParsedNode:
-    """A node of the library with what it was given."""
+    """Build a node of the library with the given values."""
     spelled = {name: value for name, (value, _) in given.items()}
     places = {name: Origin(origin.label, part.line, part.column) for name, (_, part) in given.items()}
-    # Of what several arguments make, the last that is given is told.
+    # If several arguments form one value, problems with it are reported at the last given one.
     named = sorted(behavior.arguments, key=lambda argument: argument in given)
     ports = {argument: behavior.arguments[argument].where for argument in named}
     reads = {name: one.reads for name, one in behavior.arguments.items() if one.reads is not None}
@@ -206,7 +206,7 @@ def _written(
 
 
 def _name(name: Part | None) -> str | None:
-    """The name in front of a node, without the bars around one that has other signs than letters."""
+    """Return the name in front of a node, without the bars that enclose a name with characters other than letters."""
     return name.text.strip("|") if name is not None else None
 
 

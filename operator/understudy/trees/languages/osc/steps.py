@@ -1,4 +1,4 @@
-"""The actions and modifiers that only procedures and checks in OpenSCENARIO 2 have, derived from the short form's."""
+"""The actions and modifiers that only procedures and checks in OpenSCENARIO 2 have, derived from the short form."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from understudy.trees.source import tree_kinds
 STEPS: Mapping[str, Behavior] = {
     kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_steps.STEPS.items()
 }
-"""What procedures do, by name."""
+"""The steps of procedures as actions, by name."""
 
 CONDITIONS: Mapping[str, Behavior] = {
     kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_steps.CONDITIONS.items()
 }
-"""What procedures and checks look at once, by name."""
+"""The conditions that procedures and checks evaluate once, by name."""
 
 WATCHED: Mapping[str, Behavior] = {name: action for name, action in ACTIONS.items() if action.key in HEALTH}
-"""Leaves of health trees that they have too."""
+"""Leaves of health trees that procedures and checks have too."""
 
 DECORATORS: Mapping[str, Behavior] = {
     "timeout": Behavior("timeout", {"duration": Argument("duration", "time", "timeout.within")}),
@@ -36,10 +36,11 @@ DECORATORS: Mapping[str, Behavior] = {
         },
     ),
 }
-"""What is written in the ``with:`` of a node of a procedure, by name: as scenario-execution has it, but for the pause."""
+"""The modifiers for the ``with:`` of a node of a procedure, by name: those of scenario-execution, except for the
+pause."""
 
 INVERTER: Mapping[str, Behavior] = {"inverter": MODIFIERS["inverter"]}
-"""What may be written in that of a check too."""
+"""The modifier that checks have too."""
 
 _ONCE = "a procedure is run once; write retry() for what may have to be tried again"
 _STORE = "a procedure remembers and writes nothing; leave it out"

@@ -1,4 +1,4 @@
-"""Messages for the errors of lexer and parser."""
+"""Formats the errors of lexer and parser as messages."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ _NAMES = {
     "DEDENT": "the end of the block",
     "<EOF>": "the end of the text",
 }
-"""How what can stand somewhere is called; what is not here is called by its word."""
+"""Names of expected tokens in messages; a token that is missing here is named by its word."""
 
 _UNTOLD = frozenset(
     {"FloatLiteral", "HexUintLiteral", "IntLiteral", "BoolLiteral", "'import'", *(f"'{word}'" for word in REFUSED)}
 )
-"""What is left out of that: another word means the same, or health trees cannot have it."""
+"""Expected tokens that messages omit: another word means the same, or health trees cannot have them."""
 
 _UNREAD = re.compile(r"token recognition error at: '(.*)'", re.DOTALL)
 _EXPECTED = re.compile(r"(?:expecting|missing) (\{.*?\}|'[^']+'|\w+)( at|$)", re.DOTALL)
 
 
 class FirstErrorListener:
-    """Ends reading with the first complaint: those that follow are most often its consequences."""
+    """Ends the parsing at the first error, because the following ones are usually its consequences."""
 
     def syntaxError(self, recognizer: Any, symbol: Any, line: int, column: int, message: str, error: Any) -> None:
-        """Called by lexer and parser."""
+        """Raise the error; called by lexer and parser."""
         if (unread := _UNREAD.fullmatch(message)) is not None:
             raise Malformed(_unread(unread[1]), line, column + 1)
         found, line, column = _found(symbol, recognizer.getTokenStream().tokens)
         raise Malformed(f"this is not OpenSCENARIO 2: found {found}{_expected(message, symbol.text)}", line, column)
 
     def reportAmbiguity(self, *_: Any) -> None:
-        """Called where a text can be read in two ways; the first is taken."""
+        """Ignore that a text can be read in two ways; the parser takes the first."""
 
     def reportAttemptingFullContext(self, *_: Any) -> None:
-        """Called where the parser looks further ahead."""
+        """Ignore that the parser looks further ahead."""
 
     def reportContextSensitivity(self, *_: Any) -> None:
-        """Called after that."""
+        """Ignore the end of that."""
 
 
 def _unread(text: str) -> str:
@@ -59,7 +59,8 @@ def _unread(text: str) -> str:
 
 
 def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
-    """What was found, and where: what ends a line or a block is behind the last word before."""
+    """Return what was found and its position. The end of a line or of a block is placed behind the last word before
+    it."""
     if symbol.text.strip() and symbol.text != "<EOF>":
         return repr(symbol.text if len(symbol.text) <= 60 else f"{symbol.text[:57]}..."), symbol.line, symbol.column + 1
     seen = [token for token in tokens[: symbol.tokenIndex] if token.text.strip()]
@@ -71,7 +72,7 @@ def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
 
 
 def _expected(message: str, found: str) -> str:
-    """What could stand there instead, as far as a health tree can have it."""
+    """Return what could be there instead, limited to what a health tree can have."""
     told = _EXPECTED.search(message)
     if found == "=":
         return "; write ':' between the name of an argument and its value"

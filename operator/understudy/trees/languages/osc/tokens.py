@@ -1,6 +1,7 @@
 """Refuses a text by its tokens, before it is parsed: words that trees cannot have, and too deep nesting.
 
-What is left of the language is small: a parser that looks ahead as far as it needs to cannot be kept busy by it.
+The remaining part of the language is small, so that a text cannot keep the parser busy, although it looks ahead without
+a limit.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from understudy.trees.source.tree_kinds import TreeKind
 from understudy.trees.source.value_reader import DEEPEST
 
 MOST = 20_000
-"""Words and signs that a text may have: some forty for each of the nodes that a tree may have."""
+"""Greatest number of words and signs in a text: about forty for each of the nodes that a tree may have."""
 
 DEEPEST_BLOCK = DEEPEST + 4
-"""Blocks in each other: the levels of the tree, in those of the scenario."""
+"""Greatest depth of nested blocks: the levels of the tree within those of the scenario."""
 
 DEEPEST_BRACKETS = 4
-"""Brackets in each other: arguments stand in one pair."""
+"""Greatest depth of nested brackets: arguments have one pair."""
 
 NEWLINE, INDENT, DEDENT = "NEWLINE", "INDENT", "DEDENT"
 
@@ -63,7 +64,7 @@ REFUSED: Mapping[str, str] = {
     ),
     "->": f"{_JUDGES} and calls no functions; leave it out",
 }
-"""Words and signs of the language that no health tree has, with what would be right."""
+"""Words and signs of the language that no health tree has, and what to use instead."""
 
 _NO_CALLS = "it calls no functions; leave it out"
 _WAITED = "wait_for() says what to wait for, and timeout() in the with: of a node for how long; leave it out"
@@ -73,7 +74,7 @@ _COMPARED = "what must hold is said by a condition, such as parameter_is() or va
 
 
 def _refused(events: str) -> Mapping[str, str]:
-    """The same of procedures and checks; ``events`` is what is said of what waits for them."""
+    """Return the same for procedures and checks; ``events`` is the message for words that wait for events."""
     return {
         **REFUSED,
         **{word: _EVERYWHERE for word, why in REFUSED.items() if why == _DECLARES},
@@ -87,10 +88,10 @@ def _refused(events: str) -> Mapping[str, str]:
 
 
 REFUSED_IN_PROCEDURES = _refused(_WAITED)
-"""Those that no procedure has."""
+"""Words and signs that no procedure has."""
 
 REFUSED_IN_CHECKS = _refused(_LOOKED)
-"""Those that no check has."""
+"""Words and signs that no check has."""
 
 
 @dataclass(frozen=True)
@@ -98,11 +99,12 @@ class Token:
     """A word or sign."""
 
     kind: str
-    """``NEWLINE``, ``INDENT``, ``DEDENT``, what it is as a literal, such as ``StringLiteral``; else the word itself."""
+    """``NEWLINE``, ``INDENT``, ``DEDENT``, or the type of a literal, such as ``StringLiteral``; otherwise the word
+    itself."""
     text: str
     line: int
     column: int
-    """Both count from 1."""
+    """Line and column count from 1."""
 
 
 def check(tokens: Sequence[Token], subject: TreeKind, refused: Mapping[str, str]) -> None:
@@ -121,7 +123,7 @@ def check(tokens: Sequence[Token], subject: TreeKind, refused: Mapping[str, str]
 
 
 def _refusal(before: Token, token: Token, after: Token, subject: TreeKind, refused: Mapping[str, str]) -> str | None:
-    """Why a word or sign cannot be where it is."""
+    """Return why a word or sign cannot be at its place."""
     if token.kind == ".":
         return f"there are no actors in {subject.a}, and nothing has fields; leave out the dot and what is before it"
     if token.kind == "(" and before.kind == ")":
@@ -172,7 +174,8 @@ def _depths(tokens: Sequence[Token]) -> None:
 
 
 def _blocks(tokens: Sequence[Token]) -> None:
-    """Refuse a line that is indented less than its block and more than the one around it: in which it is cannot be determined."""
+    """Refuse a line whose indentation is between those of its block and the block around it, because its block cannot
+    be determined."""
     columns, first = [1], True
     for token, after in pairwise(tokens):
         if token.kind == INDENT:

@@ -1,7 +1,7 @@
-"""Physical types that values of a health tree can have, with their units.
+"""Physical types of values in a health tree, with their units.
 
-Those of time are the standard's (types.osc of its domain model), in which ``m`` is a metre. It has none of frequency, so our library
-declares them.
+The units of time are the standard's (types.osc of its domain model), in which ``m`` is a metre. The standard has no
+frequency, so our library declares it with its units.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ class Unit:
     """A unit of a physical type."""
 
     factor: Fraction
-    """How many of the type's SI unit it is."""
+    """Its value in the type's SI unit."""
     short: str
-    """How the short form writes it."""
+    """The unit as the short form writes it."""
     scale: int = 1
-    """How many of those it is."""
+    """Its value in that unit."""
 
 
 MILLISECOND = Unit(Fraction(1, 1000), "ms")
@@ -47,4 +47,5 @@ UNITS: Mapping[str, Mapping[str, Unit]] = {
 """The units of each physical type, by their names."""
 
 OWN = ("frequency",)
-"""Types that our library declares with their units, since the standard has none; all of them are of so many per second."""
+"""Types that our library declares with their units, because the standard does not have them. Their units are all of the
+dimension 1/s."""

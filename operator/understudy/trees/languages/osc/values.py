@@ -1,4 +1,4 @@
-"""Reads the values of arguments and parameters, as the short form writes them."""
+"""Reads the values of arguments and parameters, and converts them into the short form."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Constant:
 
     type: str
     value: str | None
-    """As the short form writes it; None if it could not be read, which was said already."""
+    """Its value in the short form; None if it could not be read, which was reported already."""
 
 
 Constants = Mapping[str, Constant]
@@ -48,7 +48,7 @@ _ESCAPES = {"\\": "\\", '"': '"', "'": "'", "n": "\n", "t": "\t"}
 
 
 def read(value: Part, type_: str, constants: Constants) -> str | None:
-    """A value of a type, as the short form writes it; None if it is that of a parameter which could not be read.
+    """Return a value of a type in the short form; None if it is a parameter that could not be read.
 
     Raises ValueError with what was found and what would be right.
     """
@@ -82,7 +82,7 @@ def _no(value: Part, type_: str) -> NoReturn:
 
 
 def _shown(text: str) -> str:
-    """What was written, without quotes around it, since it may have its own."""
+    """Return what was written, without enclosing quotes, because the text may contain its own."""
     text = " ".join(text.split())
     return text if len(text) <= 60 else f"{text[:57]}..."
 
@@ -111,7 +111,7 @@ def _physical(value: Part, type_: str) -> str:
         )
     try:
         amount = Decimal(number) if len(number) <= _LONGEST_NUMBER else None
-    except InvalidOperation:  # a hexadecimal one
+    except InvalidOperation:  # a hexadecimal number
         amount = None
     if amount is None or (amount and not _LEAST <= amount < _MOST):
         raise ValueError(f"found {_shown(value.text)}; give {RIGHT[type_]}, above 0 and below {_MOST}")

@@ -1,4 +1,4 @@
-"""The short YAML form of health trees and of procedures, which defines what every notation means.
+"""The short YAML form of health trees and of procedures, which defines the meaning of every notation.
 
-Other notations are turned into it.
+Other notations are converted into it.
 """

@@ -1,4 +1,4 @@
-"""Loads a health tree from its short YAML form (docs/trees.md) and says everything that is wrong with it at once."""
+"""Loads a health tree from its short YAML form (docs/trees.md), and reports all problems at once."""
 
 from __future__ import annotations
 
@@ -37,11 +37,12 @@ def load(
     fields: Fields | None = None,
     called: Callable[[str], str] = str,
 ) -> HealthTree:
-    """The health tree that a node of the short form stands for.
+    """Load the health tree of a node of the short form.
 
-    ``path`` is what problems are named by, ``grace`` the seconds that an instance has to become healthy for the first
-    time. Conditions over messages are checked by their types' ``fields``, if these are known. ``called`` says how a
-    message names another node of this path, for trees that were not written in this form. Raises TreeError with all problems.
+    Problems are reported with ``path``; ``grace`` is the number of seconds within which an instance must become healthy
+    for the first time. Conditions over messages are checked with the ``fields`` of their types, if these are known.
+    ``called`` returns the name of the node at a path for messages, for trees that were not written in the short form.
+    Raises TreeError with all problems.
     """
     loader = _Loader(Evaluation(grace), fields, called)
     build = loader.node(tree, path, [], 1)
@@ -52,7 +53,7 @@ def load(
 
 
 class _Loader(Reader):
-    """Turns nodes into what builds their behaviours, and collects problems; one with a problem in it becomes None."""
+    """Converts nodes into builders of their behaviours, and collects problems; a node with a problem becomes None."""
 
     def __init__(self, evaluation: Evaluation, fields: Fields | None, called: Callable[[str], str]) -> None:
         super().__init__()
@@ -65,7 +66,7 @@ class _Loader(Reader):
         self._tasks: list[TaskActive] = []
 
     def node(self, value: object, path: str, above: list[str], depth: int) -> Build | None:
-        """What builds one node; ``above`` are the names of the nodes it is in."""
+        """Return the builder of one node; ``above`` are the names of its ancestors."""
         if not self.is_node(value, path, depth, KINDS):
             return None
         for key in value:
@@ -102,7 +103,7 @@ class _Loader(Reader):
             return None
 
         def build(left_out: Collection[str]) -> Behaviour | None:
-            # Without its topic, nobody knows whether the task is active: then the node is left out.
+            # Without its topic, it is not known whether the task is active: the node is left out then.
             node = child(left_out) if task.topic not in left_out else None
             return While(name, node, task, self.evaluation) if node is not None else None
 
@@ -167,7 +168,7 @@ class _Loader(Reader):
         return _composite(lambda nodes: _COMPOSITES[kind](name, nodes), children)
 
     def _leaf(self, kind: str, value: object, path: str, above: list[str], name: str | None) -> Build | None:
-        """A leaf that looks into messages."""
+        """Return the builder of a leaf that evaluates messages."""
         before, known = len(self.problems), LEAVES[kind]
         if not isinstance(value, Mapping):
             self.problem(path, f"found {found_text(value)}; {kind} is a mapping such as {known.example}")
@@ -179,7 +180,7 @@ class _Loader(Reader):
         return self._placed(kind, plan, path, above, name)
 
     def _placed(self, kind: str, plan: LeafPlan, path: str, above: list[str], name: str | None) -> Build | None:
-        """What builds a leaf at its place, under the nodes ``above`` and with the name that it was given, if it was."""
+        """Return the builder of a leaf at its place: below the nodes ``above``, and with its given name, if any."""
         leaf_path = "/".join([*above, name or plan.name])
         if leaf_path in self._leaf_paths:
             where = self._called(self._leaf_paths[leaf_path])
@@ -205,7 +206,7 @@ class _Loader(Reader):
         return _unless(leaf_path, build)
 
     def _watch(self, wanted: WatchedTopic, path: str) -> bool:
-        """Note that a topic is needed; False, with a problem, where two leaves differ about its type."""
+        """Note that a topic is needed; return False, with a problem, if two leaves disagree about its type."""
         topic, known = wanted.name, self.topics.get(wanted.name, wanted)
         if known.task and wanted.heard:
             self.problem(
@@ -237,7 +238,7 @@ _COMPOSITES: dict[str, Callable[[str, list[Behaviour]], Behaviour]] = {
 
 
 def _composite(make: Callable[[list[Behaviour]], Behaviour], children: list[Build]) -> Build:
-    """Builds a node over those of its children that are not left out; none where all are."""
+    """Return a builder of a composite over the children that are not left out; it returns None if all are."""
 
     def build(left_out: Collection[str]) -> Behaviour | None:
         built = [node for child in children if (node := child(left_out)) is not None]
@@ -247,5 +248,5 @@ def _composite(make: Callable[[list[Behaviour]], Behaviour], children: list[Buil
 
 
 def _unless(path: str, build: Build) -> Build:
-    """Builds the leaf of a path, unless that one is left out."""
+    """Return a builder of the leaf at a path; it returns None if that leaf is left out."""
     return lambda left_out: build(left_out) if path not in left_out else None

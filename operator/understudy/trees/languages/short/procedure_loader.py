@@ -1,7 +1,8 @@
-"""Procedures and checks: trees that bring one instance to a state, and trees of conditions on it (docs/procedures.md).
+"""Loads procedures and checks: trees that bring one instance to a state, and trees of conditions on it
+(docs/procedures.md).
 
-Both are loaded from the short form, whichever language they were written in (procedure_notations.py), and run from inside the
-instance's pod; what their leaves do and ask is behind :class:`understudy.trees.core.procedure_steps.Actions`.
+Both are loaded from the short form, regardless of the language in which they were written (procedure_notations.py), and
+run inside the instance's pod. Their leaves use the interface :class:`understudy.trees.core.procedure_steps.Actions`.
 """
 
 from __future__ import annotations
@@ -41,40 +42,41 @@ from understudy.trees.source.value_reader import duration_of, found_text
 COMPOSITES = ("sequence", "parallel", "selector")
 DECORATORS = ("timeout", "retry", "inverter")
 HEALTH = tuple(kind for kind, leaf in LEAVES.items() if not leaf.active_only)
-"""Conditions that are leaves of a health tree."""
+"""Conditions that are leaves of health trees."""
 
 CONDITIONS = ("lifecycle_is", *HEALTH, "node_present", "service_present", "parameter_is")
 STEPS = tuple(procedure_steps.STEPS)
 MOST_TRIES = 1000
 
 TICK = 0.05
-"""Seconds between two looks at what has a time; the end of an action is noticed at once."""
+"""Seconds between two ticks while something depends on time. The end of an action is noticed at once."""
 
 Make = Callable[[ProcedureRun, Sequence[TimeLimit]], Behaviour]
-"""Makes a node for one run, under ends of time."""
+"""Makes a node for one run, with its deadlines."""
 
 
 class ProcedureTree:
-    """A tree that is run once, or repeatedly if it has only conditions."""
+    """A tree that runs once, or repeatedly if it has only conditions."""
 
     def __init__(self, make: Make, kinds: Collection[str], topics: Sequence[WatchedTopic]) -> None:
         self._make = make
         self._kinds = frozenset(kinds)
         self.topics = list(topics)
-        """Topics that its conditions look at, which must be watched while it runs."""
+        """Topics that its conditions evaluate. They must be watched while it runs."""
 
     @property
     def restores_state(self) -> bool:
-        """Whether it says itself where kept state is restored."""
+        """Whether a step of the tree restores the kept state."""
         return "restore_state" in self._kinds
 
     @property
     def resends_goals(self) -> bool:
-        """Whether it says itself when goals are sent again."""
+        """Whether a step of the tree sends goals again."""
         return "resend_goals" in self._kinds
 
     async def run(self, actions: Actions, within: float) -> None:
-        """Run it to its end, for at most so many seconds. What is under way when this is cancelled is cancelled too.
+        """Run it to its end, for at most ``within`` seconds. If this is cancelled, the actions under way are cancelled
+        too.
 
         Raises ProcedureFailed.
         """
@@ -102,24 +104,24 @@ class ProcedureTree:
 
 
 def load_procedure(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
-    """The procedure that a node of the short form stands for. Raises TreeError with all its problems.
+    """Load the procedure of a node of the short form. Raises TreeError with all its problems.
 
-    ``places`` are those of its nodes in the text that it was written in, by their paths in the short form, if it was
-    written in another language: what fails is called by them.
+    If it was written in another language, ``places`` has the positions of its nodes in that text, by their paths in the
+    short form. Failures are reported with these positions.
     """
     return _load(_Loader(waits=True, called=_caller(path, places)), tree, path)
 
 
 def load_check(tree: object, *, path: str, places: Mapping[str, str] | None = None) -> ProcedureTree:
-    """The check that a node of the short form stands for: a tree of conditions only. Raises TreeError.
+    """Load the check of a node of the short form: a tree of conditions only. Raises TreeError.
 
-    ``places`` as of :func:`load_procedure`.
+    ``places`` as in :func:`load_procedure`.
     """
     return _load(_Loader(waits=False, called=_caller(path, places)), tree, path)
 
 
 def _caller(path: str, places: Mapping[str, str] | None) -> Callable[[str], str]:
-    """What messages call a node by its path."""
+    """Return a function that returns the name of the node at a path for messages."""
     if not places:
         return str
     known = {f"{path}.{inner}": f"{path}, {place}" for inner, place in places.items()}
@@ -135,10 +137,11 @@ def _load(loader: _Loader, tree: object, path: str) -> ProcedureTree:
 
 
 class _Loader(StepReader):
-    """Turns nodes into what makes their behaviours; one with a problem in it becomes None."""
+    """Converts nodes into makers of their behaviours; a node with a problem becomes None."""
 
     def __init__(self, *, waits: bool, called: Callable[[str], str]) -> None:
-        """``waits`` for a procedure, which may act and wait; a check only looks. ``called`` says what messages call a node."""
+        """``waits`` is True for a procedure, which may act and wait; a check only reads. ``called`` returns the name of
+        a node for messages."""
         super().__init__(waits=waits)
         self._called = called
         self.kinds: set[str] = set()

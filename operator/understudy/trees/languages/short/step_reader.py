@@ -17,7 +17,7 @@ from understudy.trees.source.problems import TreeError
 from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 SETTLE = 0.05
-"""Seconds between two looks at a topic that is still starting."""
+"""Seconds between two evaluations of a leaf that is still starting."""
 
 _KEYS = {key: step.keys for key, step in (*procedure_steps.STEPS.items(), *procedure_steps.CONDITIONS.items())}
 _EXAMPLES = {"node": "map_server", "service": "controller_server/get_state", "topic": "initialpose"}
@@ -28,7 +28,7 @@ class StepReader(Reader):
     """Reads leaves, and collects problems; a leaf with a problem reads as None."""
 
     def __init__(self, *, waits: bool) -> None:
-        """``waits`` for a procedure, which waits for conditions; a check does not."""
+        """``waits`` is True for a procedure, which waits for conditions; a check does not."""
         super().__init__()
         self.topics: list[WatchedTopic] = []
         """The topics that conditions need."""
@@ -40,7 +40,7 @@ class StepReader(Reader):
         work: Work | None = getattr(self, f"_{kind}")(fields, path)
         return work
 
-    # -- what is done -----------------------------------------------------------------------------------------------
+    # -- actions ----------------------------------------------------------------------------------------------------
 
     def _set_lifecycle(self, fields: Mapping[str, Any], path: str) -> Work | None:
         node, state = self._ros(fields, "node", path), self._state(fields, path)
@@ -135,7 +135,7 @@ class StepReader(Reader):
 
         return work
 
-    # -- what must hold ---------------------------------------------------------------------------------------------
+    # -- conditions -------------------------------------------------------------------------------------------------
 
     def _lifecycle_is(self, fields: Mapping[str, Any], path: str) -> Work | None:
         node, state = self._ros(fields, "node", path), self._state(fields, path)

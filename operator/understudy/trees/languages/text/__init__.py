@@ -1,4 +1,4 @@
-"""What the languages that are texts share: source maps, values with fields, and loading by way of the short form.
+"""Shared parts of the languages that are texts: source maps, values with fields, and loading through the short form.
 
-What one language alone has is in its own folder.
+The parts of a single language are in its own folder.
 """

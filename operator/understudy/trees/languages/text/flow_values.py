@@ -1,6 +1,7 @@
-"""Values with fields, such as a request, if a language has only texts: in the flow style of YAML, or as JSON.
+"""Reads values with fields, such as a request, for languages that have only texts: in the flow style of YAML, or as
+JSON.
 
-JSON has ``json:`` in front of it, as in BehaviorTree.CPP, where braces alone are a blackboard entry.
+JSON has the prefix ``json:``, as in BehaviorTree.CPP, in which braces alone are a blackboard entry.
 """
 
 from __future__ import annotations
@@ -18,14 +19,14 @@ from understudy.trees.source.value_reader import JSON_PREFIX, found_text
 from understudy.trees.source.yaml_scalars import SCALARS, TAG, plain
 
 LONGEST = 16384
-"""Characters of one value."""
+"""Most characters of one value."""
 
 DEEPEST = 32
-"""Mappings and lists in each other; ROS' own messages have five or six."""
+"""Greatest depth of nested mappings and lists; ROS' own messages have five or six levels."""
 
 
 def structure_of(text: str) -> Any:
-    """What a text stands for: a mapping, a list, a number, true, false or a text. Raises ValueError."""
+    """Parse a text into a mapping, a list, a number, a boolean or a text. Raises ValueError."""
     if len(text) > LONGEST:
         raise ValueError(f"has {len(text)} characters; it may have {LONGEST}")
     stripped = text.strip()
@@ -42,7 +43,7 @@ _TOO_DEEP = f"is nested too deeply; it may be {DEEPEST} deep"
 
 
 def _checked(value: Any, depth: int) -> Any:
-    """The value, which JSON has too. Raises ValueError."""
+    """Return the value if JSON can express it. Raises ValueError."""
     if depth > DEEPEST:
         raise ValueError(_TOO_DEEP)
     if isinstance(value, float) and not math.isfinite(value):
@@ -95,7 +96,7 @@ def _yaml(text: str) -> Any:
 
 
 def _value(node: Node, seen: set[int]) -> Any:
-    # What is written once and stands for many is how a small text becomes a value that never ends.
+    # Repeated references could make a small text into a value without end.
     if id(node) in seen:
         raise ValueError("has an alias (*) in it; write out what it stands for")
     seen.add(id(node))
@@ -107,7 +108,7 @@ def _value(node: Node, seen: set[int]) -> Any:
     if isinstance(node, SequenceNode):
         return [_value(item, seen) for item in node.value]
     assert isinstance(node, ScalarNode), "there is no other kind of node"
-    # A number of JSON that YAML of old has only with a point in it.
+    # A number of JSON, which YAML 1.1 reads as a number only with a decimal point.
     return float(node.value) if node.style is None and _POWER.fullmatch(node.value) else plain(node)
 
 
@@ -115,5 +116,5 @@ def _items(node: MappingNode, seen: set[int]) -> Iterator[tuple[str, Any]]:
     for key, value in node.value:
         if not isinstance(key, ScalarNode):
             raise ValueError("has a key that is not a text; write a text before the ':'")
-        # Fields of messages are called y and n, which YAML of old takes for true and false.
+        # Some fields of messages are called y and n, which YAML 1.1 reads as booleans.
         yield key.value, _value(value, seen)

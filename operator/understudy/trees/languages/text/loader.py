@@ -1,4 +1,4 @@
-"""Loads a tree from a text in another language: parsed first, then loaded as the short form."""
+"""Loads a tree from a text in another language: parses it, then loads it as the short form."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.value_reader import found_text
 
 Read = Callable[[str, str, TextOffset], tuple[ParsedNode | None, list[LocatedProblem]]]
-"""What was written in a text (None if that cannot be determined) and what is wrong with it; given its path and where it begins.
-Raises Malformed."""
+"""Parses a text, given its path and where it begins. Returns the tree (None if it cannot be determined) and the
+problems. Raises Malformed."""
 
 Loaded = TypeVar("Loaded")
 
@@ -23,9 +23,10 @@ Loaded = TypeVar("Loaded")
 def load_language(
     text: object, read: Read, *, called: str, path: str, grace: float, fields: Fields | None, begins: TextOffset
 ) -> HealthTree:
-    """The health tree that a text stands for: that of the short form which says the same.
+    """Load a health tree from a text. It is the tree of the equivalent short form.
 
-    ``called`` is what such a text is; the others are as of the loaders of the languages. Raises TreeError with all problems.
+    ``called`` is what messages call such a text; the others are as in the loaders of the languages. Raises TreeError
+    with all problems.
     """
 
     def loaded(node: dict[str, Any], source: SourceMap) -> HealthTree:
@@ -43,9 +44,9 @@ def load_translated(
     path: str,
     begins: TextOffset,
 ) -> Loaded:
-    """What is ``loaded`` from the node of the short form that a text stands for, with all problems at their places in it.
+    """Convert a text into the short form and load that with ``loaded``; all problems get their positions in the text.
 
-    ``called`` is what such a text is. Raises TreeError.
+    ``called`` is what messages call such a text. Raises TreeError.
     """
     if not isinstance(text, str):
         raise TreeError([Problem(path, f"found {found_text(text)}; give the text of {called}")])

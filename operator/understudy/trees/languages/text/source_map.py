@@ -1,4 +1,4 @@
-"""The parsed nodes of a text as nodes of the short form, with the place of each part in the text."""
+"""Converts the parsed nodes of a text into the short form, and maps each part to its position in the text."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from understudy.trees.source.positions import nearest
 from understudy.trees.source.problems import Problem, TreeError
 
 LONGEST_MESSAGE = 500
-"""Characters of a message; some repeat what was found."""
+"""Most characters of a message; some quote what was found."""
 
 MOST_PROBLEMS = 100
-"""Mistakes after which no more are looked for: one in a subtree is found at each of its uses."""
+"""Number of problems after which the search ends: a problem in a subtree is found at each of its uses."""
 
 WRAPPED: Mapping[str, str] = {"while": "do", "inverter": "inverter", "timeout": "timeout.do", "retry": "retry.do"}
-"""Where the node is that a node of these kinds is around, as a path from it."""
+"""By kind of a wrapping node, the path from it to the wrapped node."""
 
 
 @dataclass(frozen=True)
 class LocatedProblem:
-    """A problem and its place, by which problems are sorted."""
+    """A problem and its position. Problems are sorted by position."""
 
     line: int
     column: int
@@ -30,23 +30,23 @@ class LocatedProblem:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a node comes from."""
+    """The source of a node in the text."""
 
     label: str
-    """Such as ``<Topic>`` or ``topic()``."""
+    """A name for messages, such as ``<Topic>`` or ``topic()``."""
     line: int
     column: int
     uses: tuple[int, ...] = ()
-    """The lines of what uses the subtrees by way of which it is in the tree, the outermost first."""
+    """The lines of the nodes that use the subtrees through which it is in the tree, the outermost first."""
 
     @property
     def place(self) -> str:
-        """Such as ``line 7, column 5``."""
+        """Its position in words, such as ``line 7, column 5``."""
         by = f" (used in line {', '.join(map(str, self.uses))})" if self.uses else ""
         return f"line {self.line}, column {self.column}{by}"
 
     def problem(self, path: str, message: str, attribute: str = "") -> LocatedProblem:
-        """A problem here, or with an attribute that is here."""
+        """Return a problem at this position, or with one of its attributes."""
         what = f"{self.label} {attribute:.60}" if attribute else self.label
         return LocatedProblem(
             self.line, self.column, Problem(f"{path}, {self.place}", f"{what}: {message:.{LONGEST_MESSAGE}}")
@@ -55,51 +55,51 @@ class Origin:
 
 @dataclass(frozen=True)
 class ParsedNode:
-    """A node that could be read, with those of its values and children that could be."""
+    """A node with those of its values and children that could be read."""
 
     origin: Origin
     key: str
-    """What it is in the short form."""
+    """Its key in the short form."""
     name: str | None
     ports: Mapping[str, str] = field(default_factory=dict)
-    """By port, where its value goes in the short form."""
+    """By port, the path of its value in the short form."""
     values: Mapping[str, str] = field(default_factory=dict)
-    """By port, what it was given."""
+    """By port, the given value."""
     children: list[ParsedNode] = field(default_factory=list)
     places: Mapping[str, Origin] = field(default_factory=dict)
-    """By port, where its value was written, if that is known better than by the node."""
+    """By port, the position of its value, if that is known more exactly than by the node."""
     reads: Mapping[str, Callable[[str], Any]] = field(default_factory=dict)
-    """By port, what reads its value, if that is no text in the short form. Raises ValueError."""
+    """By port, the parser of its value, if that is not a text in the short form. Raises ValueError."""
 
 
 class SourceMap:
-    """Maps problems with the short form to their places in the text."""
+    """Maps problems with the short form to their positions in the text."""
 
     def __init__(self, path: str) -> None:
         self._path = path
         self._places: dict[str, tuple[Origin, str]] = {}
         self._unread: set[str] = set()
         self.nodes: dict[str, Origin] = {}
-        """By path from the tree, with its kind behind it, where each node was written."""
+        """By path from the tree, including the node's kind, the origin of each node."""
         self.problems: list[LocatedProblem] = []
         """Values that cannot be read."""
 
     def short_form(self, written: ParsedNode) -> dict[str, Any]:
-        """The node of the short form. The places of all that is in it are noted."""
+        """Return the node in the short form, and note the positions of everything in it."""
         return self._node(written, self._path)
 
     def called(self, path: str) -> str:
-        """How another node is called in a message."""
+        """Return the name of another node for messages."""
         origin, _ = self._find(path)
         return f"{origin.label} in {origin.place}"
 
     def problem(self, found: Problem) -> LocatedProblem:
-        """A problem with the short form as one of the text."""
+        """Convert a problem with the short form into one with the text."""
         origin, port = self._find(found.path)
         return origin.problem(self._path, found.message, port)
 
     def told(self, found: Problem) -> bool:
-        """Whether a problem with the short form is with a value that could not be read, which was said already."""
+        """Return whether a problem concerns a value that could not be read, which was reported already."""
         return found.path in self._unread
 
     def _node(self, written: ParsedNode, path: str) -> dict[str, Any]:
@@ -126,7 +126,7 @@ class SourceMap:
                 self._node(child, f"{path}.{written.key}[{index}]") for index, child in enumerate(written.children)
             ]
         else:
-            node.setdefault(written.key, {})  # a leaf that is given nothing
+            node.setdefault(written.key, {})  # a leaf without any value
         return node
 
     def _value(self, written: ParsedNode, port: str, path: str) -> Any:
@@ -143,8 +143,8 @@ class SourceMap:
 
 
 def refusal(found: Iterable[LocatedProblem], path: str) -> TreeError:
-    """The error of a text with these problems, in the order of the text."""
-    # A subtree that is used twice has its mistakes once.
+    """Return the error of a text with these problems, in the order of the text."""
+    # A subtree that is used twice reports its problems once.
     listed = sorted(dict.fromkeys(found), key=lambda one: (one.line, one.column))
     problems = [one.problem for one in listed[:MOST_PROBLEMS]]
     if len(listed) > MOST_PROBLEMS:

@@ -1,4 +1,4 @@
-"""Reads values of steps that are not texts in the short form from languages that only have texts."""
+"""Reads values of steps from languages that only have texts, if the short form has another type."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ def names_of(text: str) -> list[str]:
 
 
 def whole_of(text: str) -> int | str:
-    """Return a whole number, or the text itself if it is none, which the short form then refuses."""
+    """Return a whole number. Other text is returned unchanged, and the short form then refuses it."""
     return int(text) if re.fullmatch(r"-?[0-9]{1,9}", text.strip(), re.ASCII) else text
 
 
 READS: Mapping[str, Callable[[str], Any]] = {"structure": structure_of, "names": names_of}
-"""What reads the text of a value, by the type of its key; types that are absent here stay texts. All raise ValueError."""
+"""By the type of a key, the parser of its values; values of other types stay texts. All parsers raise ValueError."""
