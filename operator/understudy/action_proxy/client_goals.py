@@ -36,7 +36,7 @@ class AttemptState(Enum):
 
 @dataclass
 class Attempt:
-    """A goal at one instance, under an id of that attempt."""
+    """A goal at one instance, under the id that it has there."""
 
     id: str
     at: AttemptState = AttemptState.SENT
@@ -112,8 +112,10 @@ class Goal:
         return EXECUTING if working else ACCEPTED
 
     def attempt(self, uid: str) -> Attempt:
-        """Start an attempt at an instance: under the client's own id, or under a new one if that id was already used
-        there."""
+        """Start an attempt at an instance.
+
+        Its id is the client's own, or a new one if the client's was already used there.
+        """
         before = self.attempts.get(uid)
         if before is None:
             made = Attempt(self.id)

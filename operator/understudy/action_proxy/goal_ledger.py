@@ -143,8 +143,10 @@ class GoalLedger:
         self.goals[id] = Goal(id, action, data, self._number, received=now, request=request)
 
     def cancel(self, action: str, id: str, until: int, request: RequestKey, now: float) -> None:
-        """Record a client's request to cancel a goal, the goals accepted up to a time (Unix nanoseconds), or, with
-        neither, all."""
+        """Record a client's request to cancel goals.
+
+        These are one goal, the goals accepted up to a time (Unix nanoseconds), or, with neither, all.
+        """
         mine = [g for g in self.goals.values() if g.action == action and g.phase is not Phase.PENDING]
         chosen = [g for g in mine if (not id and not until) or g.id == id or (until and g.accepted <= until)]
         open_ones = [goal for goal in chosen if goal.open]

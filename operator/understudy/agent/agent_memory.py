@@ -38,8 +38,10 @@ class AgentMemory:
     """What a procedure brought the instance to, under the monitor's name for it."""
 
     def variables(self, containers: Sequence[str]) -> dict[str, dict[str, str]]:
-        """Return the environment of each held container: that of the robot's graph, overridden by the container's
-        own."""
+        """Return the environment of each held container.
+
+        It is that of the robot's graph, overridden by the container's own.
+        """
         return {name: {**self.ros, **self.environment.get(name, {})} for name in containers}
 
     @classmethod

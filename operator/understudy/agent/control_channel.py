@@ -205,8 +205,10 @@ class ControlChannel:
             writer.close()
 
     def _limit_silence(self, writer: asyncio.StreamWriter) -> None:
-        """Let the kernel detect that the other side has gone, because the status of every second is not
-        acknowledged."""
+        """Let the kernel detect that the other side has gone.
+
+        The agent sends the status every second, so the other side has gone if nothing is acknowledged.
+        """
         sock = writer.get_extra_info("socket")
         with contextlib.suppress(OSError):
             sock.setsockopt(socket.IPPROTO_TCP, _TCP_USER_TIMEOUT, _UNACKNOWLEDGED)

@@ -80,8 +80,10 @@ class HeldContainers:
             make_fifo(self._directory / hold_script.wake_name(container))
 
     def missing(self) -> list[str]:
-        """Return the containers that do not wait (yet): they are still being created, are reading their warm paths, or
-        have ended."""
+        """Return the containers that do not wait (yet).
+
+        They are still being created, are reading their warm paths, or have ended.
+        """
         return [container for container in self.containers if not self._waits(container)]
 
     def start(self, environment: Mapping[str, Mapping[str, str]]) -> None:

@@ -63,7 +63,7 @@ class Permit:
     """When somebody was asked last."""
     evaluated_at: float | None = None
     apiserver_since: float | None = None
-    """Since when every attempt has reached the API server; None if the last one failed."""
+    """Since when every attempt has reached the API server; None while attempts fail."""
 
     @property
     def frozen(self) -> bool:

@@ -1,8 +1,8 @@
 """``understudy prepare``: an init container that writes the DDS profiles of its pod before any of its processes reads
 them.
 
-It also creates the FIFOs that hold and freeze the containers. Only pods whose profiles need values that are not known
-before they start have this container.
+It also creates the FIFOs that freeze containers. Only pods whose profiles need values that are not known before they
+start have this container.
 """
 
 from __future__ import annotations

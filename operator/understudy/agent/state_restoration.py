@@ -168,8 +168,7 @@ class StateRestorer:
     async def inspect(
         self, parameters: Mapping[str, Sequence[str]], lifecycle: Sequence[str], *, within: float
     ) -> dict[str, Any]:
-        """Return values of parameters by node, states of managed nodes, and by node why some could not be
-        determined."""
+        """Return values of parameters, states of managed nodes, and why some could not be determined, each by node."""
         from understudy.ros.actions.instance_calls import CallFailed
 
         found: dict[str, Any] = {"parameters": {}, "lifecycle": {}, "problems": []}

@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 _logger = logging.getLogger(__name__)
 
 LOOK = 0.05
-"""Seconds between looks for a server that a goal waits for."""
+"""Seconds between checks for a server that a goal waits for."""
 
 WATCH = 1.0
-"""Seconds between looks at whether the server of a goal is still the one that accepted it."""
+"""Seconds between checks of whether the server of a goal is still the one that accepted it."""
 
 ANSWER = 5.0
 """Seconds for a server's answer to a goal, or to its cancellation."""
@@ -223,8 +223,7 @@ class TaskGoals:
         await self._await_end(record, server)
 
     async def _is_known(self, record: _Record, server: ActionClient) -> bool:
-        """Whether a server that rejects a goal does so because it already has the goal, from an earlier agent of this
-        pod."""
+        """Whether a server rejects a goal because it already has the goal, from an earlier agent of this pod."""
         asking = asyncio.ensure_future(server.result(record.id))
         try:
             await asyncio.wait([asking], timeout=RESOLVED)

@@ -156,8 +156,10 @@ def _of_nobody(live: Object, body: Object) -> bool:
 
 
 def refuse_foreign(live: Object, body: Object) -> None:
-    """Raise Taken unless both objects have the same controller, or neither has one and the live object has our
-    labels."""
+    """Raise Taken if the live object belongs to another owner.
+
+    It is ours if both objects have the same controller, or if neither has one and the live object has our labels.
+    """
     if not (_of_nobody(live, body) if controller_of(body) is None else same_controller(live, body)):
         found = controller_of(live)
         owner = f"{found['kind']} {found['name']}" if found else "nobody of ours"

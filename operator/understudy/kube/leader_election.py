@@ -36,11 +36,11 @@ class Timing:
     """
 
     lasts: float = 15.0
-    """A lease that is unchanged for so long may be taken over."""
+    """Seconds after which an unchanged lease may be taken over."""
 
     renew_within: float = 10.0
-    """A holder that could not renew for so long gives up. It is less than ``lasts``, so that the holder stops before
-    another starts."""
+    """Seconds after which a holder that could not renew gives up. Less than ``lasts``, so that it stops before another
+    starts."""
 
     every: float = 2.0
     """Seconds between two attempts to renew or to acquire it."""

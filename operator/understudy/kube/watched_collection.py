@@ -102,8 +102,10 @@ class Reflector:
         return version
 
     def put(self, item: Object) -> None:
-        """Store an object that a write of ours returned, unless the watch has reported a later state, which may be its
-        deletion."""
+        """Store an object that a write of ours returned.
+
+        It is ignored if the watch has reported a later state, which may be the object's deletion.
+        """
         name = item["metadata"]["name"]
         known = self.items.get(name)
         if known is not None and version_of(known) >= version_of(item):
@@ -128,8 +130,10 @@ class Reflector:
         self._changed = asyncio.Event()
 
     def changed(self) -> Awaitable[object]:
-        """Return an awaitable that ends with the next change from now on, also if that comes before the caller awaits
-        it."""
+        """Return an awaitable that ends with the next change from now on.
+
+        It also ends if that change comes before the caller awaits it.
+        """
         return self._changed.wait()
 
 

@@ -1,5 +1,4 @@
-"""Reads a camera's calibration from a file (YAML) in the format of ROS' camera_calibration and
-camera_calibration_parsers."""
+"""Reads a camera's calibration from a YAML file of ROS' camera_calibration and camera_calibration_parsers."""
 
 from __future__ import annotations
 

@@ -57,8 +57,10 @@ def view_of(pose: CameraPose) -> View:
 
 
 def square(size: float, x: float = 0.0, y: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Matrix:
-    """Return the corners of a marker that lies flat, in the order of Corners: at a yaw of 0 its right edge is ahead
-    (+x)."""
+    """Return the corners of a marker that lies flat, in the order of Corners.
+
+    At a yaw of 0 its right edge is ahead (+x).
+    """
     half = size / 2
     flat = np.array([[-half, half], [half, half], [half, -half], [-half, -half]])
     c, s = math.cos(yaw), math.sin(yaw)

@@ -60,8 +60,10 @@ class Calibration(NamedTuple):
     height: int
 
     def rays(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where rays through pixels (n x 2) meet the plane one metre in front of the camera, without
-        distortion."""
+        """Return where rays through pixels (n x 2) meet the plane one metre in front of the camera.
+
+        The result is without distortion.
+        """
         points = np.ascontiguousarray(pixels, np.float64).reshape(-1, 1, 2)
         if self.fisheye:
             found = cv2.fisheye.undistortPoints(points, self.matrix, self.distortion)

@@ -28,7 +28,7 @@ class GateRecord:
     """The record in a gate object's annotations, for every kind of gate."""
 
     epoch: int
-    """Grows by one with every commit. Whoever acts on an older one is refused."""
+    """Grows by one with every commit. A command with an older epoch is refused."""
     active: str
     """The pod in control; empty while the gate is closed."""
     active_uid: str

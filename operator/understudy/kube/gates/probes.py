@@ -187,8 +187,10 @@ class ProbeSender:
 
 
 class ProbeReceiver:
-    """Records when each pod's probes arrive, by the kernel's timestamp, so that a busy process does not record them
-    late."""
+    """Records when each pod's probes arrive.
+
+    The times are the kernel's timestamps, so that a busy process does not record them late.
+    """
 
     PODS = 256
     """Pods that are remembered. If there are more, the one that was silent for longest is forgotten."""

@@ -1,4 +1,4 @@
-"""Finds the gate kind of a workload, and the resources of which gates consist."""
+"""Finds the gate kind of a workload, and the resources of the objects that form gates."""
 
 from __future__ import annotations
 

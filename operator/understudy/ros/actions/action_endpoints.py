@@ -1,9 +1,9 @@
 """Clients and servers of actions of any installed type, with goals, feedback and results as serialized bytes.
 
 An action is three services and two topics under ``NAME/_action`` (REP-2011's successor in design.ros2.org, "Actions").
-This module uses them directly, because rclpy's own client creates a new goal id for a goal that is passed on, and
-rclpy's server answers a goal or a request for its result only within the process that received it. The task proxy keeps
-the client's goal id, and may answer after its own restart.
+This module uses them directly, because the task proxy keeps the client's goal id and may answer after its own restart.
+rclpy's client creates a new goal id for a goal that is passed on. rclpy's server answers a goal, or a request for its
+result, only within the process that received it.
 """
 
 from __future__ import annotations
@@ -257,8 +257,10 @@ class ActionServer:
         self._served.do(send)
 
     def _written_by(self, name: str, request: RequestId) -> RequestId | None:
-        """Return the identity under which a request to an earlier process can be answered; None while its client is not
-        discovered."""
+        """Return the identity with which a request to an earlier process can be answered.
+
+        None while the client of the request is not discovered.
+        """
         topic = f"{self.action}/_action/{name}"
         node = self._served.node
         readers = node.get_subscriptions_info_by_topic(f"rr{topic}Reply", no_mangle=True)

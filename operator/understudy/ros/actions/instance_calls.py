@@ -123,7 +123,7 @@ class InstanceCaller:
     ) -> dict[str, Any]:
         """Return the answer of a service (``package/srv/Name``), waiting for the service too. Raises CallFailed.
 
-        With ``repeat``, the request is repeated after so many seconds without an answer, as often as necessary.
+        With ``repeat``, the request is repeated after that number of seconds without an answer, as often as necessary.
         """
         async with self._bound(f"service {service}", within) as (opened, bound):
             return to_mapping(await _asked(opened, bound, service, type_name, request, repeat=repeat))

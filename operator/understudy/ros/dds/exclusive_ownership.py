@@ -1,6 +1,6 @@
 """DDS exclusive ownership in XML profiles, with which a robot's reader changes from one writer to another by itself.
 
-A reader with exclusive ownership delivers the samples of the strongest live writer only, and changes to the next one if
+A reader with exclusive ownership delivers only the samples of the strongest live writer. It changes to the next one if
 that writer was silent for the reader's deadline (DDS 1.4, 2.2.3.9 and 2.2.3.7). rmw_fastrtps keeps ownership, strength
 and deadline of a profile if the node itself sets no deadline. Reader and writer match only if both are exclusive and
 the writer offers a deadline that is not longer than the reader's.
@@ -19,8 +19,10 @@ _EXCLUSIVE = "<ownership><kind>EXCLUSIVE</kind></ownership>"
 
 
 def robot_reader(reflex: Reflex) -> str:
-    """Return the QoS of an output's reader on the robot's side, and of the monitor, which must receive what the robot
-    receives."""
+    """Return the QoS of an output's reader on the robot's side.
+
+    It is also that of the monitor, which must receive what the robot receives.
+    """
     return f"<qos>{_EXCLUSIVE}{_deadline(seconds(reflex.deadline))}</qos>"
 
 

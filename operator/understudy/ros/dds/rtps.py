@@ -238,8 +238,10 @@ def farewell(prefix: bytes, *, to: bytes = b"") -> bytes:
 
 
 def acknowledgement(prefix: bytes, writer: bytes, missing: Sequence[int], *, then: int, count: int) -> bytes:
-    """Return a reader's request for the samples of a writer that are missing, oldest first; ``then`` is the number of
-    the next sample."""
+    """Return a reader's request for the missing samples of a writer, oldest first.
+
+    ``then`` is the number of the next sample.
+    """
     base = missing[0] if missing else then
     wanted = [number - base for number in missing if number - base < MOST_MISSING]
     bits = wanted[-1] + 1 if wanted else 0

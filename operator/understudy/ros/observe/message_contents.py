@@ -27,8 +27,10 @@ _LITTLE, _BIG = struct.Struct("<iI"), struct.Struct(">iI")
 
 
 def ours(data: bytes) -> bool:
-    """Whether a serialized DiagnosticArray (its first OURS bytes are enough) was published by an Understudy, and so is
-    no evidence."""
+    """Whether a serialized DiagnosticArray was published by an Understudy, and so is no evidence.
+
+    Its first OURS bytes are enough.
+    """
     return data[_NAME] == _OWN
 
 

@@ -50,8 +50,10 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         return f"{subject[0]}/get_parameters", GET_PARAMETERS
 
     def request(self, subject: tuple[str, str], type_: Any) -> Any:
-        """Return the request for one parameter: a node that lacks one of several parameters does not report the others
-        either."""
+        """Return the request for one parameter.
+
+        A node that lacks one of several parameters does not report the others either.
+        """
         return type_.Request(names=[subject[1]])
 
     def answered(self, answer: Any) -> Setting:

@@ -35,8 +35,10 @@ class Sources:
         return self._pods.get(MIDDLEWARE.host_of(gid), ())
 
     def pod(self, gid: bytes) -> str | None:
-        """Return the pod that contains the writer with this GID; None if it is none of them, or may be more than
-        one."""
+        """Return the pod that contains the writer with this GID.
+
+        None if it is in none of the pods, or may be in more than one.
+        """
         names = self.candidates(gid)
         return names[0] if len(names) == 1 else None
 

@@ -459,8 +459,10 @@ class TopicWatch:
         return topic.active if topic is not None else {}
 
     def task(self, name: str) -> float | None:
-        """Return since when the active instance (or a process that is no instance, such as a proxy) has had an active
-        goal."""
+        """Return since when the active instance has had an active goal.
+
+        A goal of a process that is no instance, such as a proxy, counts too.
+        """
         topic = self._topics.get(name)
         if topic is None:
             return None
@@ -493,14 +495,18 @@ class TopicWatch:
         return topic.sources if topic is not None else {}
 
     def last_from(self, name: str, pod: str) -> float | None:
-        """Return when a topic was last received from a pod; None for never, or if the pod cannot be distinguished from
-        another."""
+        """Return when a topic was last received from a pod.
+
+        None for never, or if the pod cannot be distinguished from another.
+        """
         record = self._record_of(name, pod)
         return record.last if record is not None else None
 
     def arrivals(self, name: str, pod: str) -> Sequence[float]:
-        """Return when a topic was received from a pod, within HISTORY; empty if the pod cannot be distinguished from
-        another."""
+        """Return when a topic was received from a pod, within HISTORY.
+
+        Empty if the pod cannot be distinguished from another.
+        """
         record = self._record_of(name, pod)
         return record.arrivals if record is not None else ()
 

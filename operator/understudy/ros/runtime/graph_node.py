@@ -115,8 +115,10 @@ class Graph:
         return int(self.node.count_publishers(topic))
 
     def endpoints_of(self, node: str) -> list[Endpoint]:
-        """Return publishers and subscribers of a node, or of several of that full name: those of one of its topics, if
-        it has any."""
+        """Return publishers and subscribers of a node, or of several of that full name.
+
+        These are its endpoints on the first of its topics that shows any; empty if none does.
+        """
         namespace, _, name = node.rpartition("/")
         try:
             published = self.node.get_publisher_names_and_types_by_node(name, namespace or "/")
