@@ -1,4 +1,4 @@
-"""What ``scripts/generate`` writes."""
+"""Builds everything that ``scripts/generate`` writes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LIBRARY = Path("operator/understudy/trees/languages/osc/lib_osc/understudy.osc")
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML as people write it: no anchors, lists indented under their key."""
+    """Writes YAML as people do: without anchors, and with lists indented below their key."""
 
     def ignore_aliases(self, data: Any) -> bool:
         """Never write an anchor."""
@@ -34,14 +34,15 @@ class _Dumper(yaml.SafeDumper):
 
 
 def to_yaml(data: Mapping[str, Any]) -> str:
-    """Data as YAML, in its own order."""
+    """Return data as YAML, in its own order."""
     return yaml.dump(dict(data), Dumper=_Dumper, sort_keys=False, width=120)
 
 
 def outputs(root: Path) -> dict[Path, str]:
-    """The text of every generated file by its path in the project.
+    """Return the text of every generated file by its path in the project.
 
-    ``root`` is where the hand-written parts are read from: the chart's values, its README around the table, and the pages about trees.
+    ``root`` is the folder with the hand-written parts: the chart's values, its README around the table, and the pages
+    about trees.
     """
     header = "# Written by scripts/generate from the models in operator/understudy/api: change those.\n"
     result: dict[Path, str] = {}

@@ -1,4 +1,4 @@
-"""The reference page of the command line, out of the parsers of its verbs."""
+"""Builds the reference page of the command line from the parsers of the verbs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ are written and with 1 if they cannot be written."""
 
 
 def page() -> str:
-    """The whole page as Markdown."""
+    """Return the whole page as Markdown."""
     where = argparse.ArgumentParser(add_help=False)
     kubectl.add_options(where)
     shared = [_row(where, action) for action in where._actions]
@@ -47,12 +47,12 @@ def page() -> str:
 
 
 def parsers() -> dict[str, argparse.ArgumentParser]:
-    """The parser of each verb that has one, by the verb."""
+    """Return the parser of each verb that has one, by the verb."""
     return {verb.name: _parser(verb.module) for verb in sorted(VERBS) if verb.has_options}
 
 
 class _Asked(BaseException):
-    """Ends a verb at the moment at which its parser is whole."""
+    """Ends a verb as soon as its parser is complete."""
 
 
 def _parser(module: str) -> argparse.ArgumentParser:
@@ -71,7 +71,7 @@ def _parser(module: str) -> argparse.ArgumentParser:
 
 
 def _needed(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """What stands behind a verb: its arguments, and the options that it must have."""
+    """Yield what must follow a verb: its arguments and its required options."""
     for action in parser._actions:
         name = _value(action)
         if not action.option_strings:
@@ -81,7 +81,7 @@ def _needed(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 
 def _value(action: argparse.Action) -> str:
-    """The word that stands for the value of an argument or option."""
+    """Return the word that stands for the value of an argument or option."""
     choices = "|".join(action.choices) if isinstance(action.choices, list | tuple) else ""
     return str(action.metavar or choices or action.dest.upper())
 
@@ -102,5 +102,5 @@ def _cell(text: str) -> str:
 
 
 def _text(parser: argparse.ArgumentParser, text: str | None, **values: Any) -> str:
-    """What a parser says, with what is meant where it names a value, and nothing in it that Markdown would take for its own."""
+    """Return a text of a parser in one line, with its placeholders filled in and asterisks escaped for Markdown."""
     return " ".join(((text or "") % {**values, "prog": parser.prog}).replace("*", "\\*").split())

@@ -1,4 +1,4 @@
-"""The diagrams of the pages, by the words that the code has."""
+"""Draws the diagrams of the pages, with the names that the code uses."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from understudy.cli.common.time_bars import NAMES
 
 
 def architecture() -> str:
-    """Who is between a robot and what drives it."""
+    """Draw the components between a robot and the application that drives it."""
     drawn = Diagram(
         980,
         445,
@@ -87,7 +87,7 @@ def architecture() -> str:
 
 
 def _pod(drawn: Diagram, top: float, name: str, does: str, where: str, colour: str, fill: str, **look: Any) -> None:
-    """One of the application's pods, with what it does and where it runs."""
+    """Draw one of the application's pods, with what it does and where it runs."""
     drawn.box((440, top), (240, 84), colour, fill, title=name, lines=[(does, INK), (where, PALE)], **look)
 
 
@@ -101,7 +101,8 @@ Steps = tuple[tuple[float, str, str], ...]
 
 
 def _anew(closing: str, starting: str) -> Steps:
-    """What is done where processes have to be started: what comes with closing the gate, and what is waited for then."""
+    """Return the steps if processes must be started: what happens with the closing of the gate, and what is awaited
+    then."""
     return (2.1, "cluster", f"gate closed, {closing}"), (1.5, "startup", starting), RESTORED, OPENED
 
 
@@ -111,14 +112,15 @@ STEPS: dict[str, tuple[str, Steps]] = {
     "Uninitialized": ("F is any pod of the pool", _anew("pod claimed", "processes begin")),
     "Restart": ("nothing waits", _anew("P deleted", "next pod begins")),
 }
-"""By the readiness of what waits: what that is, and what is done once the failure is noticed, each with its width, its part and words."""
+"""By readiness of the fallback: its description, and the steps after the detection, each with its width, its part and
+its text."""
 
 _LEFT, _UNIT, _ROW, _HIGH = 188.0, 78.0, 62.0, 38.0
 _DETECTION = 1.35
 
 
 def failover() -> str:
-    """What happens from a failure on, by each strategy."""
+    """Draw the steps after a failure for each strategy."""
     if set(STEPS) != {*get_args(Readiness), "Restart"} or set(PARTS) != set(NAMES):
         raise ValueError("the strategies or the parts of a recovery are others than the diagram's")
     drawn = Diagram(
@@ -176,14 +178,16 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "report": ("monitor/report/recovery_report", "monitor/notices", "monitor/report/status_writer"),
 }  # fmt: skip
-"""The modules that a failure passes, by stage, in this order. What comes after the patch of the gate is `report`."""
+"""The modules through which a failure passes, by stage and in this order. What follows the patch of the gate is
+`report`."""
 
 HANDED = {"observe": "samples", "judge": "verdict", "decide": "failure", "act": "outcome"}
-"""What each stage hands on to the next."""
+"""What each stage passes to the next."""
 
 
 def pipeline() -> str:
-    """The monitor's stages, and the modules that a failure passes from the reader to the patch of the gate."""
+    """Draw the monitor's stages, and the modules through which a failure passes from the reader to the patch of the
+    gate."""
     folder = Path(understudy.__file__).parent
     if missing := [
         module for modules in MODULES.values() for module in modules if not (folder / f"{module}.py").is_file()

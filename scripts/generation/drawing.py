@@ -1,4 +1,4 @@
-"""What diagrams are drawn with: boxes, arrows and words, as SVG that a browser shows without any script or font of its own."""
+"""Draws diagrams of boxes, arrows and words as SVG that a browser shows without scripts or fonts of its own."""
 
 from __future__ import annotations
 
@@ -12,31 +12,31 @@ WHITE = "#ffffff"
 
 _FONT = "Helvetica, Arial, 'DejaVu Sans', sans-serif"
 _LINE = 16
-"""From a line of a text to the next."""
+"""Distance between two lines of text."""
 
 Point = tuple[float, float]
 
 
 @dataclass
 class Diagram:
-    """One picture, in pixels from its upper left corner. What is drawn later lies above."""
+    """One picture, in pixels from its upper left corner. Later elements cover earlier ones."""
 
     width: int
     height: int
     title: str
     description: str
-    """For those who can't see it."""
+    """The description for screen readers."""
     _parts: list[str] = field(default_factory=list)
     _heads: set[str] = field(default_factory=set)
 
     def part(self, name: str) -> None:
-        """Begin a part, for who reads the file."""
+        """Start a part with a name, for readers of the file."""
         self._parts += ["", f"<!-- {escape(name)} -->"]
 
     def text(
         self, at: Point, words: str, colour: str = INK, *, size: int = 12, bold: bool = False, anchor: str = "middle"
     ) -> None:
-        """Words in one line; ``at`` is where their middle (or their start or end) stands."""
+        """Draw one line of text; ``at`` is the position of its middle (or of its start or end)."""
         weight = ' font-weight="bold"' if bold else ""
         self._parts.append(
             f'<text x="{at[0]:g}" y="{at[1]:g}" text-anchor="{anchor}" font-size="{size}"{weight} fill="{colour}">{escape(words)}</text>'
@@ -54,7 +54,8 @@ class Diagram:
         dashed: bool = False,
         titled: str = "",
     ) -> None:
-        """A box with a title and lines of words (each with its colour) in its middle; ``titled`` is the title's colour."""
+        """Draw a box with a title and lines of text (each with its colour) in its middle; ``titled`` is the title's
+        colour."""
         dashes = ' stroke-dasharray="7 4"' if dashed else ""
         self._parts.append(
             f'<rect x="{corner[0]:g}" y="{corner[1]:g}" width="{size[0]:g}" height="{size[1]:g}" rx="7" fill="{fill}" '
@@ -71,7 +72,7 @@ class Diagram:
     def line(
         self, points: Sequence[Point], colour: str, width: float = 2.0, *, head: bool = False, dashes: str = ""
     ) -> None:
-        """A line from point to point, with an arrow's head at its end where it has one."""
+        """Draw a line through points, with an arrow head at its end if requested."""
         path = " L".join(f"{x:g} {y:g}" for x, y in points)
         more = f' stroke-dasharray="{dashes}"' if dashes else ""
         if head:
@@ -80,13 +81,13 @@ class Diagram:
         self._parts.append(f'<path d="M{path}" fill="none" stroke="{colour}" stroke-width="{width:g}"{more}/>')
 
     def cross(self, at: Point, colour: str = RED) -> None:
-        """Where something doesn't get through."""
+        """Draw a cross, which marks where something is blocked."""
         (x, y), arm = at, 7
         for step in (arm, -arm):
             self.line([(x - arm, y - step), (x + arm, y + step)], colour, 2.6)
 
     def svg(self) -> str:
-        """The whole file."""
+        """Return the whole file."""
         heads = [
             f'<marker id="{_head(colour)}" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="7" markerHeight="7" orient="auto">'
             f'<path d="M0 0 10 5 0 10z" fill="{colour}"/></marker>'

@@ -1,4 +1,4 @@
-"""The reference page of leaves, from what each declares and what its loader says of one that is given nothing."""
+"""Builds the reference page of leaves from their declarations, and from the errors of the loader for an empty leaf."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ _TYPES: Mapping[str, str] = {
     "float": "number",
     **{name: " \\| ".join(f"`{member}`" for member in members) for name, members in ENUMS.items()},
 }
-"""How the types of arguments are told."""
+"""The names of argument types on the page."""
 
 _READ: Mapping[Callable[[str], Any] | None, str] = {structure_of: "structure", names_of: "list of names"}
-"""How those are told whose values other languages have as texts."""
+"""The names of types whose values are texts in other languages."""
 
 _DRIVEN = {"topic": {"name": "/cmd_vel", "gap": "1s"}}
-"""Some leaf, for what must have one."""
+"""An example leaf, for nodes that must contain one."""
 
 
 _TAGS: Mapping[str, str] = {
@@ -117,7 +117,7 @@ def _default(key: Key, required: bool) -> str:
 
 
 def _given_nothing(key: str) -> list[Problem]:
-    """What the loader says of a node without any of its values."""
+    """Return the problems that the loader reports for a node without any values."""
     try:
         if key == "while":
             load({"while": {"task_active": {}}, "do": _DRIVEN}, path="spec")

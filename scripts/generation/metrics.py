@@ -1,4 +1,4 @@
-"""The reference page of metrics, out of the metrics themselves."""
+"""Builds the reference page of metrics from the metrics themselves."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ for a robot is in [metrics, alerts and dashboards](../metrics.md). Of a histogra
 
 
 def page() -> str:
-    """All metrics of ours in Markdown, by who tells them."""
+    """Return a page with all metrics of Understudy as Markdown, by the component that exposes them."""
     lines = [_INTRODUCTION]
     for who, described in (("operator", _operator()), ("monitor", _monitor())):
         lines += ["", f"## Of the {who}", "", "| metric | type | labels | what it says |", "| --- | --- | --- | --- |"]
@@ -37,7 +37,7 @@ def page() -> str:
 
 
 def exposed() -> set[str]:
-    """The names of all series of ours, as Prometheus stores them."""
+    """Return the names of all series of Understudy, as Prometheus stores them."""
     endings = {"counter": ("_total",), "histogram": ("_bucket", "_sum", "_count")}
     return {m.name + end for m, _ in (*_operator(), *_monitor()) for end in endings.get(m.type, ("",))}
 

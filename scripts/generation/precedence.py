@@ -1,4 +1,4 @@
-"""The table of precedence in ``docs/limits.md``, from ``failover/decide.py``."""
+"""Builds the table of precedence in ``docs/limits.md`` from ``failover/decide.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reference page of the API, from the same schemas as the CustomResourceDefinitions."""
+"""Builds the reference page of the API from the schemas of the CustomResourceDefinitions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Schema = dict[str, Any]
 
 
 def page() -> str:
-    """The whole page as Markdown."""
+    """Return the whole page as Markdown."""
     links = ", ".join(f"[{kind.name}](#{kind.singular})" for kind in KINDS)
     lines = [
         "# API reference",
@@ -62,7 +62,7 @@ def _kind(kind: Kind) -> Iterator[str]:
 
 
 def _fields(schema: Schema, path: str) -> Iterator[tuple[str, Schema, bool]]:
-    """All fields below a schema, depth first: path, schema, whether required."""
+    """Yield all fields below a schema, depth first: path, schema, whether required."""
     for name, child in schema.get("properties", {}).items():
         below = f"{path}.{name}"
         yield below, child, name in schema.get("required", ())
@@ -72,7 +72,7 @@ def _fields(schema: Schema, path: str) -> Iterator[tuple[str, Schema, bool]]:
 
 
 def _rules(schema: Schema, path: str) -> Iterator[tuple[str, str]]:
-    """The messages of the rules in a schema, each with the path that it is about."""
+    """Yield the messages of the rules in a schema, each with the path that it concerns."""
     for rule in schema.get(VALIDATIONS, ()):
         yield (path + rule.get("fieldPath", "")).removeprefix(".") or "object", rule["message"]
     for name, child in schema.get("properties", {}).items():

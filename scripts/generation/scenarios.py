@@ -1,4 +1,5 @@
-"""What leaves and steps declare, as the library of OpenSCENARIO 2, and as tables and XML models in the pages about trees."""
+"""Writes the declarations of leaves and steps as the OpenSCENARIO 2 library, and as tables and XML models in the pages
+about trees."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ import {STANDARD}
 """
 
 _ACTIONS = {name: action for name, action in ACTIONS.items() if name not in PLUGINS}
-"""What other packages that are installed here bring is no part of the library."""
+"""Leaves of other installed packages are not part of the library."""
 
 _RATES: Mapping[str, str] = {
     "rate_above": "the rate is more than this",
@@ -63,7 +64,7 @@ _AROUND: Mapping[str, tuple[str, tuple[Key, ...]]] = {
         ),
     ),
 }
-"""The nodes around others, which no leaf declares."""
+"""The nodes that wrap others, which no leaf declares."""
 
 
 def summary_of(kind: str) -> str:
@@ -173,7 +174,7 @@ END = "<!-- end of behaviours -->"
 
 
 def table() -> str:
-    """Every behaviour with its arguments, as a table for the page about the language."""
+    """Return every behaviour with its arguments, as a table for the page about the language."""
     lines = ["| behaviour | in the short form | arguments, in their order |", "| --- | --- | --- |"]
     for behaviors, where in ((_ACTIONS, ""), (MODIFIERS, ", in a `with:`")):
         for name, behavior in behaviors.items():
@@ -186,7 +187,7 @@ def table() -> str:
 
 
 def _told(behavior: Behavior, argument: Argument) -> str:
-    """An argument, with its key where that is called otherwise and not just more shortly."""
+    """Describe an argument, with its key if the argument's name does not contain the key."""
     key = argument.where.rpartition(".")[2]
     told = f"`{argument.name}`"
     return told if key in argument.name or argument.name in RATES else f"{told}, which is the `{key}`"
@@ -233,9 +234,9 @@ PROCEDURES_END = "<!-- end of languages -->"
 
 
 def languages() -> str:
-    """Every node of procedures in the three languages, as a table for the page about them."""
+    """Return every node of procedures in the three languages, as a table for the page about them."""
     own = {key: tag for tag, node in xml.PROCEDURES.nodes.items() if (key := node.key) not in ACTIONS}
-    tags = {**own, "sequence": "Sequence", "selector": "Fallback"}  # and not what means the same
+    tags = {**own, "sequence": "Sequence", "selector": "Fallback"}  # not the tags that mean the same
     operators = {key: f"`{operator}:`" for operator, key in COMPOSITIONS.items()}
     lines = ["| in the short form | in XML | in OpenSCENARIO 2 |", "| --- | --- | --- |"]
     for key in (

@@ -1,6 +1,6 @@
-"""The table of the chart's values, from the comments in ``values.yaml``.
+"""Builds the table of the chart's values from the comments in ``values.yaml``.
 
-A comment that begins with ``# --`` describes the key on the next line that isn't a comment; a table cell is made from it.
+A comment that begins with ``# --`` describes the key on the next line that is not a comment. It becomes a table cell.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class Value:
 
 
 def documented(text: str) -> Iterator[Value]:
-    """The described values in their order.
+    """Yield the described values in their order.
 
-    Raises ValueError for a leaf that nobody described.
+    Raises ValueError for a leaf without a description.
     """
     data = yaml.safe_load(text)
     parents: list[str] = []
@@ -60,15 +60,15 @@ def documented(text: str) -> Iterator[Value]:
 
 
 def table(text: str) -> str:
-    """The table as Markdown."""
+    """Return the table as Markdown."""
     rows = [f"| `{value.path}` | {value.description} | `{json.dumps(value.default)}` |" for value in documented(text)]
     return "\n".join(["| value | what it does | default |", "| --- | --- | --- |", *rows])
 
 
 def between_markers(page: str, content: str, first: str = BEGIN, last: str = END) -> str:
-    """The page with what stands between the two markers replaced.
+    """Return the page with the content between the two markers replaced.
 
-    Raises ValueError where a marker is missing.
+    Raises ValueError if a marker is missing.
     """
     before, begin, rest = page.partition(first)
     _, end, after = rest.partition(last)

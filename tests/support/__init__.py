@@ -1,1 +1,1 @@
-"""What tests of several parts need."""
+"""Helpers that several parts of the tests share."""

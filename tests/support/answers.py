@@ -1,4 +1,4 @@
-"""What an API server makes of a patch and of a list, for those that stand for one in tests."""
+"""How an API server applies a patch and formats a list, for tests that stand in for one."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any
 from understudy.kube.client import ApiError, Object
 
 COLUMNS = ("Name", "Ready", "Status", "Restarts", "Age", "IP", "Node", "Nominated Node", "Readiness Gates")
-"""Of a table of pods (Kubernetes 1.34)."""
+"""Columns of a table of pods (Kubernetes 1.34)."""
 
 
 def json_patched(item: Object, operations: list[Object]) -> Object:
-    """An object after a JSON patch (RFC 6902) of tests, additions and removals. Raises ApiError as an API server refuses one."""
+    """Apply a JSON patch (RFC 6902) with tests, additions and removals. Raises ApiError as an API server refuses
+    one."""
     made = copy.deepcopy(item)
     for operation in operations:
         *way, last = (key.replace("~1", "/").replace("~0", "~") for key in operation["path"].split("/")[1:])
@@ -31,7 +32,7 @@ def json_patched(item: Object, operations: list[Object]) -> Object:
 
 
 def tabled(pods: Object) -> Object:
-    """A list of pods as a table without the pods themselves."""
+    """Return a list of pods as a table without the pods themselves."""
     return {
         "kind": "Table",
         "apiVersion": "meta.k8s.io/v1",

@@ -1,4 +1,4 @@
-"""Bags for tests, written as a recorder would write them."""
+"""Writes bags for tests, as a recorder would write them."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ class Said(NamedTuple):
 
 
 def every(topic: str, type_: str, begin: float, end: float, hertz: float, **fields: Any) -> list[Said]:
-    """Messages at a rate, from a time to another."""
+    """Return messages at a rate, from one time to another."""
     return [Said(begin + n / hertz, topic, type_, fields) for n in range(round((end - begin) * hertz))]
 
 
 def message(type_: str, fields: Mapping[str, Any]) -> Any:
-    """A message whose other fields are empty."""
+    """Build a message; fields that are not given are empty."""
     cls, descriptions = STORE.types[type_], STORE.fielddefs[type_][1]
     return cls(**{name: _value(description, fields.get(name)) for name, description in descriptions})
 
@@ -56,17 +56,17 @@ def _value(description: Any, given: Any) -> Any:
 
 
 def ns(at: float) -> int:
-    """A time in seconds from START as a bag has it."""
+    """Convert seconds from START into the time format of a bag."""
     return START * NS + round(at * NS)
 
 
 def unix(at: float) -> float:
-    """The same as what reads a bag has it."""
+    """Convert seconds from START into the time format of a bag's readers."""
     return ns(at) * 1e-9
 
 
 def write(path: Path, said: Iterable[Said], storage: Storage = "mcap", also: Mapping[str, str] | None = None) -> Path:
-    """Write a bag folder; ``also`` are topics with their types of which nothing was received."""
+    """Write a bag folder; ``also`` lists topics with their types without any messages."""
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     said = sorted(said, key=lambda one: one.at)
     with Writer(path, version=9, storage_plugin=plugin) as writer:
@@ -79,7 +79,7 @@ def write(path: Path, said: Iterable[Said], storage: Storage = "mcap", also: Map
 
 
 def policy(tree: str, *, name: str = "tried", debounce: str = "0s", grace: str = "30s") -> str:
-    """A manifest whose health tree is given in YAML's flow style."""
+    """Return a manifest with a health tree, which is given in YAML's flow style."""
     return (
         f"apiVersion: understudy.dev/v1alpha1\nkind: FailurePolicy\nmetadata: {{name: {name}}}\nspec:\n"
         f"  monitoring: {{debounce: {debounce}, startupGrace: {grace}, yaml: {tree}}}\n"

@@ -1,4 +1,5 @@
-"""The cluster under test, through the official client: tests must not see it through the code that they test."""
+"""Accesses the cluster under test with the official client, because tests must not use the code that they test for
+that."""
 
 from __future__ import annotations
 
@@ -22,7 +23,7 @@ APPLY = "application/apply-patch+yaml"
 
 
 class Refused(Exception):
-    """The API server said no."""
+    """The API server refused a request."""
 
     def __init__(self, status: int, reason: str, message: str) -> None:
         super().__init__(f"{status} {reason}: {message}")
@@ -49,7 +50,7 @@ class Cluster:
         content_type: str = "application/json",
         user: str | None = None,
     ) -> Object:
-        """One request, as another user if one is named. Raises Refused."""
+        """Send one request, as another user if one is named. Raises Refused."""
         headers = {"Content-Type": content_type} | ({"Impersonate-User": user} if user is not None else {})
         data = None if body is None else json.dumps(body).encode()
         response = self._send(method, path, params, headers, body=data, timeout=30.0)
@@ -62,14 +63,14 @@ class Cluster:
         self, method: str, path: str, params: Mapping[str, str] | None, headers: Mapping[str, str], **more: Any
     ) -> Any:
         found = {"Accept": "application/json", **headers}
-        for setting in self._api.configuration.auth_settings().values():  # a token, where there is one
+        for setting in self._api.configuration.auth_settings().values():  # a token, if the configuration has one
             if setting["in"] == "header":
                 found[setting["key"]] = setting["value"]
         url = f"{self._api.configuration.host}{path}{f'?{urlencode(params)}' if params else ''}"
         return self._api.rest_client.pool_manager.request(method, url, headers=found, retries=False, **more)
 
     def watch(self, api_version: str, kind: str, namespace: str) -> Iterator[tuple[str, Object]]:
-        """What is so now, as added, and then every change, for as long as the API server tells of them."""
+        """Yield the present objects as added, and then every change for as long as the API server sends them."""
         path = self.path(api_version, kind, namespace)
         response = self._send("GET", path, {"watch": "true"}, {}, preload_content=False, timeout=None)
         rest = b""
@@ -80,7 +81,7 @@ class Cluster:
                     yield event["type"], event["object"]
 
     def path(self, api_version: str, kind: str, namespace: str | None, name: str = "", subresource: str = "") -> str:
-        """The path of an object, or of its collection."""
+        """Return the path of an object, or of its collection."""
         plural, namespaced = self._resource(api_version, kind)
         parts = [_root(api_version)]
         if namespaced:
@@ -128,11 +129,11 @@ class Cluster:
     def get(
         self, api_version: str, kind: str, name: str, namespace: str | None = None, subresource: str = ""
     ) -> Object:
-        """An object. Raises Refused with 404 where it isn't there."""
+        """Return an object. Raises Refused with 404 if it does not exist."""
         return self.request("GET", self.path(api_version, kind, namespace, name, subresource))
 
     def find(self, api_version: str, kind: str, name: str, namespace: str | None = None) -> Object | None:
-        """An object, or None."""
+        """Return an object; None if it does not exist."""
         try:
             return self.get(api_version, kind, name, namespace)
         except Refused as error:
@@ -141,13 +142,13 @@ class Cluster:
             raise
 
     def list(self, api_version: str, kind: str, namespace: str | None = None, *, labels: str = "") -> list[Object]:
-        """The objects of a kind in a namespace."""
+        """Return the objects of a kind in a namespace."""
         params = {"labelSelector": labels} if labels else {}
         items: list[Object] = self.request("GET", self.path(api_version, kind, namespace), params=params)["items"]
         return items
 
     def delete(self, item: Object, *, user: str | None = None, dry_run: bool = False) -> None:
-        """Delete an object at once, without a grace period; one that is gone is no error."""
+        """Delete an object at once, without a grace period. It is no error if the object is gone."""
         params = {"gracePeriodSeconds": "0"} | ({"dryRun": "All"} if dry_run else {})
         try:
             self.request("DELETE", self._path_of(item), params=params, user=user)
@@ -156,7 +157,7 @@ class Cluster:
                 raise
 
     def kubectl(self, *arguments: str) -> str:
-        """What kubectl prints. Raises CalledProcessError with its error output."""
+        """Run kubectl and return its output. Raises CalledProcessError with its error output."""
         command = ["kubectl", "--kubeconfig", str(self.kubeconfig), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
         if done.returncode:
@@ -175,17 +176,18 @@ class Cluster:
 
 
 def account(namespace: str, name: str) -> str:
-    """The user name of a ServiceAccount."""
+    """Return the user name of a ServiceAccount."""
     return f"system:serviceaccount:{namespace}:{name}"
 
 
 def load(file: Path) -> list[Object]:
-    """The objects in a YAML file."""
+    """Return the objects in a YAML file."""
     return [item for item in yaml.safe_load_all(file.read_text()) if item]
 
 
 def until(found: Callable[[], T], what: str, *, seconds: float = 30.0, every: float = 0.1) -> T:
-    """The first true value that a function gives. Fails, saying what was waited for and what was seen last."""
+    """Call a function until it returns a true value, and return that. The failure message names what was awaited and
+    the last value."""
     deadline = time.monotonic() + seconds
     while not (value := found()):
         if time.monotonic() > deadline:

@@ -1,6 +1,5 @@
-"""A stand-in for kubectl that answers from a file of objects, patches them, and prints a line whenever that changes where it is to
-watch.
-"""
+"""A stand-in for kubectl: it answers from a file of objects, patches them, and prints a line for each change of the
+file if it watches."""
 
 from __future__ import annotations
 
@@ -92,7 +91,7 @@ print(json.dumps(named[0] if len(named) == 1 else {{"kind": "List", "items": nam
 
 
 class FakeKubectl:
-    """What it answers, and what it was asked."""
+    """Controls the answers of the stand-in, and records its calls."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -111,10 +110,11 @@ class FakeKubectl:
         forbidden: Sequence[str] = (),
         then: Sequence[dict[str, Any]] = (),
     ) -> None:
-        """Answer with these objects from now on, or fail like this; and let them be watched, or not. Resources that are ``forbidden``, such
-        as ``networkpolicies``, may neither be listed nor watched.
+        """Answer with these objects from now on, or with an error; ``watch`` allows watches. Resources that are
+        ``forbidden``, such as ``networkpolicies``, can be neither listed nor watched.
 
-        ``then`` are fields of the first one's status, which follow each other once an annotation was written, with ASKED for that.
+        ``then`` has fields of the first object's status, which follow each other after an annotation was written. ASKED
+        in them stands for its value.
         """
         fresh = self.folder / "fresh.json"
         told = {"items": list(items), "error": error, "watch": watch, "forbidden": list(forbidden)}
@@ -123,7 +123,7 @@ class FakeKubectl:
         fresh.replace(self._told)
 
     def item(self, name: str) -> dict[str, Any]:
-        """An object, as it is after what was asked for."""
+        """Return an object with the patches that were applied."""
         found: dict[str, Any] = next(
             item for item in json.loads(self._told.read_text())["items"] if item["metadata"]["name"] == name
         )

@@ -1,4 +1,4 @@
-"""What a monitor serves on its status port, and a kubectl that forwards a port to it."""
+"""A stand-in for a monitor's status port, and a kubectl that forwards a port to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""A fleet as the API server would give it, made from the models of the API: what they no longer have can't be in here."""
+"""A fleet as the API server would return it, built from the models of the API, so that it cannot contain removed
+fields."""
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ TREE: Object = {"parallel": [{"topic": {"name": "/cmd_vel", "gap": "500ms"}}]}
 
 
 def ago(seconds: float) -> str:
-    """A moment as the status has it."""
+    """Return a time in the past as a status has it."""
     return rfc3339(NOW - seconds)
 
 
@@ -115,7 +116,7 @@ def recovery(
     new: str = "robot-17-navigation-x8v2m",
     **more: Any,
 ) -> Recovery:
-    """One that began so long ago; its moments are where its parts say."""
+    """Build a recovery that began some time ago. Its moments follow from its parts."""
     start, total = NOW - seconds_ago, sum(parts)
     detection, cluster, startup, _ = parts
     moments = {
@@ -147,7 +148,7 @@ def recovery(
 
 
 def recoveries() -> list[Recovery]:
-    """Three, newest first: the second found its pool's standby away."""
+    """Return three recoveries, newest first. In the second, the pool had no standby."""
     restart = recovery(
         2,
         3780.0,
@@ -184,7 +185,7 @@ def workload(name: str, *, status: RobotWorkloadStatus | None = None, **spec: An
 
 
 def status(name: str, ending: str, epoch: int, *conditions: Condition, **more: Any) -> RobotWorkloadStatus:
-    """Of a robot that is driven and protected, but for what is given."""
+    """Build the status of a robot with a working active instance and protection, except for the given changes."""
     active = f"{name}-{ending}" if ending else ""
     usual = [
         said("Accepted", "True", "Accepted"),
@@ -254,7 +255,8 @@ def unwatched() -> Object:
 
 
 def under_way(*, began: float = NOW - 1, **changes: Any) -> Progress:
-    """A recovery of robot-17-navigation which isn't in its status, as its monitor has committed it to the gate."""
+    """Build a recovery of robot-17-navigation that its monitor has committed to the gate and not yet written to the
+    status."""
     name = "robot-17-navigation"
     failed = [PodIdentity(name=f"{name}-x8v2m", uid="uid-x8v2m")]
     progress = Progress.begin("no /cmd_vel for 500 ms", last_healthy=began - 0.5, detected=began, failed=failed)
@@ -266,7 +268,7 @@ def under_way(*, began: float = NOW - 1, **changes: Any) -> Progress:
 def gate(
     item: Object, progress: Progress | None, *, active: str = "robot-17-navigation-w7h5k", epoch: int = 42
 ) -> Object:
-    """A robot's gate, with the recovery that stands beside it."""
+    """Build a robot's gate, with the record of a recovery, if any."""
     made = world.gate(item, active=world.pod(active) if active else None, epoch=epoch)
     made["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json() if progress is not None else ""
     return made
@@ -292,7 +294,8 @@ def fleet() -> list[Object]:
     return [well(), degraded(), unprotected(), short_of_one(), short_of_another()]
 
 
-# -- what is around one of them -----------------------------------------------------------------------------------------
+# -- objects around a robot
+# ---------------------------------------------------------------------------------------------
 
 
 def on(node: str, pod: Object, waiting: str = "") -> Object:
@@ -304,7 +307,7 @@ def on(node: str, pod: Object, waiting: str = "") -> Object:
 
 
 def around(item: Object, *, standby_waits: str = "") -> list[Object]:
-    """The objects of a namespace in which a robot is: policy, pools, gate, pods."""
+    """Return the objects in the namespace of a robot: policy, pools, gate, pods."""
     name = item["metadata"]["name"]
     active = item["status"]["active"]
     driving = on("node-1", world.source_pod(active, of=name))

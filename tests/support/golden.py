@@ -1,4 +1,4 @@
-"""Outputs that a page of the documentation shows, and that tests compare with the real ones.
+"""Compares the outputs that a page of the documentation shows with the real ones.
 
 After an intended change of wording, ``UPDATE_GOLDEN=1`` makes the tests write the real outputs into the pages.
 """

@@ -1,4 +1,4 @@
-"""An HTML page as a browser reads it: elements, tables and text."""
+"""Reads an HTML page as a browser does: elements, tables and text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Read(HTMLParser):
         super().__init__(convert_charrefs=True)
         self.elements: list[tuple[str, dict[str, str | None]]] = []
         self.tables: dict[str, list[list[tuple[str, str | None]]]] = {}
-        """By caption, the rows of cells: what is shown, and the value."""
+        """By caption, the rows of cells: the shown text, and the sort value."""
         self.texts: list[str] = []
         self._open: list[str] = []
         self._caption = ""

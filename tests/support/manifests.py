@@ -1,4 +1,4 @@
-"""What holds for the manifests of every example, and for those in the pages."""
+"""Checks for the manifests of all examples and of the pages."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ MODELS = {"RobotWorkload": RobotWorkloadSpec, "FailurePolicy": FailurePolicySpec
 
 
 WITH_A_LEAF_OF_ITS_OWN = "writing-a-leaf.md"
-"""A page whose policy is for a package that has to be installed, as tests/unit/docs/test_writing_a_leaf.py does."""
+"""A page with a policy that needs an extra package. tests/unit/docs/test_writing_a_leaf.py installs it."""
 
 
 def covers(read: Any, written: Any) -> bool:
-    """Whether all that was written is in what was read. The models ignore unknown fields; whatever was written must come back."""
+    """Return whether the parsed data contains everything that was written. The models ignore unknown fields, so a lost
+    field is a mistake."""
     if isinstance(written, dict):
         return isinstance(read, dict) and all(k in read and covers(read[k], v) for k, v in written.items())
     if isinstance(written, list):
@@ -28,7 +29,7 @@ def covers(read: Any, written: Any) -> bool:
 def assert_references_lead_somewhere(
     workload: Mapping[str, Any], policies: Sequence[Mapping[str, Any]], pools: Sequence[Mapping[str, Any]]
 ) -> None:
-    """One workload with all the policies that may be named in it, and all of their pools."""
+    """Assert that all references between a workload, its policies and their pools have a target."""
     named = {one["metadata"]["name"]: one["spec"] for one in policies}
     found = {one["metadata"]["name"]: one["spec"] for one in pools}
     assert workload["spec"]["failurePolicyRef"]["name"] in named

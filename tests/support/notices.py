@@ -6,7 +6,7 @@ from understudy.monitor.notices import EventRaised, Notice, Notices, PublishedSt
 
 
 class RecordedNotices(Notices):
-    """Real notices, of which a test sees all that were added."""
+    """Real notices that record everything that was added, for tests."""
 
     def __init__(self, status: PublishedStatus | None = None) -> None:
         super().__init__(status)

@@ -1,4 +1,4 @@
-"""The pages that people read."""
+"""The pages of the documentation for users."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ PAGES = [
 
 
 def page_name(page: Path) -> str:
-    """What a test calls it."""
+    """Return the name of a page in test ids."""
     return str(page.relative_to(REPOSITORY))
 
 
 def typed(page: Path) -> Iterator[str]:
-    """Each line that a page shows to be typed into a shell; one that goes on in the next is one."""
+    """Yield each command line that a page shows for a shell; continued lines are joined."""
     for kind, text in re.findall(r"^ *```(sh|console)\n(.*?)```", page.read_text(), re.DOTALL | re.MULTILINE):
         for line in map(str.strip, text.replace("\\\n", " ").splitlines()):
             if kind == "sh":

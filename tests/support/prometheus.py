@@ -1,4 +1,4 @@
-"""A real Prometheus, built from its Go module, and a past for it to hold."""
+"""Runs a real Prometheus, built from its Go module, with given past data."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ MODULE = "github.com/prometheus/prometheus/cmd"
 
 
 def built() -> Path:
-    """The folder of prometheus and promtool."""
+    """Build prometheus and promtool, and return their folder."""
     targets = [f"{MODULE}/prometheus", f"{MODULE}/promtool"]
     return golang.build("prometheus", SOURCE, targets, ["-ldflags=-s -w"], Progress(), "five to ten minutes, once")
 
 
 def promtool(programs: Path, *arguments: str, given: str | None = None, within: float = 60) -> None:
-    """Run it; an assertion with what it said where it fails."""
+    """Run promtool. Raises AssertionError with its output if it fails."""
     command = [str(programs / "promtool"), *arguments]
     done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=within)
     assert done.returncode == 0, done.stdout + done.stderr
 
 
 def fill(programs: Path, folder: Path, past: str) -> None:
-    """Make the folder that of a Prometheus that scraped this (OpenMetrics with times) and scrapes nothing more."""
+    """Fill the folder with the data of a Prometheus that scraped ``past`` (OpenMetrics with times) and scrapes nothing
+    more."""
     (folder / "prometheus.yaml").write_text("{}")
     (folder / "past").write_text(past)
     blocks = ("tsdb", "create-blocks-from", "openmetrics", str(folder / "past"), str(folder / "data"))
@@ -41,14 +42,15 @@ def fill(programs: Path, folder: Path, past: str) -> None:
 
 
 def asked(url: str, path: str) -> Any:
-    """What it answers at a path of its API."""
+    """Return the answer at a path of its API."""
     with urllib.request.urlopen(f"{url}/api/v1/{path}", timeout=60) as answer:
         return json.load(answer)["data"]
 
 
 @contextlib.contextmanager
 def serving(programs: Path, folder: Path, *options: str) -> Iterator[str]:
-    """The URL of a Prometheus with the configuration and the data of this folder, while the context lasts."""
+    """Run a Prometheus with the configuration and the data of this folder for the duration of the context, and yield
+    its URL."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{free.getsockname()[1]}"

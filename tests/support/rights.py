@@ -1,4 +1,4 @@
-"""What ``kubectl auth can-i --list`` says that an account may do; and what it says of a monitor's."""
+"""Parses the output of ``kubectl auth can-i --list``, and lists the expected rights of a monitor."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ from typing import NamedTuple
 
 
 class Right(NamedTuple):
-    """A line of it."""
+    """One line of the output."""
 
     resource: str
     names: frozenset[str]
-    """Of objects; none for all of the namespace."""
+    """Names of objects; empty for all objects of the namespace."""
     verbs: frozenset[str]
 
 
 OF_ALL = {
-    # Of which the admission policy leaves its own to be changed: see test_admission.py.
+    # The admission policy restricts the changes to the monitor's own pods: see test_admission.py.
     "pods": {"get", "list", "watch", "patch", "delete"},
     "pods.metrics.k8s.io": {"list"},
-    "events": {"create", "patch", "list"},  # list: what stands in a black box
+    "events": {"create", "patch", "list"},  # list: for the recordings of the black box
     "selfsubjectreviews.authentication.k8s.io": {"create"},
     "selfsubjectaccessreviews.authorization.k8s.io": {"create"},
     "selfsubjectrulesreviews.authorization.k8s.io": {"create"},
 }
-"""What a monitor may do to any object of its namespace, by kind. The last three everybody may."""
+"""The rights of a monitor to all objects of its namespace, by kind. Every account has the last three."""
 
 WHO_WAITS = {"networkpolicies.networking.k8s.io": {"list", "watch"}}
-"""The same, where it may have to wait for a pod of a shared pool in turn with others."""
+"""Additional rights of a monitor that may have to queue for a pod of a shared pool."""
 
 
 def listed(text: str) -> list[Right]:
-    """The lines about resources."""
+    """Parse the lines about resources."""
     head, *lines = text.splitlines()
     starts = [head.index(title) for title in ("Resources", "Non-Resource URLs", "Resource Names", "Verbs")]
     rows = [[line[a:b].strip() for a, b in zip(starts, [*starts[1:], None], strict=True)] for line in lines]
@@ -43,7 +43,7 @@ def listed(text: str) -> list[Right]:
 
 
 def named(rights: Sequence[Right]) -> dict[str, set[str]]:
-    """The objects that are named, by kind."""
+    """Return the rights to named objects, by kind."""
     found: dict[str, set[str]] = {}
     for right in rights:
         if right.names:
@@ -52,5 +52,5 @@ def named(rights: Sequence[Right]) -> dict[str, set[str]]:
 
 
 def of_all(rights: Sequence[Right]) -> dict[str, set[str]]:
-    """What may be done to any object of the namespace, by kind."""
+    """Return the rights to all objects of the namespace, by kind."""
     return {right.resource: set(right.verbs) for right in rights if not right.names}

@@ -1,4 +1,5 @@
-"""What several test processes use at once: the first of them makes it, the last one puts things back."""
+"""Shares something between several test processes: the first one makes it, and the last one restores the former
+state."""
 
 from __future__ import annotations
 
@@ -12,15 +13,15 @@ from typing import Any
 
 @contextmanager
 def shared(folder: Path, name: str, make: Callable[[], Any], restore: Callable[[Any], None]) -> Iterator[None]:
-    """Hold something for the time of a block, which is made unless another process holds it.
+    """Hold something for the duration of the context, and make it unless another process holds it.
 
     Args:
-        folder: of files that all these processes see.
-        name: of what is shared; part of the files' names.
-        make: makes it, and answers with what must be remembered to put things back, as JSON. What it raises is raised; the next
-            process then tries.
-        restore: is called with that by the last process that held it, which needn't be the one that made it. A process that is
-            killed holds it no longer.
+        folder: a folder for files that all these processes can access.
+        name: the name of the shared thing; part of the files' names.
+        make: makes it, and returns as JSON data what is needed to restore the former state. Its exceptions are raised; the
+            next process then tries again.
+        restore: the last process that held it calls this with that data, even if another process made it. A process that
+            is killed holds it no longer.
     """
     memory = folder / f"{name}.json"
     with (folder / f"{name}.holders").open("w") as holders:
@@ -38,14 +39,14 @@ def shared(folder: Path, name: str, make: Callable[[], Any], restore: Callable[[
 
 @contextmanager
 def _turn(folder: Path, name: str) -> Iterator[None]:
-    """One process at a time comes or goes."""
+    """Let one process at a time enter or leave."""
     with (folder / f"{name}.turn").open("w") as turn:
         fcntl.flock(turn, fcntl.LOCK_EX)
         yield
 
 
 def _alone(descriptor: int) -> bool:
-    """Whether no other process holds it. One that does isn't held any more by the one that asks."""
+    """Return whether no other process holds it. The check also releases the caller's own hold."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
