@@ -1,5 +1,4 @@
-"""The sidecar of an instance: starts held containers, and judges, prepares and restores the instance from inside its
-pod.
+"""The sidecar of an instance: starts held containers, and judges, prepares and restores the instance.
 
-It follows the monitor's commands and decides no failover.
+It works from inside the instance's pod, follows the monitor's commands, and decides no failover.
 """

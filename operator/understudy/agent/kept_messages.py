@@ -8,10 +8,9 @@ from understudy.api.protocol.kept_state import KeptSample
 
 
 def stamped(sample: KeptSample) -> bytes:
-    """Return the message as it is published, with the current time in its header if the policy requires it. It loads
-    rclpy.
+    """Return the message as it is published, with the current time in its header if the policy requires it.
 
-    Raises CallFailed if the bytes are not of the sample's type, and TypeNotInstalled.
+    It loads rclpy. Raises CallFailed if the bytes are not of the sample's type, and TypeNotInstalled.
     """
     if sample.stamp != "now":
         return sample.data

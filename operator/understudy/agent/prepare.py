@@ -1,5 +1,4 @@
-"""``understudy prepare``: an init container that writes the DDS profiles of its pod before any of its processes reads
-them.
+"""``understudy prepare``: an init container that writes the DDS profiles of its pod before its processes read them.
 
 It also creates the FIFOs that freeze containers. Only pods whose profiles need values that are not known before they
 start have this container.

@@ -59,10 +59,10 @@ class StateRestorer:
     # -- restoring --------------------------------------------------------------------------------------------------
 
     async def restore(self, state: KeptState, *, within: float, only: Collection[str] = ()) -> RestoreReport:
-        """Restore this state within ``within`` seconds; with ``only``, the part of it that belongs to these topics and
-        nodes.
+        """Restore this state within ``within`` seconds.
 
-        The report says what could not be restored, and why. No error is raised for it.
+        With ``only``, only the part of it that belongs to these topics and nodes is restored. The report says what
+        could not be restored, and why. No error is raised for it.
         """
         end = time.monotonic() + within - LAST_MOMENT
         restored: list[Restored] = []

@@ -232,11 +232,11 @@ class TaskGoals:
             asking.cancel()
 
     async def _await_end(self, record: _Record, server: ActionClient) -> None:
-        """Wait for the result. It is requested again if another process serves the action, because that process does
-        not know the request.
+        """Wait for the result.
 
-        It is also requested again at intervals, since a server that is starved of CPU drops the answer to a client that
-        it has not matched in time.
+        It is requested again if another process serves the action, because that process does not know the request. It
+        is also requested again at intervals, since a server that is starved of CPU drops the answer to a client that it
+        has not matched in time.
         """
         asking = asyncio.ensure_future(server.result(record.id))
         try:

@@ -52,9 +52,9 @@ class AgentLink:
         on_change: Callable[[AgentLink], None] | None = None,
         on_event: Callable[[AgentLink, Mapping[str, Any]], None] | None = None,
     ) -> None:
-        """``on_change`` is called with each status, and when the connection is made or lost; ``on_event`` with each
-        event.
+        """Start to connect to an agent.
 
+        ``on_change`` is called with each status, and when the connection is made or lost; ``on_event`` with each event.
         Events that happen while there is no connection are lost. A caller that depends on them must ask again after
         reconnecting.
         """
@@ -170,12 +170,12 @@ class AgentLink:
         brought: str = "",
         places: Mapping[str, str] | None = None,
     ) -> Mapping[str, Any]:
-        """Run a procedure on the agent's instance for at most ``within`` seconds. It replaces a procedure that is
-        running.
+        """Run a procedure on the agent's instance for at most ``within`` seconds.
 
-        ``state`` is kept state in its wire form for the procedure's leaves. The agent remembers the success under the
-        name ``brought``. ``places`` says where the nodes were written, if not in the short form. The answer reports the
-        outcome of the state. Raises AgentRefused with the reason if the procedure failed, and AgentGone.
+        It replaces a procedure that is running. ``state`` is kept state in its wire form for the procedure's leaves.
+        The agent remembers the success under the name ``brought``. ``places`` says where the nodes were written, if not
+        in the short form. The answer reports the outcome of the state. Raises AgentRefused with the reason if the
+        procedure failed, and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
         if places:

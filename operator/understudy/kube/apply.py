@@ -57,10 +57,10 @@ def stamped(body: Object) -> Object:
 
 
 def differences(live: Any, desired: Any, path: str = "") -> list[str]:
-    """Return the paths at which the live object lacks what is desired. What only the live object has (defaults, status)
-    is ignored.
+    """Return the paths at which the live object lacks what is desired.
 
-    The API server leaves out empty values, so these count as present.
+    What only the live object has (defaults, status) is ignored. The API server leaves out empty values, so these count
+    as present.
     """
     if live is None and not desired:
         return []

@@ -113,10 +113,10 @@ async def _write(client: Client, pod: Object, workload: str, workload_uid: str, 
 
 
 async def _test_and_write(client: Client, pod: Object, workload: str, workload_uid: str, claim: str) -> Object:
-    """Claim the pod with a JSON patch (RFC 6902). The API server applies all of it to the pod's present version, or
-    refuses with 422.
+    """Claim the pod with a JSON patch (RFC 6902).
 
-    It also refuses if the pod has no annotations at all.
+    The API server applies all of it to the pod's present version, or refuses with 422. It also refuses if the pod has
+    no annotations at all.
     """
     metadata = pod["metadata"]
     body = [{"op": "test", "path": _path("labels", key), "value": value} for key, value in metadata["labels"].items()]

@@ -63,10 +63,10 @@ class ApiError(Exception):
 
     @property
     def malformed(self) -> bool:
-        """Whether the server refuses to apply an object that does not fit its schema: with an unknown field or a
-        duplicate entry.
+        """Whether the server refuses to apply an object that does not fit its schema.
 
-        The API server answers 500 in this case (kubernetes/kubernetes#122480), and does so every time.
+        The object has an unknown field or a duplicate entry. The API server answers 500 in this case
+        (kubernetes/kubernetes#122480), and does so every time.
         """
         return self.status == 500 and self.message.startswith("failed to create typed patch object")
 
@@ -289,10 +289,9 @@ class Client:
     async def read(
         self, path: str, *, params: Mapping[str, str] | None = None, accept: str = "application/json"
     ) -> bytes:
-        """Return the text of an answer to GET, uncompressed: within a cluster, compressing a long one costs more than
-        sending it.
+        """Return the text of an answer to GET, uncompressed.
 
-        Raises what :meth:`request` raises.
+        Within a cluster, compressing a long answer costs more than sending it. Raises what :meth:`request` raises.
         """
         return await self._ask("GET", path, params, {"Accept": accept, "Accept-Encoding": "identity"})
 

@@ -1,8 +1,7 @@
-"""Reads running pods from the table that the API server makes of them (meta.k8s.io/v1 Table), without the pods
-themselves.
+"""Reads running pods from the table that the API server makes of them, without the pods themselves.
 
-To choose one of many pods it is enough to know which are ready: 150 bytes for each instead of a pod of 10 kB. The
-answer to the claim contains the chosen pod as a whole.
+The table is a meta.k8s.io/v1 Table. To choose one of many pods it is enough to know which are ready: 150 bytes for each
+instead of a pod of 10 kB. The answer to the claim contains the chosen pod as a whole.
 """
 
 from __future__ import annotations

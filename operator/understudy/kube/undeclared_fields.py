@@ -1,7 +1,6 @@
-"""Applies objects to an API server whose definitions are older than this program, without the fields that they do not
-know.
+"""Applies objects without the fields that an older definition on the API server does not know.
 
-Server-side apply (KEP-555) refuses such an object as a whole, but an update would drop the fields
+Server-side apply (KEP-555) refuses an object with unknown fields as a whole, but an update would drop the fields
 (kubernetes/kubernetes#122480).
 """
 
@@ -22,10 +21,9 @@ _IDENTITY = re.compile(r'(\w+)="([^"]*)"')
 async def apply_declared(
     client: Client, resource: Resource, namespace: str | None, body: Object, *, manager: str, subresource: str | None
 ) -> tuple[Object, Sequence[str]]:
-    """Apply those fields of an object that its definition knows. Returns the resulting object, and the paths of the
-    fields left out.
+    """Apply those fields of an object that its definition knows.
 
-    Raises ApiError.
+    Returns the resulting object, and the paths of the fields left out. Raises ApiError.
     """
     unknown: list[str] = []
     while True:

@@ -1,5 +1,4 @@
-"""The interface of a ROS middleware: its environment variables and settings files, and who sends and reads in the
-graph.
+"""The interface of a ROS middleware: its environment and settings files, and who sends and reads in the graph.
 
 To support another middleware, implement :class:`Middleware` in a folder of its own beside ros/dds, and name it in
 ros/rmw.py.
@@ -46,10 +45,9 @@ class Middleware(ABC):
 
     @abstractmethod
     def environment(self, ros: Ros, address: str | None) -> dict[str, str]:
-        """Return the environment of every process in a robot's ROS graph. ``address`` is the managed discovery
-        server's.
+        """Return the environment of every process in a robot's ROS graph.
 
-        Raises ValueError if the server is managed and has no address.
+        ``address`` is the managed discovery server's. Raises ValueError if the server is managed and has no address.
         """
 
     @abstractmethod
@@ -106,8 +104,8 @@ class Middleware(ABC):
     async def reader_locators(
         self, readers: Collection[bytes], address: str, environment: Mapping[str, str], *, within: float
     ) -> dict[bytes, tuple[Locator, ...]]:
-        """Return where readers, given by their GIDs, listen. Readers that are not announced within ``within`` seconds
-        are left out.
+        """Return where readers, given by their GIDs, listen.
 
-        ``address`` is this host's own; ``environment`` says whom to ask. Raises OSError and ValueError.
+        Readers that are not announced within ``within`` seconds are left out. ``address`` is this host's own;
+        ``environment`` says whom to ask. Raises OSError and ValueError.
         """

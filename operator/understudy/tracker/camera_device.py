@@ -59,10 +59,10 @@ class Footage:
         self._thread.start()
 
     def take(self, timeout: float) -> Frame | None:
-        """Return the newest image that was not returned yet, or wait for the next one; None if none arrives within
-        ``timeout`` seconds.
+        """Return the newest image that was not returned yet, or wait for the next one.
 
-        Raises Unusable with the reason, at each call, while the camera cannot be used.
+        None if none arrives within ``timeout`` seconds. Raises Unusable with the reason, at each call, while the camera
+        cannot be used.
         """
         with self._came:
             self._came.wait_for(lambda: self._newest is not None, timeout)

@@ -119,10 +119,10 @@ class ProbeSender:
         self._timer = asyncio.get_running_loop().call_later(PERIOD, self.run)
 
     def burst(self, interval: float, duration: float) -> None:
-        """Send a probe every ``interval`` seconds, later less often, for ``duration`` seconds. A burst in progress
-        starts again.
+        """Send a probe every ``interval`` seconds, later less often, for ``duration`` seconds.
 
-        Sending uses processor time that the switch needs, so the rate falls if a switch takes long (COARSER).
+        A burst in progress starts again. Sending uses processor time that the switch needs, so the rate falls if a
+        switch takes long (COARSER).
 
         Raises ValueError if the values are out of bounds, and RuntimeError if there is no address to send to.
         """

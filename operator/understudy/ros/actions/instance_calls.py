@@ -214,11 +214,10 @@ class InstanceCaller:
         within: float,
         count: int = 1,
     ) -> None:
-        """Publish a message ``count`` times, once somebody here subscribes to the topic, and wait until the subscribers
-        have received it.
+        """Publish a message ``count`` times, and wait until the subscribers have received it. Raises CallFailed.
 
-        A message in bytes is CDR with its header; a function is called for the bytes at the last moment. Raises
-        CallFailed.
+        The first message is sent once somebody here subscribes to the topic. A message in bytes is CDR with its header;
+        a function is called for the bytes at the last moment.
 
         Instances of one workload match each other's subscribers and cannot reach them, and the middleware does not
         report whose acknowledgement is missing. So if there are subscribers elsewhere, the message is sent repeatedly
@@ -288,10 +287,9 @@ class InstanceCaller:
 
     @contextlib.asynccontextmanager
     async def listening(self, topic: str, type_name: str, within: float) -> AsyncIterator[Listener]:
-        """Provide a topic's messages as they arrive, for as long as the context lasts. It starts within ``within``
-        seconds.
+        """Provide a topic's messages as they arrive, for as long as the context lasts.
 
-        Raises CallFailed.
+        It starts within ``within`` seconds. Raises CallFailed.
         """
         self._users += 1
         try:

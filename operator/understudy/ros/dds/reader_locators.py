@@ -63,11 +63,11 @@ class Discovery:
 async def locators(
     wanted: Collection[bytes], address: str, discovery: Discovery, *, within: float
 ) -> dict[bytes, tuple[Locator, ...]]:
-    """Return where the readers with these GUIDs listen. Those that are not announced within ``within`` seconds are left
-    out.
+    """Return where the readers with these GUIDs listen.
 
-    Returns as soon as all are known: the discovery server of a small graph has announced everything after half a
-    second. ``address`` is this host's own, to which answers are sent. Raises OSError.
+    Those that are not announced within ``within`` seconds are left out. Returns as soon as all are known: the discovery
+    server of a small graph has announced everything after half a second. ``address`` is this host's own, to which
+    answers are sent. Raises OSError.
     """
     loop = asyncio.get_running_loop()
     found = await loop.getaddrinfo(discovery.host, discovery.port, family=socket.AF_INET, type=socket.SOCK_DGRAM)

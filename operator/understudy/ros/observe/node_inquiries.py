@@ -1,9 +1,9 @@
-"""Facts that nodes of the active instance report about themselves: changes when they happen, and the present state at
-intervals.
+"""Facts that nodes of the active instance report about themselves.
 
-An event has a sender. An answer has none, and a request reaches every node of that name, also a standby's. So answers
-count only if all nodes that could have answered did so and agree. Nothing here waits: the loop that drains
-subscriptions also sends requests and takes answers, without an executor.
+Changes are reported when they happen, and the present state is requested at intervals. An event has a sender. An answer
+has none, and a request reaches every node of that name, also a standby's. So answers count only if all nodes that could
+have answered did so and agree. Nothing here waits: the loop that drains subscriptions also sends requests and takes
+answers, without an executor.
 """
 
 from __future__ import annotations
@@ -81,10 +81,10 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
     def __init__(
         self, graph: Graph, counts: Callable[[bytes], bool], own: Callable[[str], TopicRecord | None], *, alone: bool
     ) -> None:
-        """``counts`` returns whether the endpoint with a GID counts, and ``own`` what was received from such endpoints
-        on a topic.
+        """Observe nothing until :meth:`follow`.
 
-        ``alone`` says that no other nodes can be reached.
+        ``counts`` returns whether the endpoint with a GID counts. ``own`` returns what was received from such endpoints
+        on a topic. ``alone`` says that no other nodes can be reached.
         """
         self._graph, self._counts, self._own, self._alone = graph, counts, own, alone
         self._inquiries: dict[Subject, _Inquiry[Fact, Said]] = {}

@@ -20,10 +20,9 @@ from understudy.ros.runtime.node_options import own_context, plain_node
 
 
 class NotReceivable(RuntimeError):
-    """A topic cannot be received as a type, because of its name or because this process already has the topic as
-    another type.
+    """A topic cannot be received as a type. The text says why.
 
-    The text says why.
+    The cause is its name, or that this process already has the topic as another type.
     """
 
 

@@ -22,10 +22,10 @@ _NEEDED = f"{_GENERATOR}.import_type_support_impl"
 
 
 def leave_out_generator() -> bool:
-    """Import only those parts of ``rosidl_generator_py`` that types need at run time. Returns whether that was
-    possible.
+    """Import only those parts of ``rosidl_generator_py`` that types need at run time.
 
-    Call it before any type is used. If the package is loaded already, or has a different structure, nothing is changed.
+    Returns whether that was possible. Call it before any type is used. If the package is loaded already, or has a
+    different structure, nothing is changed.
     """
     if _GENERATOR in sys.modules:
         return _NEEDED in sys.modules and not hasattr(sys.modules[_GENERATOR], "generate_py")

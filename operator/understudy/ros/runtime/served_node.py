@@ -1,9 +1,9 @@
-"""A node whose services, clients and subscriptions are served by one thread of its own, for a process that runs
-asyncio.
+"""A node whose entities are served by one thread of its own, for a process that runs asyncio.
 
-rclpy's executors build a new wait set for every wake-up, which costs a multiple of the work itself. Here the set is
-built only when the entities change. Everything of ROS happens in the thread, everything else in the event loop. The
-thread passes received data to the loop, and the loop passes work to the thread.
+The entities are services, clients and subscriptions. rclpy's executors build a new wait set for every wake-up, which
+costs a multiple of the work itself. Here the set is built only when the entities change. Everything of ROS happens in
+the thread, everything else in the event loop. The thread passes received data to the loop, and the loop passes work to
+the thread.
 """
 
 from __future__ import annotations

@@ -128,11 +128,10 @@ class ServiceExchange:
             converter.destroy(message)
 
     def answer(self, service: Any, response: Any, request: RequestId) -> bool:
-        """Send the answer to a request. Returns False while the client is not matched; the caller then has to try
-        again.
+        """Send the answer to a request. Returns False while the client is not matched.
 
-        In that case it blocks for up to 100 ms. If the client has gone, the answer counts as sent. Raises
-        ServiceExchangeError.
+        The caller then has to try again, and the call blocks for up to 100 ms. If the client has gone, the answer
+        counts as sent. Raises ServiceExchangeError.
         """
         message_class: Any = type(response)
         converter = _converter(message_class)
