@@ -1,6 +1,6 @@
-"""The level between healthy and failed, with hysteresis: a workload at the edge doesn't change it again and again.
+"""The level between healthy and failed, with hysteresis, so that a workload at the edge does not change it repeatedly.
 
-The paper acts on failures; sub-optimal behaviour above failure level is what its Future Work leaves.
+The paper acts on failures, and leaves sub-optimal behaviour above failure level to future work.
 """
 
 from __future__ import annotations
@@ -8,24 +8,24 @@ from __future__ import annotations
 from typing import Literal
 
 Told = Literal["Starting", "Healthy", "Failed"]
-"""What the tree of ``spec.degraded`` says; Starting where it can't tell."""
+"""The state of the tree of ``spec.degraded``; Starting if it is unknown."""
 
 
 class Lasting:
-    """Whether something is so, once it has lasted. Times are seconds by one clock that is never set."""
+    """Whether something holds and has lasted. Times are seconds of a monotonic clock."""
 
     def __init__(self, since: float | None = None) -> None:
-        """``since`` is given where it is known to have been so since then."""
+        """``since`` is when it began to hold, if that is known."""
         self.since = since
-        """Since when it has been so; None while it isn't."""
+        """Since when it holds; None while it does not."""
         self._so: float | None = None
         self._not_so: float | None = None
 
     def note(self, so: bool | None, now: float, *, after: float, clear_after: float) -> bool:
-        """Note how it is now, None where that can't be told; whether it counts as being so.
+        """Record whether it holds now (None if that is unknown), and return whether it counts as holding.
 
-        It does once it has been so for ``after`` seconds without a break, and no longer once it hasn't for ``clear_after`` seconds
-        without a break. What can't be told breaks both.
+        It does after it has held for ``after`` seconds without a break, until it has not held for ``clear_after`` seconds without a break.
+        An unknown observation breaks both.
         """
         self._so = (now if self._so is None else self._so) if so else None
         self._not_so = (now if self._not_so is None else self._not_so) if so is False else None
@@ -38,22 +38,22 @@ class Lasting:
 
 
 class Level:
-    """Whether a workload whose health tree holds is degraded. Times are seconds by one clock that is never set."""
+    """Whether a workload whose health tree holds is degraded. Times are seconds of a monotonic clock."""
 
     def __init__(self, since: float | None = None) -> None:
-        """``since`` is given where it is known to have been degraded since then."""
+        """``since`` is when it became degraded, if that is known."""
         self._degraded = Lasting(since)
 
     @property
     def since(self) -> float | None:
-        """Since when it has been degraded; None while it isn't."""
+        """Since when it is degraded; None while it is not."""
         return self._degraded.since
 
     def note(self, told: Told, now: float, *, debounce: float, clear_after: float) -> bool:
-        """Note what the tree says now; whether the workload is degraded.
+        """Record the state of the tree now, and return whether the workload is degraded.
 
-        It becomes so once the tree has failed for ``debounce`` seconds without a break, and is no longer once the tree has held for
-        ``clear_after`` seconds without a break. What can't be told breaks both.
+        It becomes degraded after the tree has failed for ``debounce`` seconds without a break, until the tree has held for ``clear_after``
+        seconds without a break. An unknown state breaks both.
         """
         failed = None if told == "Starting" else told == "Failed"
         return self._degraded.note(failed, now, after=debounce, clear_after=clear_after)

@@ -1,8 +1,7 @@
-"""Whether a failure may follow from that of another workload, and what is to be done once that one was recovered.
+"""Whether a failure may be caused by the failure of another workload, and what to do after that one recovered.
 
-Workloads that depend on each other fail together: where localization falls silent, so does the planner, and its own monitor sees no
-more than that. What the others' monitors say, beside their gates and in their status, tells which of them was first. Pure: times are
-unix seconds.
+Workloads that depend on each other fail together: if localization falls silent, so does the planner, and the planner's monitor sees only
+that. The status of the other workloads and the records next to their gates show which of them failed first. Pure: times are unix seconds.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from understudy.api.protocol.monitor_settings import Upstream
 from understudy.failover.progress import Committed, Progress, told_in, under_way
 
 SLACK = 0.1
-"""Seconds by which what follows from a failure may seem to come before it: the clocks of two nodes, and messages under way."""
+"""Seconds by which an effect may seem to come before its cause: the clocks of two nodes differ, and messages take time."""
 
 FAILING = ("Starting", "Failed", "Recovering")
-"""Healths of a workload that nobody can depend on. Nothing is concluded from Unknown: it may have no monitor."""
+"""Health of a workload that others cannot depend on. Unknown is not one of them: the workload may have no monitor."""
 
 
 @dataclass(frozen=True)
@@ -32,29 +31,29 @@ class Recovered:
     onset: float
     """Its last healthy output before."""
     end: float | None
-    """When it was over; None where nothing verified."""
+    """When it ended; None if nothing was verified."""
 
 
 @dataclass(frozen=True)
 class Seen:
-    """What is known of a workload upstream."""
+    """What is known of a workload that this one depends on."""
 
     health: str = ""
-    """As its monitor has said last; empty where it isn't there."""
+    """As its monitor reported last; empty if the workload does not exist."""
     failing_since: float | None = None
-    """Its last healthy output before the failure that isn't over, where that is known."""
+    """Its last healthy output before the present failure, if that is known."""
     last: Recovered | None = None
     followed: Mapping[str, str] = field(default_factory=dict)
-    """By name, the recoveries of those that it depends on itself after which it has done what it does then."""
+    """By name, the recoveries of its own dependencies to which it has reacted."""
 
     @property
     def failing(self) -> bool:
-        """Whether nobody can depend on it now."""
+        """Whether others cannot depend on it now."""
         return self.health in FAILING
 
     @classmethod
     def of(cls, status: RobotWorkloadStatus, committed: Progress | None) -> Seen:
-        """From its status, and from the recovery that stands beside its gate, which is there sooner: with the first commit."""
+        """Return it from the status, and from the record next to its gate, which changes first."""
         health, since = status.health or "", _unix(status.failing_since)
         recoveries = status.recoveries or []
         newest = recoveries[0] if recoveries else None
@@ -72,12 +71,12 @@ class Seen:
 
 @dataclass(frozen=True)
 class Outage:
-    """For how long a workload upstream could not be depended on."""
+    """The time for which others could not depend on a workload."""
 
     onset: float
-    """Its last healthy output; minus infinity where that isn't known."""
+    """Its last healthy output; minus infinity if that is not known."""
     end: float | None = None
-    """When it was over; None while it isn't."""
+    """When it ended; None while it lasts."""
 
 
 def outage(before: Outage | None, seen: Seen, now: float) -> Outage | None:
@@ -99,14 +98,14 @@ def outage(before: Outage | None, seen: Seen, now: float) -> Outage | None:
 
 @dataclass(frozen=True)
 class Held:
-    """A failure that isn't acted on yet."""
+    """A failure that is not acted on yet."""
 
     until: float
-    """By then it is, if it lasts."""
+    """When it is acted on, if it lasts."""
     name: str = ""
-    """The workload from whose failure it may follow; empty where it is only looked whether there is one."""
+    """The workload whose failure may be the cause; empty while the monitor only waits to see whether there is one."""
     settling: bool = False
-    """Whether that one is healthy again."""
+    """Whether that workload is healthy again."""
 
 
 def held(
@@ -151,11 +150,11 @@ def _patience(name: str, depends_on: Sequence[Dependency]) -> tuple[float, float
 
 @dataclass(frozen=True)
 class Due:
-    """What is to be done now, since others were recovered."""
+    """A reaction that is due now because other workloads recovered."""
 
     follows: list[DependencyRecovery]
     since: float
-    """When the last of them was."""
+    """When the last of them recovered."""
 
 
 def due(
@@ -192,7 +191,7 @@ def _last(seen: Mapping[str, Seen], name: str) -> Recovered | None:
 
 
 def _over(last: Recovered, known: Outage | None) -> float:
-    """When a workload was healthy again."""
+    """Return when a workload was healthy again."""
     if last.end is not None:
         return last.end
     return known.end if known is not None and known.end is not None else last.onset

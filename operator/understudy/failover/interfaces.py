@@ -1,6 +1,6 @@
-"""What the failover protocol needs from the world.
+"""What the failover protocol needs: the gate, the instances, their agents and their outputs.
 
-The monitor implements it with DDS and the Kubernetes API, tests without either.
+The monitor implements it with DDS and the Kubernetes API; tests need neither.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from understudy.trees.core.observations import PodCondition
 
 
 class NotAvailable(Exception):
-    """A strategy's means aren't there, such as no ready pod in its pool. Nothing was changed."""
+    """The resources of a strategy are missing, for example because its pool has no ready pod. Nothing was changed."""
 
 
 class Overtaken(NotAvailable):
-    """Every free pod that it could have taken was claimed by others first. Looking again is worth it."""
+    """Other workloads claimed every free pod first. Another attempt may succeed."""
 
 
 class NotVerified(Exception):
-    """A strategy was carried out, but the robot wasn't seen to be driven by the new instance."""
+    """A strategy was carried out, but outputs of the new instance did not reach the robot."""
 
 
 class Superseded(Exception):
-    """The gate was committed by somebody else at a newer epoch: whoever acts on an older one loses."""
+    """Another writer committed to the gate at a newer epoch: an action at an older epoch must stop."""
 
 
 class ClaimLost(Exception):
@@ -44,29 +44,29 @@ class Instance:
     uid: str
     ip: str = ""
     pool: str = ""
-    """FallbackPool that made it; empty for pods of the workload's own controller."""
+    """The FallbackPool that created it; empty for pods of the workload's own controller."""
     running: bool = False
     ready: bool = False
     held: bool = False
     terminating: bool = False
     node: str = ""
-    """Where it runs."""
+    """The node where it runs."""
     has_agent: bool = True
     claim: str = ""
     template_hash: str = ""
     created: str = ""
     restarts: int = 0
-    """How often its containers were started again: what was done to their processes is lost."""
+    """How often its containers were restarted. What was done to their processes is lost then."""
     crashing: bool = False
-    """Whether a container of it has ended so often that the kubelet waits before it starts it again."""
+    """Whether one of its containers is in CrashLoopBackOff."""
     evicted: bool = False
-    """Whether it is being deleted because its node is lost to Kubernetes. Nobody there can end its processes."""
+    """Whether it is being deleted because its node is unreachable. Its processes cannot be ended."""
     conditions: tuple[PodCondition, ...] = field(default=(), compare=False)
     """What its status says."""
 
     @property
     def from_source(self) -> bool:
-        """Whether the workload's own controller made it, and replaces it when it's deleted."""
+        """Whether the workload's own controller created it, and replaces it if it is deleted."""
         return not self.pool
 
     @property
@@ -88,9 +88,9 @@ class GateState:
     active: str = ""
     active_uid: str = ""
     recovery: Progress | None = field(default=None, compare=False)
-    """The recovery that made the last commit, if one did."""
+    """The recovery that committed last, if one did."""
     admitted: str = ""
-    """A standby that may reach the robot too: its readers heed it when the pod in control is silent (the reflex)."""
+    """A standby that may reach the robot too: the robot's readers follow it if the active pod is silent (the reflex)."""
     admitted_uid: str = ""
 
     @property

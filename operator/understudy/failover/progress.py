@@ -1,7 +1,7 @@
-"""How far a recovery has come: all that a new monitor needs to finish it, and what ends up in the status.
+"""The progress of a recovery: what a new monitor needs to finish it, and what the status records.
 
-It is written beside the gate with every commit and into the monitor's own journal in between, so that a monitor that is
-killed at any step completes the recovery or safely does it again (DESIGN: the failover protocol).
+It is written next to the gate with every commit, and into the monitor's journal in between. If a monitor is killed at any step, the next
+one completes the recovery or safely repeats it.
 """
 
 from __future__ import annotations
@@ -25,48 +25,48 @@ Part = Literal["detection", "cluster", "startup", "reinitialization"]
 
 
 class PodIdentity(Model):
-    """A pod, and not a later one of the same name."""
+    """A pod, as opposed to a later pod of the same name."""
 
     name: str
     uid: str
 
 
 class Progress(Model):
-    """One recovery under way. Times are unix seconds."""
+    """One recovery in progress. Times are unix seconds."""
 
     id: str = Field(default_factory=lambda: uuid.uuid4().hex[:12])
     reason: str
     failed: list[PodIdentity] = Field(default_factory=list)
-    """Pods that failed: the one that was in control, then every understudy that didn't verify."""
+    """Pods that failed: the one that was active, then every understudy that was not verified."""
     target: PodIdentity | None = None
     taken_over: PodIdentity | None = None
-    """The standby that the robot's own readers had fallen over to before anything was decided (the reflex)."""
+    """The standby that the robot's own readers already followed before the monitor decided (the reflex)."""
     index: int = 0
     """The strategy being tried, an index into the policy's list."""
     attempts: list[Attempt] = Field(default_factory=list)
     epoch: int = 0
     resumed: bool = False
     planned: bool = False
-    """Whether nothing failed: an instance that is degraded is replaced at an idle moment."""
+    """Whether nothing failed: a degraded instance is replaced while it is idle."""
     switchover: Kind | None = None
-    """What for, where it is a planned switchover: its understudy was ready before the gate was touched."""
+    """The kind of a planned switchover, whose understudy was ready before the gate changed; None for a recovery."""
     request: str = ""
-    """The annotation that asked for that, if one did."""
+    """The annotation that requested it, if there was one."""
     former: PodIdentity | None = None
-    """The instance that a planned switchover takes the robot from. It goes on running until the next one was seen to drive."""
+    """The instance that was active before a planned switchover. It runs until outputs of the next one arrive."""
     follows: list[DependencyRecovery] = Field(default_factory=list)
-    """The recoveries of others after which this is done (``spec.dependsOn``); none where something failed here."""
+    """The recoveries of other workloads that this one follows (``spec.dependsOn``); empty if something failed here."""
     result: Literal["Running", "Recovered", "Failed"] = "Running"
     strategy: str = ""
-    """The one being tried; in the end the one that recovered it, empty where none did."""
+    """The strategy being tried; in the end the one that succeeded, empty if none did."""
     cursor: float = 0.0
-    """Up to when the time is accounted for."""
+    """The time up to which ``parts`` account for the recovery."""
     parts: dict[Part, float] = Field(default_factory=dict)
     moments: dict[str, float] = Field(default_factory=dict)
     state: list[RestoredState] = Field(default_factory=list)
-    """What became of the kept state in the present attempt."""
+    """Which kept state was restored in the present attempt."""
     waiting: Waiter | None = None
-    """Its place among those that wait for a pod of a shared pool, while it waits: beside the gate others read it too."""
+    """Its place in the queue for a pod of a shared pool, while it waits. Other workloads read it next to the gate."""
 
     @classmethod
     def begin(
@@ -78,7 +78,7 @@ class Progress(Model):
         failed: Sequence[PodIdentity] = (),
         planned: bool = False,
     ) -> Progress:
-        """A recovery from a failure that has just been detected, or a hand-over that is planned."""
+        """Return a recovery from a failure that was just detected, or from a planned hand-over."""
         progress = cls(reason=reason, failed=list(failed), planned=planned, cursor=last_healthy)
         progress.moments["last_healthy"] = last_healthy
         progress.moments["detected"] = detected
@@ -86,9 +86,9 @@ class Progress(Model):
         return progress
 
     def charge(self, part: Part, until: float) -> None:
-        """Account the time since the last call to a part of the recovery time (equation 1 of the paper).
+        """Assign the time since the last call to a part of the recovery time (equation 1 of the paper).
 
-        Where the reflex put a standby in control, nothing after that was waited for.
+        If the reflex activated a standby, the robot waited for nothing after that.
         """
         if part != "detection" and self.taken_over is not None and not self.has_failed(self.taken_over.uid):
             return
@@ -96,13 +96,13 @@ class Progress(Model):
         self.cursor = max(self.cursor, until)
 
     def note_first_output(self, first: float) -> None:
-        """Note when the first output of the understudy was received at the gated readers.
+        """Record when the gated readers received the first output of the understudy.
 
-        It proves that the gate was open. Where it came before the probe that was waited for, whose sender may have had to wait for
-        a processor, the gate was enforced then at the latest.
+        It proves that the gate was open. If it arrived before the probe, whose sender may have waited for a processor, the gate was
+        enforced at that time at the latest.
         """
         moments = self.moments
-        moments.setdefault("first_output", first)  # by the reflex it came before the commit
+        moments.setdefault("first_output", first)  # with the reflex it arrives before the commit
         routed = moments.get("routed")
         if routed is None or not moments.get("committing", routed) <= first < routed:
             return
@@ -115,53 +115,53 @@ class Progress(Model):
             self.cursor -= back
 
     def release(self, now: float) -> None:
-        """Go on after the policy's budget had held it. Nothing was tried in that time, so it belongs to none of the parts."""
+        """Continue after a limit held it. Nothing was tried in that time, so no part accounts for it."""
         self.moments["released"] = self.cursor = now
 
     @property
     def began(self) -> float:
-        """When something could be done about it, in unix seconds."""
+        """When it could start: after its detection, or after a limit released it."""
         return self.moments.get("released", self.moments.get("detected", self.cursor))
 
     @property
     def occasion(self) -> Literal["FailureDetected", "Rescheduling", "FollowsDependency"]:
-        """What it was begun for, as the condition Recovering has it while it is under way."""
+        """The reason of the condition Recovering while it is in progress."""
         return "Rescheduling" if self.planned else "FollowsDependency" if self.follows else "FailureDetected"
 
     @property
     def held(self) -> bool:
-        """Whether the policy's budget, or a pause, holds it: what failed is fenced, and nothing else is done."""
+        """Whether the policy's budget or a pause holds it: the failed pod is fenced, and nothing else is done."""
         return "held" in self.moments and "released" not in self.moments
 
     def has_failed(self, uid: str) -> bool:
-        """Whether a pod is one of those that failed in this recovery."""
+        """Return whether a pod failed in this recovery."""
         return any(pod.uid == uid for pod in self.failed)
 
     @property
     def replaced(self) -> list[PodIdentity]:
-        """The pods that don't drive the robot any more where this has come to its end: those that failed, and the former one."""
+        """The pods that no longer drive the robot after this recovery: those that failed, and the former one."""
         handed = self.former is not None and self.result != "Failed" and not self.has_failed(self.former.uid)
         return [*self.failed, self.former] if handed and self.former is not None else list(self.failed)
 
     def fail_target(self) -> None:
-        """Count the present target among the failed pods."""
+        """Add the present target to the failed pods."""
         if self.target is not None:
             self.fail(self.target)
         self.target = None
 
     def fail(self, pod: PodIdentity) -> None:
-        """Count a pod among the failed ones."""
+        """Add a pod to the failed ones."""
         if not self.has_failed(pod.uid):
             self.failed.append(pod)
 
     def forget_attempt(self) -> None:
-        """Drop the moments of an attempt that came to nothing; those of the failure stay."""
+        """Drop the moments of an attempt without success, and keep those of the failure."""
         self.moments = {name: time for name, time in self.moments.items() if name in _OF_THE_FAILURE}
         self.state = []
         self.waiting = None
 
     def note_state(self, report: RestoreReport) -> None:
-        """Record what the instance that takes over was given, and what not. What was tried again counts as it ended last."""
+        """Record which state was restored to the instance that takes over, and which was not. The last try counts."""
         onset = self.moments.get("last_healthy", self.cursor)
         entries = [
             RestoredState(
@@ -178,7 +178,7 @@ class Progress(Model):
         self.state = list(known.values())
 
     def to_recovery(self, number: int) -> Recovery:
-        """As it stands in ``status.recoveries``."""
+        """Return its record for ``status.recoveries``."""
         parts = Parts(**{name: round(self.parts.get(name, 0.0), 6) for name in _PARTS})
         return Recovery(
             id=self.id,
@@ -206,7 +206,7 @@ _OF_THE_FAILURE = ("last_healthy", "detected", "held", "released")
 
 
 def beside(recovery: str) -> Progress | None:
-    """A recovery by its text beside a gate; None where there is none, or it can't be read."""
+    """Return the recovery recorded next to a gate; None if there is none or it cannot be read."""
     try:
         return Progress.model_validate_json(recovery) if recovery else None
     except ValidationError:
@@ -214,29 +214,29 @@ def beside(recovery: str) -> Progress | None:
 
 
 LASTS = 10.0
-"""Seconds after its beginning for which a recovery that only a gate tells of counts as under way, for whoever doesn't wait for its end by a
-time of their own. A status follows its gate within three where its monitor lives (understudy.monitor.report.status_writer), and
-the next monitor says so itself; of one that was given up the gate tells until that is said there (understudy.monitor.act.abandonment).
+"""Seconds after its start for which a recovery counts as in progress if only the gate records it. The status follows the gate within three
+seconds while the monitor lives (understudy.monitor.report.status_writer), and a new monitor continues the recovery. An abandoned recovery
+stays next to the gate until it is marked there (understudy.monitor.act.abandonment).
 """
 
 
 @dataclass(frozen=True)
 class Committed:
-    """What a gate says, in short, of the recovery that committed to it last. Times are unix seconds."""
+    """The recovery that committed to a gate last, in short. Times are unix seconds."""
 
     id: str
     detected: float
-    """When the failure was detected, or the hand-over began."""
+    """When the failure was detected or the hand-over began."""
     began: float
-    """When something could be done about it: later than that where the policy's budget had held it."""
+    """When it could start: later than ``detected`` if a limit held it."""
     planned: bool
     """Whether nothing had failed."""
     running: bool
-    """Whether it had not come to its end."""
+    """Whether it has not ended."""
 
     @classmethod
     def of(cls, progress: Progress) -> Committed:
-        """From the recovery as it stands beside the gate."""
+        """Return it from the record next to the gate."""
         return cls(
             id=progress.id,
             detected=progress.moments.get("detected", 0.0),
@@ -247,26 +247,26 @@ class Committed:
 
 
 Told = tuple[str, str | None]
-"""A recovery that a status tells of: its id, and when it was detected (RFC 3339) where that is known."""
+"""A recovery in a status: its id, and when it was detected (RFC 3339), if that is known."""
 
 
 def told_in(recoveries: Iterable[Recovery]) -> list[Told]:
-    """What ``status.recoveries`` tells of."""
+    """Return the recoveries in ``status.recoveries``."""
     return [(recovery.id, recovery.moments.detected) for recovery in recoveries]
 
 
 def under_way(committed: Committed | None, told: Iterable[Told], now: float | None = None) -> bool:
-    """Whether the recovery beside a gate is under way, as far as the workload's status tells: the gate is there sooner.
+    """Return whether the recovery next to a gate is in progress. The gate changes before the status does.
 
-    ``told`` are the recoveries in the status. With ``now`` (unix seconds) one counts for no longer than LASTS. Pure; by it go all who
-    read a gate beside a status: the operator, those that depend on the workload, and people.
+    ``told`` are the recoveries in the status. With ``now`` (unix seconds) a recovery counts for no longer than LASTS. The operator,
+    dependent workloads and the command line use this.
     """
     if committed is None or not committed.running:
         return False
     if now is not None and now >= committed.began + LASTS:
         return False
     for id_, detected in told:
-        # Of several that failed only the last is in the status; an older one may stand beside the gate still.
+        # Of several failed recoveries the status has only the last; an older one may still be next to the gate.
         later = detected is not None and datetime.fromisoformat(detected).timestamp() >= committed.detected
         if id_ == committed.id or later:
             return False
@@ -274,11 +274,11 @@ def under_way(committed: Committed | None, told: Iterable[Told], now: float | No
 
 
 def waiter(recovery: str) -> Waiter | None:
-    """Who waits by a recovery as it stands beside a gate; None where it doesn't wait, or can't be read."""
+    """Return who waits for a pod, from the record next to a gate; None if nobody waits or it cannot be read."""
     found = beside(recovery)
     return found.waiting if found is not None else None
 
 
 def rfc3339(time: float) -> str:
-    """Unix seconds as RFC 3339 with microseconds, in UTC."""
+    """Return unix seconds as RFC 3339 with microseconds, in UTC."""
     return datetime.fromtimestamp(time, UTC).isoformat(timespec="microseconds").replace("+00:00", "Z")

@@ -1,6 +1,6 @@
-"""One recovery from its first strategy to its record: choose, carry out, verify, escalate.
+"""One recovery: choose a strategy, carry it out, verify it, escalate to the next one.
 
-It may be entered with the progress of an interrupted run; every step looks at what is so before it acts.
+It can continue the progress of an interrupted run; every step reads the present state before it acts.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from understudy.failover.strategies.base import Means, Strategy
 _logger = logging.getLogger(__name__)
 
 IN_FLIGHT = 0.010
-"""Seconds for which samples of the failed pod may still be under way after it was fenced."""
+"""Seconds for which samples of the failed pod may still arrive after it was fenced."""
 
 LOST = 2.0
-"""Seconds without its pod after which an instance that is being brought up counts as lost; a new claim is seen sooner."""
+"""Seconds without its pod after which an instance that is being brought up counts as lost; a claimed pod is seen earlier."""
 
 LOST_LOOK = 0.1
-"""Seconds between two looks whether it is."""
+"""Seconds between two checks of that."""
 
 QUIET = 0.200
 """Seconds without a sample of any other instance before a leak counts as closed."""
@@ -33,14 +33,14 @@ QUIET = 0.200
 
 @dataclass(frozen=True)
 class Choice:
-    """A strategy of the policy and the time it has."""
+    """A strategy of the policy, and the time in seconds within which it must be verified."""
 
     strategy: Strategy
     verify_within: float
 
 
 async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -> Progress:
-    """Put a healthy instance in control, by the first of the strategies that verifies.
+    """Activate a healthy instance with the first strategy that is verified.
 
     Returns the progress with its result, Recovered or Failed.
     Raises Superseded when another monitor commits to the gate.
@@ -51,10 +51,10 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
     for index in range(min(progress.index, len(choices)), len(choices)):
         choice = choices[index]
         progress.index, progress.strategy = index, choice.strategy.name
-        # A run that is taken up again was decided by the one before it.
+        # A run that continues an interrupted one was decided by that one.
         progress.charge("cluster", progress.moments.setdefault("decided", means.clock()))
         if progress.attempts:
-            means.save(progress)  # else nothing was done yet, and the first commit is in a hurry
+            means.save(progress)  # otherwise nothing was done yet, and the first commit must not wait
         result, message = await _attempt(progress, choice, means, last=index == len(choices) - 1)
         pod = progress.target.name if progress.target else ""
         progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))
@@ -75,7 +75,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
 async def _attempt(
     progress: Progress, choice: Choice, means: Means, *, last: bool
 ) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
-    begun = progress.target is not None or progress.waiting is not None  # by a monitor that is gone
+    begun = progress.target is not None or progress.waiting is not None  # by an earlier monitor
     if not begun and (reason := means.holds(choice.strategy)) is not None:
         return "NotAvailable", reason
     try:
@@ -91,7 +91,7 @@ async def _attempt(
 
 
 async def _in_its_time(progress: Progress, choice: Choice, means: Means, *, last: bool) -> None:
-    """Wait for what the strategy needs, as it says, and carry it out in the time that it has for that."""
+    """Wait for the resources of the strategy, then carry it out within its time."""
     while True:
         await choice.strategy.wait(progress, means)
         try:
@@ -110,10 +110,10 @@ async def _carry_out(progress: Progress, choice: Choice, means: Means) -> None:
 async def unless_lost(
     work: Coroutine[None, None, None], progress: Progress, means: Means, *, crashing_counts: bool
 ) -> None:
-    """Do the work, and give it up where the instance that it's about is lost: the next strategy then has its time.
+    """Do the work, and stop if its instance is lost, so that the next strategy is tried.
 
-    ``crashing_counts`` is whether one that ends again and again is lost too: where nothing else is left to be tried, it may
-    still come up. Raises NotVerified.
+    ``crashing_counts`` is whether a crash-looping instance is lost too: if no other strategy is left, it may still come up.
+    Raises NotVerified.
     """
     working = asyncio.create_task(work)
     watching = asyncio.create_task(_loss(progress, means, crashing_counts=crashing_counts))
@@ -129,7 +129,7 @@ async def unless_lost(
 
 
 async def _loss(progress: Progress, means: Means, *, crashing_counts: bool) -> str:
-    """Wait until the instance that is brought up is lost; how."""
+    """Wait until the instance that is brought up is lost; return how."""
     missing: float | None = None
     while True:
         await asyncio.sleep(LOST_LOOK)
@@ -163,7 +163,7 @@ def _missing(progress: Progress) -> str:
 
 
 async def _verify(target: Instance, progress: Progress, means: Means) -> None:
-    """Outputs are seen to come from the new instance and from no other (DESIGN: the failover protocol, step 4)."""
+    """Wait until outputs arrive from the new instance and from no other one."""
     since = progress.moments.get("committing", progress.cursor)
     first = await means.outputs.first_from(target, since=since)
     if first is not None:
@@ -172,7 +172,7 @@ async def _verify(target: Instance, progress: Progress, means: Means) -> None:
 
 
 async def alone(target: Instance, progress: Progress, means: Means) -> None:
-    """Wait until an instance that drives the robot is the only one: what still gets through of a failed pod ends with that pod.
+    """Wait until only one instance drives the robot: outputs of a failed pod end when the pod is deleted.
 
     Raises Superseded.
     """
@@ -193,7 +193,7 @@ async def alone(target: Instance, progress: Progress, means: Means) -> None:
 
 
 async def retire(progress: Progress, means: Means) -> None:
-    """Delete the pods that failed: a policy patch routes, it doesn't kill."""
+    """Delete the pods that failed: the gate routes packets, it does not end processes."""
     for instance in means.instances.of_workload():
         if progress.has_failed(instance.uid) and not instance.terminating:
             await means.instances.retire(instance)

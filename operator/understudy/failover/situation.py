@@ -1,6 +1,6 @@
-"""Which of a policy's situations the robot is in, with hysteresis: a task that ends and begins again has no standby taken down and made.
+"""Determines which situation of the policy applies, with hysteresis: standbys are not deleted and created again between two tasks.
 
-Pure; what is seen, and when, others say.
+Pure: the caller passes the observations and the time.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from understudy.failover.degradation import Lasting
 
 @dataclass(frozen=True)
 class Rule:
-    """When a situation counts. Times are seconds."""
+    """When a situation applies. Times are seconds."""
 
     name: str
     after: float
@@ -21,19 +21,19 @@ class Rule:
 
 
 class Situations:
-    """All situations of a policy, of which one is in force at a time. Times are seconds by one clock that is never set."""
+    """The situations of a policy, of which one applies at a time. Times are seconds of a monotonic clock."""
 
     def __init__(self) -> None:
         self._lasting: dict[str, Lasting] = {}
 
     def adopt(self, name: str, now: float) -> None:
-        """Go on from a situation that was in force before this process began."""
+        """Continue with a situation that applied before this process started."""
         self._lasting[name] = Lasting(now)
 
     def note(self, rules: Sequence[Rule], seen: Mapping[str, bool | None], now: float) -> str | None:
-        """Note of each situation whether the robot is seen in it, None where that can't be told; the first one that counts.
+        """Record for each situation whether it is observed (None if that is unknown), and return the first one that applies.
 
-        What isn't among ``rules`` any more is forgotten.
+        Situations that are no longer in ``rules`` are dropped.
         """
         self._lasting = {rule.name: self._lasting.get(rule.name) or Lasting() for rule in rules}
         counting = [
