@@ -1,6 +1,6 @@
 """The monitor's loop: observe, judge, decide, act, report.
 
-It looks at deadlines, not at ticks: see understudy.monitor.observe.wakeups.
+The loop wakes at deadlines, not at ticks: see understudy.monitor.observe.wakeups.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from understudy.trees.core.health_tree import Verdict
 _logger = logging.getLogger(__name__)
 
 SETTLE = 2.0
-"""Most seconds that a new monitor waits for the agents of understudies before it begins a recovery, or goes on with one."""
+"""Maximum seconds that a new monitor waits for the agents of understudies before it begins or continues a recovery."""
 
 SLOW = 1.0
 """Seconds between looks at what is not urgent: labels, standbys, whether the gate is enforced."""
@@ -99,7 +99,7 @@ class Supervisor:
     # -- observe, judge, decide -------------------------------------------------------------------------------------
 
     async def _watch(self) -> Failure:
-        """Look at every deadline until something is to be done."""
+        """Look at every deadline until there is something to do."""
         looks = self.observe.looks
         looks.restart()
         while True:
@@ -137,7 +137,7 @@ class Supervisor:
         self.act.keeping.take(policy.state, self._sight.addresses, active)
 
     async def look(self, policy: FailurePolicySpec, now: float) -> tuple[Failure | None, float | None]:
-        """Return what is to be done now, or else when to look again at the latest (unix seconds; None for the next tick)."""
+        """Return what to do now, or else when to look again at the latest (Unix seconds; None for the next tick)."""
         state, detector, trusted_from = self._gate.state, self.judge.detector, self.observe.looks.trusted_from
         if not self._gate.exists:
             self._notices.set(health="Unknown")
@@ -239,7 +239,7 @@ class Supervisor:
             self.decide.limits.retries.note(done)
 
     async def recover(self, failure: Failure) -> None:
-        """Do what is to be done about a failure, or what is due without one."""
+        """Recover from a failure, or carry out what is due without one."""
         if failure.switch is not None:
             self.conclude(await self.act.switchovers.carry_out(failure.switch))
             return
@@ -294,7 +294,7 @@ class Supervisor:
     # -- report, and what every stage remembers ---------------------------------------------------------------------
 
     def conclude(self, outcome: Outcome | None) -> None:
-        """Have every stage remember what became of a recovery or a switchover, and report it."""
+        """Report the outcome of a recovery or a switchover, and let every stage remember it."""
         if outcome is None:
             return
         self.judge.detector.restart(outcome.committed)
@@ -313,14 +313,14 @@ class Supervisor:
         self.act.conclude(outcome)
 
     def _meanwhile(self) -> None:
-        """What goes on while a recovery is deferred."""
+        """Do the work that continues while a recovery is deferred."""
         if (policy := self._view.policy) is not None:
             self.act.follow_safety(policy)
         self._sight.drain(self._pods.of_workload(), "")
         self._housekeeping()
 
     def _housekeeping(self) -> None:
-        """What is not urgent. Returns at once."""
+        """Do what is not urgent. Returns at once."""
         self.act.keep_connected()
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:

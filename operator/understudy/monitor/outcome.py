@@ -1,4 +1,5 @@
-"""What became of a recovery or a planned switchover: the value that the act stage returns, and that every stage may remember."""
+"""The outcome of a recovery or a planned switchover: the value that the act stage returns, and that every stage may
+remember."""
 
 from __future__ import annotations
 

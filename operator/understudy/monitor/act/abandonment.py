@@ -1,12 +1,12 @@
-"""Has what stands beside the gate say that a recovery isn't gone on with, once it was given up.
+"""Marks abandoned recoveries in the record at the gate, so that they do not count as under way.
 
-A recovery is written beside the gate with its first commit, and counts as under way until the status tells of it. One that an error of
-the API server has stopped, or that somebody else was faster than, never gets there. Workloads that depend on this one would wait for its
-end, and so would those that wait for the same shared pool. So it is with one whose monitor is gone and that nobody has recorded, such as
-the older one of two monitors of this workload.
+The first commit of a recovery writes a record at the gate. The recovery counts as under way until the status lists it.
+If an error of the API server stops it, or another writer is first, the status never lists it. Workloads that depend on
+this one would wait for its end, and so would workloads that wait for the same shared pool. The same holds for a
+recovery whose monitor is gone and that nobody has recorded, such as that of the older of two monitors of this workload.
 
-It is written in the background while nothing is recovered, and tried again until the gate says so. A recovery never waits for
-it: at the worst its commit is refused once, since this was first, and is sent again.
+The mark is written in the background while no recovery is under way, and tried again until the gate has it. A recovery
+never waits for the mark: at worst its commit is refused once, because the mark was written first, and is sent again.
 """
 
 from __future__ import annotations
@@ -25,38 +25,40 @@ _logger = logging.getLogger(__name__)
 
 
 class Abandonment:
-    """The recoveries of one workload that were abandoned, for as long as the record at its gate may say otherwise."""
+    """The abandoned recoveries of one workload, for as long as the record at its gate may say otherwise."""
 
     def __init__(self, gate: GateControl, journal: RecoveryJournal, notices: Notices) -> None:
         self._gate, self._journal, self._notices = gate, journal, notices
         self._kept: list[GivenUp] | None = None
-        """None until what an earlier monitor had given up was taken over."""
+        """The recoveries that were abandoned; None until those of an earlier monitor were taken over."""
         self._left: tuple[str, float] = ("", 0.0)
-        """What stands beside the gate of a recovery that isn't this monitor's, and since when (monotonic seconds)."""
+        """The recovery in the gate's record that is not this monitor's, and since when it is there (monotonic
+        seconds)."""
         self._saying: asyncio.Task[None] | None = None
 
     @property
     def ids(self) -> set[str]:
-        """Those that a new monitor doesn't go on with."""
+        """Ids of the recoveries that a new monitor does not continue."""
         self._forget_past_ones()
         return {one.id for one in self._known}
 
     def abandon(self, progress: Progress) -> None:
-        """Mark a recovery as one that nobody finishes, here or in the next container."""
+        """Mark a recovery as abandoned, for this monitor and for the one in the next container."""
         self._note(progress)
         self._journal.forget()
 
     def _note(self, progress: Progress) -> None:
         left = self._gate.left_by(progress.id)
         if left is None:
-            return  # it hadn't come to the gate
+            return  # it had not reached the gate
         # An earlier one may stand there still: this one needn't have come further than to ask for a commit.
         record = self._gate.record
         there = [one for one in self._known if record is not None and one.stands(record.epoch, record.recovery)]
         self._keep([*(one for one in there if one.id != left.id), left])
 
     def look(self) -> None:
-        """Say it beside the gate where that tells otherwise. Called now and then while nothing is recovered; returns at once."""
+        """Write the mark if the gate says otherwise. Called now and then while nothing is recovered; returns at
+        once."""
         self._forget_past_ones()
         record = self._gate.record
         if record is None or (self._saying is not None and not self._saying.done()):
@@ -88,7 +90,7 @@ class Abandonment:
         return self._kept
 
     def _forget_past_ones(self) -> None:
-        """Forget those of which the gate doesn't tell any more, and can't come to."""
+        """Forget the recoveries that the gate's record does not name, and can no longer name."""
         record = self._gate.record
         if record is None or not self._known:
             return

@@ -1,6 +1,6 @@
-"""The monitor's end of the task proxy: tells it who is in control, and reports how the tasks are doing.
+"""The monitor's end of the action proxy: reports to it which instance is active, and reports how the tasks are doing.
 
-The proxy is a process of its own beside this one, and goes on while this one is away.
+The proxy is a separate process beside this one, and continues while this one is away.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from understudy.monitor.observe.cluster_view import View
 _logger = logging.getLogger(__name__)
 
 LOOK = 0.25
-"""Most seconds between two looks at what is so; a change of the gate or of a pod is noticed at once."""
+"""Maximum seconds between two looks at the situation; a change of the gate or of a pod is noticed at once."""
 
 RETRY = 0.2
-"""Seconds before connecting to the proxy is tried again."""
+"""Seconds before the next attempt to connect to the proxy."""
 
 PATIENCE = 30.0
-"""Seconds after which a proxy that can't be reached is reported."""
+"""Seconds after which a proxy that cannot be reached is reported."""
 
 MOST = 1 << 20
-"""Bytes of one line."""
+"""Maximum bytes of one line."""
 
 CONDITION = "TasksProxied"
 
@@ -48,13 +48,13 @@ class TaskLink:
     def __init__(
         self, socket: Path, view: View, fleet: Fleet, gate: Gate, sidecars: Sidecars, notices: Notices
     ) -> None:
-        """``socket`` is the proxy's."""
+        """``socket`` is the path of the proxy's socket."""
         self._socket = socket
         self._view, self._fleet, self._gate = view, fleet, gate
         self._sidecars, self._notices = sidecars, notices
 
     async def run(self) -> None:
-        """Connect, tell, listen; again and again."""
+        """Connect, send and listen, again and again."""
         away_since = time.monotonic()
         while True:
             spec = self._view.spec
@@ -81,7 +81,7 @@ class TaskLink:
             except* (ValueError, KeyError, TypeError) as group_error:
                 _logger.error("the task proxy said what can't be understood: %r", group_error.exceptions[0])
             except* Exception:
-                # Whatever it is, it must not end the monitor.
+                # An error of any kind must not end the monitor.
                 _logger.exception("speaking with the task proxy")
             finally:
                 writer.close()
@@ -108,7 +108,7 @@ class TaskLink:
             self._report(json.loads(line)["report"])
 
     async def _situation(self, spec: RobotWorkloadSpec) -> dict[str, Any]:
-        """What is so, as the proxy's Situation has it on the wire."""
+        """The present situation, as the proxy's Situation has it on the wire."""
         state = self._gate.state
         settings = self._view.settings
         full = {choice.name for choice in settings.pools if choice.readiness == "Executing"} if settings else set[str]()
@@ -163,7 +163,7 @@ class TaskLink:
 
     @property
     def _problem(self) -> str:
-        """What the operator found wrong with how the tasks are set up."""
+        """The problem that the operator found in the configuration of the tasks."""
         return self._view.settings.tasks_problem if self._view.settings else ""
 
     def _say_without(self, spec: RobotWorkloadSpec | None) -> None:
@@ -179,19 +179,20 @@ class TaskLink:
 
 
 def reachable(instance: Instance, state: GateState) -> bool:
-    """Whether the proxy can have goals at an instance: one that is being deleted only while it is in control."""
+    """Whether the proxy can have goals at an instance. An instance that is being deleted counts only while it is
+    active."""
     leaving = instance.terminating and instance.uid != state.active_uid
     return instance.has_agent and bool(instance.ip) and instance.running and not instance.held and not leaving
 
 
 def executing(instance: Instance, state: GateState, full: set[str]) -> bool:
-    """Whether an instance is a standby that runs in full: of such a pool, or the controller's own where there is one."""
+    """Whether an instance is an executing standby: of an executing pool, or of the controller's own if there is one."""
     standby = instance.uid != state.active_uid and not instance.claim
     return standby and (instance.pool in full or (instance.from_source and bool(full)))
 
 
 def settled(health: str, active: Instance | None) -> bool:
-    """Whether no failure is seen and no recovery under way."""
+    """Whether no failure is seen and no recovery is under way."""
     return health not in ("Failed", "Recovering") and active is not None and active.running and not active.leaving
 
 

@@ -1,6 +1,7 @@
-"""Defers a recovery while the policy's budget is spent, or a pause is in force: the failed pod is fenced, and nothing else is done.
+"""Defers a recovery while the policy's budget is spent or a pause is in force: fences the failed pod, and does nothing
+else.
 
-The record at the gate says so, so that the next monitor goes on deferring it.
+The record at the gate says so, so that the next monitor continues to defer it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 
 LOOK = 1.0
-"""Seconds between two looks whether it may go on."""
+"""Seconds between two looks whether the recovery may continue."""
 
 
 class Deferral:
@@ -32,7 +33,7 @@ class Deferral:
         self._limits, self._current, self._journal = limits, current, journal
 
     async def until_allowed(self, progress: Progress) -> AsyncGenerator[None]:
-        """End once the recovery may be carried out, and yield at each look before: other work goes on meanwhile.
+        """End once the recovery may be carried out. Yields at each look before that, so that other work continues.
 
         Raises Superseded, and what a request to the API server raises.
         """
@@ -54,7 +55,7 @@ class Deferral:
             self._notices.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
 
     async def _fence(self, progress: Progress) -> int:
-        """Close the gate, and report it; the gate's epoch."""
+        """Close the gate and report it. Returns the gate's epoch."""
         progress.moments.setdefault("held", time.time())
         self._journal.save(progress)
         if not self._gate.state.closed:

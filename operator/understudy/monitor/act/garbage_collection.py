@@ -1,8 +1,8 @@
-"""Deletes what recoveries have left: pods that were claimed and that nobody brings up, and failed ones whose deletion failed.
+"""Deletes what recoveries left behind: claimed pods that nobody prepares, and failed pods whose deletion failed.
 
-A claim may be carried out after its monitor has given it up, or has died together with its journal. Such a pod is of no
-use to anybody: it belongs to this workload, no recovery knows it, and no pool counts it. A failed one counts as a
-standby, and would keep its place.
+A claim may succeed after its monitor gave it up, or died together with its journal. Such a pod is useless: it belongs
+to this workload, but no recovery knows it and no pool counts it. A failed pod counts as a standby, and would keep its
+place.
 """
 
 from __future__ import annotations
@@ -24,17 +24,16 @@ from understudy.monitor.notices import Notices
 _logger = logging.getLogger(__name__)
 
 LEFT_FOR = 30.0
-"""Seconds for which a claimed pod must not have been in control: another monitor of this workload may be bringing it up, while
-this one is about to be replaced by it.
-"""
+"""Minimum seconds that a claimed pod was not active before it is deleted. Another monitor of this workload may be
+preparing it, while this one is about to be replaced by it."""
 
 
 FAILED_FOR = 2.0
-"""Seconds after which a pod that has failed is deleted again: that it was deleted before may be seen only then."""
+"""Seconds after which a failed pod is deleted again: its first deletion may be seen only then."""
 
 
 class Leftovers:
-    """Pods of one workload that aren't in control, and of no use."""
+    """Pods of one workload that are not active and have no use."""
 
     def __init__(self, fleet: Fleet, gate: GateControl, notices: Notices) -> None:
         self._fleet, self._gate, self._notices = fleet, gate, notices
@@ -44,24 +43,26 @@ class Leftovers:
         self._deleting: asyncio.Task[None] | None = None
 
     def remember(self) -> None:
-        """Note the pods that failed in the recovery which the gate tells of: the next one may begin at once."""
+        """Note the pods that failed in the recovery in the gate's record: the next recovery may begin at once."""
         recovery = self._gate.state.recovery
         if recovery is not None:
             self._failed |= {pod.uid: pod for pod in recovery.replaced}
 
     def add(self, pod: PodIdentity) -> None:
-        """A pod that was begun with and isn't needed."""
+        """Add a pod that a recovery began to prepare and does not need."""
         self._failed[pod.uid] = pod
 
     def failed(self) -> list[PodIdentity]:
-        """Pods that failed in earlier recoveries and are there still: the next one deletes them too, whoever finishes it."""
+        """Pods that failed in earlier recoveries and still exist: the next recovery deletes them too, whichever monitor
+        finishes it."""
         self.remember()
         active = self._gate.state.active_uid
         there = {i.uid for i in self._fleet.of_workload() if i.usable}
         return [pod for uid, pod in self._failed.items() if uid in there and uid != active]
 
     def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
-        """Look at every instance while nothing is being recovered; ``now`` is by a clock that is never set. Returns at once."""
+        """Look at every instance while no recovery is under way. ``now`` is by a clock that is never set. Returns at
+        once."""
         state = self._gate.state
         in_use = (state.active_uid, state.admitted_uid)
         self.remember()
@@ -83,7 +84,7 @@ class Leftovers:
     async def _delete(self, due: Sequence[Instance]) -> None:
         for instance in due:
             with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
-                # What was seen of the gate may be old.
+                # The last seen state of the gate may be old.
                 if await self._gate.lets_through(instance):
                     continue
                 await self._fleet.retire(instance)

@@ -1,8 +1,8 @@
-"""Tells the robot the policy's safe commands while no instance is verified to be in control (DESIGN: safety focus).
+"""Sends the policy's safe commands to the robot while no instance is verified to be in control (DESIGN: safety focus).
 
-The monitor isn't an instance, so the gate lets it through; its commands begin after the failed instance was fenced, and end with the first
-output of the next one. An instance for which the gate has just been opened is given as long again before it counts as silent, so that
-the two don't contradict each other.
+The monitor is not an instance, so the gate lets it through. Its commands begin after the failed instance was fenced,
+and end with the first output of the next one. An instance for which the gate has just opened is given the same time
+again before it counts as silent, so that the two do not contradict each other.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from understudy.ros.runtime.message_values import MessageError
 _logger = logging.getLogger(__name__)
 
 CLOSED, OPENED, DRIVEN = "fenced", "committing", ("first_output", "verified")
-"""The moments of a recovery between which nobody drives."""
+"""The moments of a recovery between which no instance drives."""
 
 
 class Unattended:
-    """Since when no instance has been able to drive the robot, by what became of the recoveries."""
+    """Since when no instance has been able to drive the robot, according to the outcomes of recoveries."""
 
     def __init__(self, view: View, pauses: Pauses, current: CurrentRecovery) -> None:
         self._view, self._pauses, self._current = view, pauses, current
@@ -40,7 +40,7 @@ class Unattended:
 
     @property
     def since(self) -> float | None:
-        """Since when (unix seconds) the robot has waited for safe commands; None while it is driven, or left alone."""
+        """Since when (Unix seconds) the robot has waited for safe commands; None while it is driven, or left alone."""
         progress, held = self._current.progress, self._current.held
         if self._view.retired or (self._pauses.on is not None and (held or progress is None)):
             return None
@@ -59,14 +59,14 @@ class Unattended:
         return self._since
 
     def conclude(self, outcome: Outcome) -> None:
-        """Take in what became of a recovery or a switchover."""
+        """Take in the outcome of a recovery or a switchover."""
         if outcome.driven:
             self._since = None
         elif outcome.kind == "NothingVerified" and self._since is None:
             self._since = time.time()
 
     def driven(self) -> None:
-        """An instance is in control and healthy."""
+        """Note that an instance is in control and healthy."""
         self._since = None
 
 
@@ -80,12 +80,12 @@ class SafeCommands:
         self._tasks: list[asyncio.Task[None]] = []
         self._after = 0.0
         self.problems: list[str] = []
-        """What can't be told and why, with what to do."""
+        """The commands that cannot be sent, why, and how to correct that."""
         self.sent = 0
-        """Messages published."""
+        """Number of messages published."""
 
     def follow(self, safety: Safety | None, spec: RobotWorkloadSpec) -> None:
-        """Be ready to publish what this policy says; without one, nothing."""
+        """Prepare to publish the safe commands of this policy; without any, publish nothing."""
         outputs = [(output.topic, output.type) for output in spec.outputs if output.topic]
         wanted = (safety, outputs, spec.gate.reflex is not None)
         if wanted == self._followed:
@@ -109,14 +109,15 @@ class SafeCommands:
             self._tasks.append(asyncio.create_task(self._repeat(commander, seconds(command.every))))
 
     async def _repeat(self, commander: Commander, period: float) -> None:
-        """Publish in the policy's period for as long as nobody drives."""
+        """Publish at the policy's period while no instance drives."""
         loop = asyncio.get_running_loop()
         known: float | None = None
         begins, failing = 0.0, False
         while True:
             since = self._unattended.since
             if since is not None and since != known:
-                # From here on by the clock that isn't set. What is of later was told by another node's clock, or before a step back.
+                # From here on by the clock that is never set. A later time comes from another node's clock, or from
+                # before the clock was set back.
                 begins = loop.time() + min(since + self._after - time.time(), self._after)
             known, wait = since, period
             if since is not None:
@@ -128,7 +129,8 @@ class SafeCommands:
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
 
     def _publish(self, commander: Commander, failing: bool) -> bool:
-        """Publish once; whether that failed. The next one may get through: nobody else tells the robot anything."""
+        """Publish once. Returns whether that failed. The next message may get through, and nobody else commands the
+        robot."""
         try:
             commander.publish()
         except Exception:  # whatever rclpy raises
@@ -148,7 +150,7 @@ class SafeCommands:
 
 
 class _Unusable(Exception):
-    """A command that the robot wouldn't hear."""
+    """A command that the robot would not receive."""
 
 
 def _type(topic: str, outputs: Sequence[tuple[str, str]], *, reflex: bool) -> str:

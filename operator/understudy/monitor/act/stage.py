@@ -81,7 +81,7 @@ class ActStage:
             self.leftovers.housekeeping(instances, time.monotonic())
 
     def conclude(self, outcome: Outcome) -> None:
-        """Remember what became of a recovery or a switchover."""
+        """Remember the outcome of a recovery or a switchover."""
         self.unattended.conclude(outcome)
         if outcome.concluded and outcome.kind != "NothingVerified":
             self.leftovers.remember()

@@ -1,8 +1,8 @@
-"""Brings instances to where they belong while nothing is being recovered: the first one to driving, standbys to their pool's
-readiness. A standby that was ready and isn't any more is replaced.
+"""Prepares instances while no recovery is under way: brings the first one into control, and standbys to their pool's
+readiness. Replaces a standby that was ready and no longer is.
 
-The procedures run in the agents (agent/procedure_runner.py), which remember what they brought their instance to, so that
-nothing is done twice after a restart of this process.
+The procedures run in the agents (agent/procedure_runner.py). The agents remember what they brought their instance to,
+so that nothing is done twice after a restart of this process.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ LOST_FOR = 10.0
 """Seconds without readiness after which a standby that was ready is replaced."""
 
 RETRY_FIRST, RETRY_MOST = 5.0, 60.0
-"""Seconds before a procedure that failed is tried again."""
+"""Seconds before a procedure that failed is tried again: first and maximum."""
 
 
 @dataclass
@@ -112,7 +112,7 @@ class Bringing:
                 self._stop(care)
             return
         if (care.procedure, care.brought) != (procedure, found.brought):
-            # What became of the last one says nothing of this one, which may be its correction.
+            # The outcome of the last procedure says nothing about this one, which may be its correction.
             self._stop(care)
             care.procedure, care.brought = procedure, found.brought
             care.problem, care.wait = "", RETRY_FIRST
@@ -138,15 +138,14 @@ class Bringing:
             _logger.info("%s: %s done", instance.name, procedure.name)
 
     def _watch_readiness(self, instance: Instance, care: _Care, now: float) -> None:
-        """Replace a standby that was ready and hasn't been for a while. While the one in control isn't healthy itself, the
-        reason may be the robot.
-        """
+        """Replace a standby that was ready and has not been for a while. While the active instance is not healthy
+        either, the reason may be the robot."""
         ready, reason = self.sidecars.is_ready(instance)
         if ready:
             self.roles.mark_ready(instance)
             care.lost_at = None
             return
-        # A standby that can't be reached from here alone may be as it should be: the API server then decides.
+        # A standby that only this monitor cannot reach may be in order: the API server then decides.
         unreachable = self.sidecars.status(instance) is None and instance.ready
         if (
             not self.roles.was_ready(instance)

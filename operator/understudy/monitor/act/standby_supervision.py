@@ -1,4 +1,4 @@
-"""Looks after the instances that wait: what each of them is to be, that it becomes so, and that what is of no use is deleted."""
+"""Looks after waiting instances: decides what each is to become, prepares it, and deletes those that have no use."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from understudy.monitor.observe.instance_roles import InstanceRoles
 
 
 class Standbys:
-    """The standbys of one workload, and whoever else has yet to be brought to where it belongs."""
+    """The standbys of one workload, and other instances that are not prepared yet."""
 
     def __init__(
         self,
@@ -37,7 +37,8 @@ class Standbys:
     def housekeeping(
         self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool
     ) -> None:
-        """Look at every instance that is nobody else's; in a pause nothing is done to any of them. Returns at once."""
+        """Look at every instance that nothing else handles. During a pause nothing is done to any of them. Returns at
+        once."""
         if not paused:
             self._bring(instances, policy, settings)
         active_uid = self._cluster.gate.state.active_uid
@@ -61,7 +62,7 @@ def receivers(
     periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
     if not periods:
         return []
-    # A pod of the workload's own controller is a standby like the pools' pods.
+    # A pod of the workload's own controller is a standby like the pods of pools.
     return [
         (instance, periods.get(instance.pool, min(periods.values())))
         for instance in instances

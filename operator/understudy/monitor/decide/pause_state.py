@@ -1,4 +1,5 @@
-"""Maintenance (spec.pause): whether the workload is to be left alone now, and what people are told of that."""
+"""Maintenance (``spec.pause``): whether the monitor leaves the workload alone now, and what it reports about the
+pause."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ CONDITION = "Paused"
 
 
 class Pauses:
-    """The pause of one workload. Times are unix seconds."""
+    """The pause of one workload. Times are Unix seconds."""
 
     def __init__(self, view: View, notices: Notices) -> None:
         self._view, self._notices = view, notices
@@ -29,12 +30,12 @@ class Pauses:
 
     @property
     def on(self) -> Pause | None:
-        """The pause that is in force, by the last look."""
+        """The pause that was in force at the last look."""
         given, in_force = self._known
         return given if in_force else None
 
     def look(self, now: float) -> None:
-        """Look whether one is in force, and tell of it where that is new."""
+        """Look whether a pause is in force, and report a change."""
         spec = self._view.spec
         if spec is None:
             return
@@ -61,7 +62,7 @@ class Pauses:
             self._notices.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
 
     def _words(self) -> str:
-        """Who has ended it and why, where they told it."""
+        """Who ended the pause and why, if they gave a reason."""
         found = self._annotation(names.RESUMED_FOR) if self._annotation(names.RESUMED) != self._resumed else ""
         return f" by {found}" if found else ""
 

@@ -16,11 +16,11 @@ from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.storm_condition import Storms
 
 LOOK_WITHIN = 0.5
-"""Seconds that looking for what a planned hand-over needs may take."""
+"""Maximum seconds that the check for what a planned hand-over needs may take."""
 
 
 class Repertoire:
-    """The strategies of one workload's policy, and what is there for them."""
+    """The strategies of one workload's policy, and the resources that exist for them."""
 
     def __init__(self, view: View, storms: Storms, means: Means) -> None:
         """``means`` are those of every workload; the workload's settings and policy are added when they are asked for."""
@@ -34,20 +34,20 @@ class Repertoire:
         return replace(self._means, workload_uid=settings.uid, restore_within=restore_within, holds=self.holds)
 
     def choices(self) -> Sequence[Choice]:
-        """In order, each with the time it has; none where it isn't known yet which there are."""
+        """The strategies in order, each with the time it has; empty while they are not known yet."""
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return ()
         return choices(policy, settings, self._view.spec)
 
     def usable(self) -> str:
-        """The name of the one that would be carried out now."""
+        """The name of the strategy that would be carried out now."""
         means = self.means()
         reasons = [(choice.strategy, choice.strategy.outlook(means)) for choice in self.choices()]
         return next((strategy.name.split("/")[-1] for strategy, reason in reasons if reason is None), "None")
 
     def stands_by(self) -> bool:
-        """Whether an instance that is well is there to take over, which takes nothing from others."""
+        """Whether a healthy instance is ready to take over, without taking anything from other workloads."""
         found = self.choices()
         if not found:
             return False
@@ -55,19 +55,21 @@ class Repertoire:
         return any(choice.strategy.standing and choice.strategy.available(means) is None for choice in found)
 
     def holds(self, strategy: Strategy) -> str | None:
-        """Why a strategy isn't tried now, although it could be."""
+        """Why a strategy is not tried now although it could be."""
         if strategy.standing or (storm := self._storms.on(time.time())) is None:
             return None
         return f"held because other workloads fail too: {storm.words}"
 
     def first_lacks(self) -> str | None:
-        """Why the first one can't be carried out, by what was said; None where it can."""
+        """Why the first strategy cannot be carried out, according to what was reported; None if it can."""
         first = self.choices()[0].strategy
         return first.outlook(self.means()) or self.holds(first)
 
     async def look_for_first(self) -> str | None:
-        """Why the first one can't be carried out, by what is so and not only by what was said. Meanwhile nobody watches the
-        instance in control, so an answer that is slow is none.
+        """Why the first strategy cannot be carried out, according to the present state of the cluster and not only to
+        reports.
+
+        Nobody watches the active instance meanwhile, so a slow answer counts as none.
         """
         first, means = self.choices()[0].strategy, self.means()
         try:

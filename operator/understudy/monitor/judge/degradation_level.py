@@ -1,7 +1,7 @@
-"""Says whether the workload is Degraded: its health tree holds, and the tree of ``spec.degraded`` doesn't.
+"""Judges whether the workload is Degraded: its health tree succeeds, but the tree of ``spec.degraded`` fails.
 
-It is judged with the same looks as health, and never in the way of it: a failure is acted on in the same time, whatever the
-level. Without ``spec.degraded`` nothing is looked at.
+Degradation is judged at the same looks as health and never delays it: the monitor acts on a failure equally fast at
+every level. Without ``spec.degraded`` nothing is evaluated.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from understudy.trees.core.health_tree import Verdict
 _logger = logging.getLogger(__name__)
 
 LOOK = 0.2
-"""Seconds between two looks: whether it is well matters within seconds, not within milliseconds."""
+"""Seconds between two looks: degradation matters within seconds, not within milliseconds."""
 
 AGAIN = 30.0
 """Seconds between two updates of the message, whose figures change with every look."""
@@ -34,7 +34,7 @@ _WAITS = " It isn't handed over yet: "
 
 
 class Levels:
-    """The level of the instance in control, and when one that is degraded is due to be handed over."""
+    """The level of the active instance, and when a degraded one is due to be handed over."""
 
     def __init__(self, sight: Sight, notices: Notices) -> None:
         self._sight, self._notices = sight, notices
@@ -53,12 +53,12 @@ class Levels:
 
     @property
     def degraded(self) -> bool:
-        """Whether it is degraded, as far as the last look knows."""
+        """Whether the instance was degraded at the last look."""
         return self._level.since is not None
 
     @property
     def due(self) -> str | None:
-        """Why the instance is to be handed over now; None where it isn't."""
+        """Why the instance is to be handed over now; None if it is not."""
         return f"degraded: {self._words}; rescheduled while idle" if self._due and self.degraded else None
 
     def handed_over(self) -> None:
@@ -66,11 +66,11 @@ class Levels:
         self._handed_over, self._due, self._lacking = time.monotonic(), False, None
 
     def wait(self, kind: str, words: str) -> None:
-        """Note why a hand-over that is due can't be begun; it is due again with the next look."""
+        """Note why a hand-over that is due cannot begin; it is due again at the next look."""
         self._due, self._lacking = False, Busy(kind, words)
 
     def look(self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, now: float, since: float) -> bool:
-        """Whether the instance is degraded, given what its health tree says. Times are unix seconds."""
+        """Return whether the instance is degraded, given the verdict of its health tree. Times are Unix seconds."""
         if policy.degraded is None:
             if self._in_force:
                 self._end()
