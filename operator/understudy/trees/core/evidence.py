@@ -19,7 +19,7 @@ class Finding(NamedTuple):
     """What one piece of evidence, such as a message, says about the condition of a leaf."""
 
     holds: bool
-    """False also if it cannot be determined: the tree's author must make sure that a required condition can be seen."""
+    """False also if it cannot be determined: a required condition must be seen to hold."""
     why: str
     """Why it does not hold, in plain words with figures; empty if it holds."""
     starting: bool = False

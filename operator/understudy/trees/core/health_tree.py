@@ -129,8 +129,8 @@ class HealthTree:
         self.leave_out(())
 
     def begin(self, now: float) -> None:
-        """Start to judge by this tree at ``now`` (Unix seconds). Topics that it names have the grace to arrive again,
-        although the instance is not new."""
+        """Start to judge by this tree at ``now`` (Unix seconds). Topics that it newly names have the grace to
+        arrive, although the instance is not new."""
         self._evaluation.begun = now
         self._foretold = None
 

@@ -33,8 +33,8 @@ class Leaf(Behaviour, ABC):
     kind = ""
     """Its key in the short form; the loader sets it."""
     blind = ""
-    """Why it holds although it cannot judge, for example because of a mistake in the leaf itself, in words. Being
-    unable to judge is not a failure. Empty if it can judge."""
+    """The mistake in the leaf itself because of which it cannot judge, in words. It holds then, because being unable to
+    judge is not a failure. Empty if it can judge."""
     of_cluster = False
     """Whether it needs observations of the cluster, because the ROS graph does not have them."""
 

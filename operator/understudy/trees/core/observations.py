@@ -310,7 +310,7 @@ class Evaluation:
     since: float = 0.0
     """When the judged instance took control, in Unix seconds. What was received earlier is not from it."""
     begun: float = -math.inf
-    """Since when this tree is in use, in Unix seconds. Topics that it names may not have been watched before."""
+    """Since when this tree is in use, in Unix seconds. Topics that it newly names may not have been watched before."""
     real: bool = True
     """False while a later time is tried, which must leave no trace."""
 
