@@ -1,4 +1,4 @@
-"""A recovery that isn't gone on with, and how it is known again beside a gate, where it may stand as though it were under way."""
+"""Marks abandoned recoveries, so that a recovery record left next to a gate is not mistaken for one in progress."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class GivenUp(Model):
     """The text of the last one that was sent, which may be carried out still."""
 
     def stands(self, epoch: int, text: str) -> bool:
-        """Whether a gate of this epoch and with this text beside it tells of it as under way.
+        """Whether a gate with this epoch and this text reports the recovery as in progress.
 
         Another monitor may have taken it up since, under the same id: what that one has committed isn't given up.
         """
@@ -30,5 +30,5 @@ class GivenUp(Model):
 
 
 def ended(progress: Progress) -> Progress:
-    """A recovery that isn't gone on with, as it stands beside a gate. Which pods had failed in it is still true."""
+    """Return the record of an abandoned recovery for a gate. It still names the pods that had failed."""
     return progress.model_copy(update={"result": "Failed", "strategy": "", "waiting": None})

@@ -60,7 +60,7 @@ class Pool:
     wanted: int | None = None
     """How many pods or standbys it should have; None if that is not known."""
     size_field: str = "spec.replicas"
-    """The field of a shared pool that says so."""
+    """The field of a shared pool that sets this number."""
     ready: int = 0
     """How many are ready: standbys of the workload, or unclaimed pods of a shared pool."""
     reserved: int = 0

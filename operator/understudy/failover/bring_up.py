@@ -36,7 +36,7 @@ class BringUp:
 
     @classmethod
     def of(cls, name: str, procedure: Procedure | None) -> BringUp | None:
-        """From a spec; None where there is none."""
+        """Convert a procedure of a spec. Returns None if there is no procedure."""
         if procedure is None:
             return None
         tree = json.dumps(procedure.tree, sort_keys=True)

@@ -37,7 +37,7 @@ class Journal:
         self._path.unlink(missing_ok=True)
 
     def give_up(self, given_up: Sequence[GivenUp]) -> None:
-        """Keep which recoveries aren't gone on with, although the gate may tell of them: these, and no others."""
+        """Store exactly these abandoned recoveries. The gate may still report them."""
         if given_up:
             _replace(self._given_up, _GIVEN_UP.dump_json(list(given_up)).decode())
         else:

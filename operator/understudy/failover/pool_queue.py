@@ -1,4 +1,4 @@
-"""Whose turn it is where several workloads wait for a pod of one shared pool that has run dry.
+"""The order in which several workloads get pods of a shared pool that is empty.
 
 Nobody hands the pods out: each that waits says so beside its gate, looks who else does, and leaves a free pod to those that are
 before it. For a moment only, since one of them may have died; and whoever writes first owns the pod anyway (the claim).

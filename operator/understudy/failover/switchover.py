@@ -35,11 +35,11 @@ SILENT_WITHIN = 30.0
 
 @dataclass(frozen=True)
 class Prepared:
-    """What became of a preparation."""
+    """The result of a preparation."""
 
     progress: Progress
     target: Instance | None = None
-    """The understudy that can drive; None where there is none."""
+    """The understudy that can drive, or None."""
     attempts: list[Attempt] = field(default_factory=list)
     """What was tried in vain, and why."""
 

@@ -1,4 +1,4 @@
-"""Poses in space and how they are joined, and what becomes of their covariance.
+"""Poses in space, their composition, and the covariance of the result.
 
 Metres and radians, in right-handed frames (REP 103); orientations are unit quaternions x, y, z, w. A pose is where a body
 is in a frame and, what is the same, the transform from the body's frame into that one.

@@ -31,7 +31,7 @@ Standing = Literal["", "instance", "robot"]
 """Whether a message is held for late joiners, so that it holds until the next one comes, and by whom."""
 
 Trouble = Literal["NeverCame", "TooOld", "TooBig", "NotWatched", "NotAsked", "NotCarried"]
-"""Why something that should be kept isn't, in the order in which they are told."""
+"""Why something that should be kept is not, in the order in which the reasons are reported."""
 
 SPREAD = 0.25
 """Distance of two versions, as a part of their age: how much older than asked for the chosen one may be."""
@@ -99,7 +99,7 @@ class _Item:
     """Bytes held; versions that follow each other and are the same share them."""
 
     def count(self) -> None:
-        """Note the size anew."""
+        """Calculate the size again."""
         self.size, before = 0, b""
         for version in self.versions:
             if version.data is not before:

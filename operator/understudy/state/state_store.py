@@ -162,7 +162,7 @@ def _boot() -> str:
 
 
 def _clock_step(clock: Mapping[str, object]) -> float:
-    """Seconds by which this node's clock was set since; 0 where it is another node, or was started anew."""
+    """Return by how many seconds this node's clock was set since then. 0 if this is another node, or the node was restarted."""
     if not clock["boot"] or clock["boot"] != _boot():
         return 0.0
     step = time.time() - time.clock_gettime(time.CLOCK_BOOTTIME) - float(str(clock["offset"]))

@@ -83,7 +83,7 @@ class Situating:
         return found
 
     def leave_out(self, topics: Collection[str]) -> None:
-        """Note which topics can't be watched: of a tree with one of them it can't be told whether it holds."""
+        """Set the topics that cannot be watched. A tree with one of them has an unknown result."""
         self._blind = topics
 
     def seen(self, observations: Observations, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:

@@ -244,7 +244,7 @@ class Sight:
         return self._watching.arrivals(topic, pod)
 
     def ambiguous(self, pod: str) -> bool:
-        """Whether a pod's samples can't be told from those of another instance."""
+        """Whether a pod's samples cannot be distinguished from those of another instance."""
         return any(pod in names for names in self._watching.sources.ambiguous)
 
     def outputs(self, fleet: Instances, gate: Gate) -> GatedReaders:
@@ -272,7 +272,7 @@ class GatedReaders:
             self._drain()
             if not self.expected:
                 return None
-            # Two pods that can't be told apart: what comes through the gate is from the one it names.
+            # Two pods that cannot be distinguished: what comes through the gate is from the one it names.
             ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
             found = [self._first(topic, instance.name, since, ambiguous) for topic in self.expected]
             if all(time is not None for time in found):

@@ -1,4 +1,4 @@
-"""What an earlier monitor has left of recoveries: one to be gone on with, or one that came to its end.
+"""Recoveries that an earlier monitor has left: one to continue, or one that has ended.
 
 It is in three places, which were written one after the other: the journal, the gate and the workload's status.
 """

@@ -21,7 +21,7 @@ from understudy.trees.core.observations import PodUsage
 _logger = logging.getLogger(__name__)
 
 PERIOD = 5.0
-"""Seconds between questions; figures are usually made anew every 15 s."""
+"""Seconds between requests. The metrics API usually updates its figures every 15 s."""
 
 STALE = 90.0
 """Seconds without new figures after which the old ones say nothing any more."""
@@ -57,12 +57,12 @@ class Meter:
 
     @property
     def usage(self) -> PodUsage | None:
-        """The last figures of the pod; None where there are none, or none of late."""
+        """The last figures of the pod. None if there are none, or if they are too old."""
         return self._usage if time.monotonic() - self._since < STALE else None
 
     @property
     def problems(self) -> list[str]:
-        """Why they can't be told, with what to do."""
+        """Why the figures are not available, and how to correct it."""
         if not self._pod or self.usage is not None:
             return []
         if self._problem:

@@ -16,7 +16,7 @@ from understudy.kube.client import PODS, Client, Object
 from understudy.kube.watched_collection import Reflector
 
 RUNNING = "status.phase=Running"
-"""Those that are merely coming up can't be claimed, and needn't be told of."""
+"""Pods that are still starting cannot be claimed, so the watch leaves them out."""
 
 
 class Unclaimed:

@@ -200,7 +200,7 @@ class BlackBox:
         _logger.info("recovery %d is recorded: %d messages, %d bytes", kept.number, kept.messages, kept.size)
 
     async def _events(self, progress: Progress) -> tuple[list[Object], str]:
-        """What Kubernetes tells of the workload and of the pods concerned; and why not all of it is there, if so."""
+        """Return the Events of the workload and of its pods; and, if some are missing, the reason."""
         view = self._view
         pods = [pod["metadata"]["name"] for pod in view.pods.items.values()]
         pods = [*(pod.name for pod in progress.replaced), *(a.pod for a in progress.attempts), *pods]

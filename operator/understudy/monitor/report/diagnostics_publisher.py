@@ -30,10 +30,10 @@ PERIOD = 1.0
 """Seconds between two statuses: what diagnostic_updater takes, and well within the aggregator's 5 s."""
 
 QUIET = 0.02
-"""Seconds after a change before it is told: a switch to an executing standby is over by then, with all that is said of it."""
+"""Seconds from a change to its publication. By then, a switch to an executing standby and its reports are complete."""
 
 LATEST = 16
-"""Changes that are told one by one where there are more; the oldest are left out."""
+"""Maximum number of pending changes that are published one by one. If there are more, the oldest are left out."""
 
 
 def namespace_of(workload: str) -> str:
@@ -43,7 +43,7 @@ def namespace_of(workload: str) -> str:
 
 
 class Telling:
-    """Tells of one workload."""
+    """Publishes the diagnostics of one workload."""
 
     def __init__(
         self, view: View, sight: Sight, notices: Notices, kept: Callable[[], Mapping[str, float]] = dict

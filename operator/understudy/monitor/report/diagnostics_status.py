@@ -30,7 +30,7 @@ LONGEST = 400
 
 
 class Said(NamedTuple):
-    """What is so at a moment. Cheap to take, for it's taken in the midst of a failover."""
+    """The state of a workload at one moment. It is cheap to take, because it is taken during a failover."""
 
     at: float
     """Unix seconds."""
@@ -39,7 +39,7 @@ class Said(NamedTuple):
     active: str
     epoch: int
     planned: bool
-    """Whether it is handed over without having failed."""
+    """Whether the control is switched without a failure."""
 
     @property
     def level(self) -> int:
@@ -48,7 +48,7 @@ class Said(NamedTuple):
 
 
 class More(NamedTuple):
-    """What is told besides."""
+    """Further values of the diagnostics."""
 
     policy: str
     standby: str
@@ -59,14 +59,14 @@ class More(NamedTuple):
 
 
 def said(published: PublishedStatus, at: float) -> Said:
-    """What the published says now."""
+    """Return the state in the published status."""
     planned = published.health == "Recovering" and published.reason("Recovering") == "Rescheduling"
     message = why(published.health, published.active, published.conditions)
     return Said(at, published.health, message, published.active, published.gate.epoch, planned)
 
 
 def status(namespace: str, workload: str, now: Said, published: PublishedStatus, more: More) -> Status:
-    """What is so at a moment, with all that belongs to it."""
+    """Return the diagnostics of a workload at one moment."""
     values = _values(now, published, more)
     return Status(
         now.level,

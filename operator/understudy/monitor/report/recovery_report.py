@@ -1,4 +1,4 @@
-"""Reports what became of a recovery or a planned switchover: conditions, Events and the log."""
+"""Reports the result of a recovery or a planned switchover: conditions, Events and the log."""
 
 from __future__ import annotations
 
