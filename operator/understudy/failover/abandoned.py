@@ -18,7 +18,7 @@ class GivenUp(Model):
     def stands(self, epoch: int, text: str) -> bool:
         """Whether a gate with this epoch and this text reports the recovery as in progress.
 
-        Another monitor may have taken it up since, under the same id: what that one has committed isn't given up.
+        Another monitor may have continued it since, under the same id. What that monitor has committed is not abandoned.
         """
         found = beside(text)
         ours = epoch == self.epoch or text == self.sent

@@ -32,7 +32,7 @@ class BringUp:
     places: Mapping[str, str] = field(default_factory=dict)
     """Where in its text its nodes are, where it was written in another language."""
     problem: str = ""
-    """Why it can't be run; empty where it can."""
+    """Why it cannot be run. Empty if it can."""
 
     @classmethod
     def of(cls, name: str, procedure: Procedure | None) -> BringUp | None:

@@ -94,7 +94,7 @@ class Situating:
         self, sign: _Sign, observations: Observations, goals: Collection[str], *, now: float, since: float
     ) -> Seen:
         if sign.task is not None:
-            # A goal that waits for the next instance is one still, though nobody works on it for the moment.
+            # A goal that waits for the next instance still counts as active.
             active = sign.task.action in goals or observations.task(sign.task.topic) is not None
             return Seen(active, f"a goal of {sign.task.action} is active" if active else "")
         if sign.tree is None or any(topic.name in self._blind for topic in sign.tree.topics):

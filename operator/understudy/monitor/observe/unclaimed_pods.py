@@ -59,7 +59,7 @@ class Unclaimed:
             await asyncio.gather(watching, return_exceptions=True)
 
     def changed(self) -> Awaitable[object]:
-        """What ends when the watch tells of a change."""
+        """Return an awaitable that completes when the watch reports a change."""
         return self._watched.changed()
 
 

@@ -218,7 +218,7 @@ class BlackBox:
         return found, ""
 
     def _tell(self, text: str) -> None:
-        """Say what is wrong once, until it is well again."""
+        """Log a problem, and report it in one Event until it is corrected."""
         _logger.error("%s", text)
         if not self._told:
             self._told = text
