@@ -1,7 +1,8 @@
-"""What becomes of an instance that was cut off and is held by its agent (agent/permit.py), and who may show that one isn't.
+"""Decides whether an instance that was cut off and is held by its agent (agent/permit.py) may act again, and which
+addresses can show an instance that it is not cut off.
 
-Once it is connected again the policies on its node may be those of before for a while, so its agent doesn't let it go on
-before it has heard from here that it still drives, or stands by.
+Once the instance is connected again, the policies on its node may be outdated for a while. Its agent therefore keeps it
+held until this monitor confirms that it still drives, or stands by.
 """
 
 from __future__ import annotations
@@ -35,16 +36,16 @@ from understudy.ros.runtime.graph_node import Graph
 _logger = logging.getLogger(__name__)
 
 REFRESH = 10.0
-"""Seconds between two looks at who is there to answer an instance."""
+"""Seconds between two looks at which addresses can answer an instance."""
 
 PERIOD = 1.0
-"""Seconds between two looks at the instances where none of them says anything."""
+"""Seconds between two looks at the instances while none of them reports anything."""
 
 REMEMBERED = 1000
-"""Pods that were replaced, of which it is still known."""
+"""Number of replaced pods that are remembered."""
 
 SAY_AGAIN = 0.5
-"""Seconds after which a word that wasn't followed is said again."""
+"""Seconds after which an order that was not followed is sent again."""
 
 CATCH_UP = 1.0
 """Seconds that the node of an instance that is connected again has to learn of the policies of now. One that isn't in control hears what
@@ -52,16 +53,17 @@ becomes of it only then: by an old policy it might be let through, and be the ro
 """
 
 MOST_OTHERS = 3
-"""Pods beside the robots that an agent is told of; each is on another node than the instance."""
+"""Maximum number of pods, besides the robots, that an agent receives; each is on another node than the instance."""
 
 Word = Literal["Go", "Stay"]
 
 
 def word(instance: Instance, state: GateState, replaced: Collection[str], recovering: Progress | None) -> Word:
-    """What becomes of an instance that was cut off.
+    """Return whether an instance that was cut off may act again (``Go``) or stays held (``Stay``).
 
-    ``replaced`` has the UIDs of the pods that failed in earlier recoveries. While one is under way the instance in control is
-    that until the gate says otherwise; but where the robot follows a standby already, it mustn't take the robot back.
+    ``replaced`` has the UIDs of the pods that failed in earlier recoveries. During a recovery the active instance stays
+    active until the gate names another. But if the robot already follows a standby, that instance must not take the
+    robot back.
     """
     failed = {pod.uid for pod in recovering.failed} if recovering is not None else set()
     if instance.terminating:
@@ -98,7 +100,7 @@ def witnesses(
 
 
 def _apart(others: dict[str, str]) -> list[str]:
-    """Some of these addresses, of as many nodes as possible."""
+    """Some of these addresses, on as many different nodes as possible."""
     first = {node: ip for ip, node in reversed(others.items())}
     return [*first.values(), *(ip for ip in others if ip not in first.values())][:MOST_OTHERS]
 
@@ -127,7 +129,7 @@ class Permits:
         wakeups: Wakeups,
         notices: Notices,
     ) -> None:
-        """``graph`` is the robot's: whoever reads the outputs there may answer an instance."""
+        """``graph`` is the robot's: any reader of the outputs there may answer an instance."""
         self._cluster, self._sidecars, self._graph = cluster, sidecars, graph
         self._current, self._wake, self._notices = current, wakeups.permits, notices
         self._pods: list[Object] = []
@@ -137,13 +139,13 @@ class Permits:
         self._refresh_at = 0.0
         self._replaced: dict[str, None] = {}
         self._back: dict[str, float] = {}
-        """When those were heard of first, by UID, that are held since they were cut off."""
+        """When each instance that is held after a cut-off was first heard again, by UID."""
         self._sent: dict[str, tuple[Any, float]] = {}
         self._telling: dict[str, asyncio.Task[None]] = {}
         self._told: set[tuple[str, float, Word]] = set()
 
     async def run(self) -> None:
-        """Keep them until cancelled."""
+        """Keep the permits until cancelled."""
         while True:
             self._wake.clear()
             spec = self._cluster.view.spec
@@ -155,7 +157,7 @@ class Permits:
                     await self._wake.wait()
 
     def _refresh(self, spec: RobotWorkloadSpec) -> None:
-        """Look now and then who is there, in the background: an API server that is away mustn't hold up a word."""
+        """Look now and then which pods exist, in the background: an API server that is away must not delay an order."""
         if time.monotonic() < self._refresh_at or (self._refreshing is not None and not self._refreshing.done()):
             return
 
@@ -177,11 +179,12 @@ class Permits:
     def _tell(self, spec: RobotWorkloadSpec) -> None:
         state, recovering = self._cluster.gate.state, self._current.progress
         committed = state.recovery
-        # One that is stopped before it has committed has replaced nobody.
+        # A recovery that is stopped before its commit has replaced no pod.
         under_way = recovering if committed and recovering and committed.id == recovering.id else None
         for progress in filter(None, (committed, under_way)):
             for pod in progress.replaced:
-                # Whoever is cut off may come back late, and isn't always listed meanwhile: only the oldest are forgotten.
+                # A pod that is cut off may come back late, and is not always listed meanwhile: only the oldest are
+                # forgotten.
                 self._replaced.pop(pod.uid, None)
                 self._replaced[pod.uid] = None
         while len(self._replaced) > REMEMBERED:
@@ -206,12 +209,12 @@ class Permits:
             sent, at = self._sent.get(uid, (None, 0.0))
             if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):
                 self._sent[uid] = (wanted, time.monotonic())
-                # Each by itself: one that doesn't answer mustn't hold up the others.
+                # Each by itself: an agent that does not answer must not delay the others.
                 self._telling[uid] = task = asyncio.create_task(self._request(instance, body))
                 task.add_done_callback(partial(self._done, uid))
 
     def _word_for(self, instance: Instance, state: GateState, recovering: Progress | None) -> Word | None:
-        """What a held instance that is connected again is told now; None while its node may still go by old policies."""
+        """The order for a held instance that is connected again; None while its node may still apply old policies."""
         now = time.monotonic()
         caught_up = now - self._back.setdefault(instance.uid, now) >= CATCH_UP
         found = word(instance, state, self._replaced, recovering)

@@ -1,8 +1,8 @@
-"""Planned switchovers: notices who asks for one, has an understudy prepared beside the loop, and says what becomes of it.
+"""Planned switchovers: notices requests, has an understudy prepared beside the loop, and reports the outcome.
 
-A user asks by an annotation of the RobotWorkload, the operator for the sake of a node that is being drained. Both last over a restart of
-this process, and so does what is said of the last request: it is carried out once. Until the gate is switched nothing else is
-changed, so a preparation that was interrupted is simply begun anew.
+A user requests a switchover with an annotation of the RobotWorkload; the operator requests one for a node that is being
+drained. Both outlast a restart of this process, and so does the report about the last request, so that it is carried
+out once. Nothing else is changed until the gate is switched, so an interrupted preparation simply starts again.
 """
 
 from __future__ import annotations
@@ -37,24 +37,26 @@ from understudy.monitor.outcome import Outcome
 _logger = logging.getLogger(__name__)
 
 EXPIRES = 600.0
-"""Seconds after which a request isn't begun any more. Whoever asked doesn't wait for it by then, and their clock may be a little off."""
+"""Seconds after which a request is not begun any more. The user no longer waits for it by then, and their clock may be
+a little off."""
 
 PATIENCE = 30.0
-"""Seconds that a request waits for an understudy, or for whatever else it can't begin for. A drain waits for as long as it lasts."""
+"""Seconds that a request waits for an understudy, or for anything else that prevents it. The request of a drain waits
+as long as the drain lasts."""
 
 LOOK = 1.0
-"""Seconds between two looks whether one that waits can begin."""
+"""Seconds between two looks whether a waiting request can begin."""
 
 TELL = 5.0
-"""Seconds between two updates of why one waits, in which figures may change with every look."""
+"""Seconds between two updates of why a request waits. Figures in that message may change at every look."""
 
 AGAIN = 30.0
-"""Seconds after which a drain tries again, where an understudy was there and didn't come to drive."""
+"""Seconds after which a drain tries again if an understudy existed but did not come into control."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """A switchover that is asked for."""
+    """A requested switchover."""
 
     kind: Kind
     reason: str
@@ -63,11 +65,11 @@ class Wanted:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """What tells it from another one."""
+        """What distinguishes this request from others."""
         return self.kind, self.request, self.drain.uid if self.drain is not None else ""
 
     def unfit(self, instance: Instance) -> str | None:
-        """Why an instance isn't one that is wanted; None where it is."""
+        """Why an instance is not one that was requested; None if it is."""
         if self.kind == "Failback" and not instance.from_source:
             return "is not of the workload's own controller"
         if self.drain is not None and instance.node in self.drain.cordoned:
@@ -94,21 +96,22 @@ class Switching:
         self._wanted: Wanted | None = None
         self._progress: Progress | None = None
         self._touched: PodIdentity | None = None
-        """The understudy that something was done to for the sake of a switchover: it is of no other use."""
+        """The understudy that was changed for a switchover: it has no other use."""
         self._next = 0.0
         self._told_at = 0.0
         self._waits_since: tuple[tuple[str, str, str], float] = (("", "", ""), 0.0)
 
     @property
     def preparing(self) -> str:
-        """UID of the understudy that is being prepared; it is nobody else's meanwhile."""
+        """UID of the understudy that is being prepared; nothing else may use it meanwhile."""
         target = self._progress.target if self._progress is not None else None
         return target.uid if target is not None else ""
 
     def look(self, lacking: str) -> Prepared | None:
-        """The understudy that can drive instead of the instance in control, once there is one that should.
+        """Return the understudy that can drive instead of the active instance, once there is one that should.
 
-        ``lacking`` is why none can be prepared now, if so. Called with every look while nothing has failed, and returns at once.
+        ``lacking`` is why none can be prepared now, if so. Called at every look while nothing has failed, and returns
+        at once.
         """
         wanted = self._asked(time.time())
         now = time.monotonic()
@@ -147,7 +150,8 @@ class Switching:
         return None
 
     async def carry_out(self, prepared: Prepared) -> Outcome | None:
-        """Switch the gate to an understudy that can drive; or see what came of a switch that an earlier monitor began.
+        """Switch the gate to an understudy that can drive, or check the outcome of a switch that an earlier monitor
+        began.
 
         None if the gate was not switched.
         """
@@ -185,7 +189,7 @@ class Switching:
         self._say(progress, "NotDone", text)
 
     def done(self, progress: Progress, text: str) -> None:
-        """The gate was switched, and it was seen what came of it."""
+        """Finish a switchover whose gate was switched and whose outcome is known."""
         self._stop()
         if progress.result != "Recovered":
             self._rest(progress.switchover)
@@ -216,7 +220,7 @@ class Switching:
         return said is not None and said.handled == text
 
     def _requested(self, text: str, now: float) -> Wanted | None:
-        """What a request asks for; None where nothing comes of it, which is said."""
+        """The switchover that a request asks for; None if the request has no effect, which is reported."""
         try:
             found = parse(text)
         except ValueError as error:
@@ -339,7 +343,7 @@ class Switching:
     # -- saying -----------------------------------------------------------------------------------------------------
 
     def _is_new(self, wanted: Wanted) -> bool:
-        """Whether what was said last is of another one."""
+        """Whether the last report is about another request."""
         said = self._notices.status.switchover
         return said is None or said.phase in ENDED or (said.kind, said.request) != (wanted.kind, wanted.request)
 
@@ -360,7 +364,7 @@ class Switching:
         )
 
     def _end(self, phase: Phase, message: str, wanted: Wanted) -> None:
-        """It comes to its end without the gate."""
+        """End the request without a change of the gate."""
         _logger.info("switchover (%s): %s", wanted.kind, message)
         known = self._notices.status.switchover
         self._tell(

@@ -22,7 +22,7 @@ from understudy.trees.core.observations import PodCondition
 _logger = logging.getLogger(__name__)
 
 CRASH_LOOP = "CrashLoopBackOff"
-"""What a kubelet says of a container that it won't start at once, since it ended again and again."""
+"""The kubelet's reason for a container that it does not start at once, because it ended repeatedly."""
 
 EVICTION = "DeletionByTaintManager"
 """Why a pod is deleted whose node isn't ready or can't be reached (its condition DisruptionTarget)."""
@@ -78,7 +78,7 @@ class Fleet:
 
     @property
     def _template_hashes(self) -> dict[str, str]:
-        """Of the pods of each pool that may be claimed; empty where any may."""
+        """Template hashes of the pods of each pool that may be claimed; empty if any may."""
         return {choice.name: choice.template_hash for choice in self._settings.pools}
 
     def of_workload(self) -> Sequence[Instance]:
@@ -121,7 +121,7 @@ class Fleet:
         return self._view.unclaimed(pool).followed()
 
     def stocked(self, pool: str) -> bool:
-        """Whether a shared pool has a pod that this workload could claim, as the operator said last."""
+        """Whether a shared pool has a pod that this workload could claim, according to the operator's last report."""
         return pool in self._view.stocked
 
     async def claim(self, instance: Instance, claim: str) -> Instance:
@@ -147,7 +147,7 @@ class Fleet:
         return instance_of(claimed)
 
     async def retire(self, instance: Instance) -> None:
-        """Delete a failed pod for good: its controller makes another only where that one is still needed."""
+        """Delete a failed pod for good: its controller creates another only if that is still needed."""
         self._crash_points.step("before retire")
         settings = self._settings
         wanted = any(pool.readiness != "Uninitialized" for pool in settings.pools)
@@ -171,7 +171,7 @@ class Fleet:
         self._crash_points.step("after replace")
 
     async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
-        """The newest instance of this workload for which it holds, waiting for one."""
+        """Wait for an instance of this workload that satisfies the predicate, and return the newest."""
         while True:
             fitting = [i for i in self.of_workload() if predicate(i)]
             if fitting:
@@ -180,7 +180,7 @@ class Fleet:
             await any_changed(sources)
 
     async def label(self, instance: Instance) -> None:
-        """Give a pod of the workload's own controller the labels by which the gate can name it."""
+        """Give a pod of the workload's own controller the labels with which the gate selects it."""
         pod = next((p for p in self._view.all_pods() if p["metadata"]["uid"] == instance.uid), None)
         if pod is None:
             return

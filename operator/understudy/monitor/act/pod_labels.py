@@ -1,4 +1,4 @@
-"""Labels the pods of a workload that are new: by its labels the gate fences and routes one."""
+"""Labels the new pods of a workload: the gate fences and routes a pod by its labels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Labels:
         self._labelling: asyncio.Task[None] | None = None
 
     def follow(self, instances: Sequence[Instance]) -> None:
-        """Have these labelled, unless some are being labelled. Returns at once."""
+        """Label these instances, unless earlier ones are still being labelled. Returns at once."""
         if self._labelling is None or self._labelling.done():
             self._labelling = asyncio.create_task(self._label(instances))
 

@@ -1,4 +1,5 @@
-"""Who waits for pods of shared pools, by what monitors say beside their gates; and what people are told of this one's wait."""
+"""Which workloads wait for pods of shared pools, according to the records at their gates; and the reports about this
+workload's wait."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ from understudy.monitor.observe.cluster_view import View
 _logger = logging.getLogger(__name__)
 
 REASON = "WaitingForPod"
-"""Why a recovery doesn't go on, in the condition Recovering."""
+"""Why a recovery does not continue, in the condition Recovering."""
 
 
 class Line:
@@ -41,20 +42,20 @@ class Line:
         return spec.pool_priority if spec is not None else 0
 
     def others(self, pool: str) -> Sequence[Waiter]:
-        """The other workloads that say that they wait for a pod of a pool."""
+        """The other workloads that report that they wait for a pod of a pool."""
         found = []
         for name, gate in chain.from_iterable(one.items.items() for one in self._view.waiting_gates):
             metadata = gate["metadata"]
             if (metadata.get("labels") or {}).get(names.WAITS_FOR) != pool:
                 continue
             other = waiter((metadata.get("annotations") or {}).get(names.RECOVERY, ""))
-            # A monitor writes its own gate only, so nobody can speak for another.
+            # A monitor writes its own gate only, so none can report for another.
             if other is not None and other.workload != self.workload and names.gate(other.workload) == name:
                 found.append(other)
         return found
 
     def waits(self, me: Waiter, ahead: int, of: int) -> None:
-        """Say in the condition Recovering that it waits, and the first time by an Event."""
+        """Report the wait in the condition Recovering, and the first time in an Event too."""
         found = self._notices.status.find("Recovering")
         began = found is None or found.reason != REASON
         if began:
@@ -68,11 +69,11 @@ class Line:
             self._notices.event("Warning", REASON, text)
 
     def served(self, me: Waiter, pod: str) -> None:
-        """Say that it goes on, with a pod."""
+        """Report that the recovery continues with a pod."""
         self._end(me, "Served", f"claimed {pod} after %.1f s in the queue of FallbackPool {me.pool}")
 
     def gave_up(self, me: Waiter) -> None:
-        """Say that it goes on, without one."""
+        """Report that the recovery continues without a pod."""
         self._end(me, "GaveUp", f"got no pod of FallbackPool {me.pool} in %.1f s")
 
     def _end(self, me: Waiter, result: str, words: str) -> None:
@@ -83,7 +84,7 @@ class Line:
             self._notices.condition("Recovering", "True", reason, f"{message}; {words % waited}")
 
     async def changed(self, pool: str) -> None:
-        """Return when unclaimed pods, or who waits, may be others than before."""
+        """Return when the unclaimed pods or the waiting workloads may have changed."""
         await any_changed((self._view.unclaimed(pool), *self._view.waiting_gates))
 
 

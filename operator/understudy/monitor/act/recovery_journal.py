@@ -30,6 +30,6 @@ class RecoveryJournal:
             self.forget()
 
     def forget(self) -> None:
-        """Remove what was saved: nobody finishes it."""
+        """Remove what was saved, so that no monitor finishes it."""
         with contextlib.suppress(OSError):
             self.journal.clear()

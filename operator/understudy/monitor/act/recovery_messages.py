@@ -43,7 +43,7 @@ def describe_switchover(recovery: Recovery) -> str:
 
 
 def _waited(recovery: Recovery) -> float | None:
-    """Seconds for which a shared pool had no pod for it, by the strategy that recovered it; None where it had one at once."""
+    """Seconds that a shared pool had no pod for the strategy that succeeded; None if it had one at once."""
     queued, claimed = recovery.moments.queued, recovery.moments.claimed
     if queued is None or claimed is None:
         return None
@@ -51,7 +51,7 @@ def _waited(recovery: Recovery) -> float | None:
 
 
 def unverified(recovery: Recovery) -> list[str]:
-    """The strategies that were carried out and didn't verify, each with its pod and why."""
+    """The strategies that were carried out and not verified, each with its pod and the reason."""
     return [
         f"{a.strategy} with {a.pod or 'no pod'} was tried in vain: {a.message}"
         for a in recovery.attempts

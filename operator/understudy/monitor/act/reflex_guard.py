@@ -1,7 +1,7 @@
-"""The reflex as the monitor keeps it: which standby is let through beside the pod in control, and whether it took over.
+"""The monitor's part of the reflex: which standby is let through beside the active pod, and whether it took over.
 
-A standby that is let through drives the robot as soon as the pod in control is silent, with nobody asked. So it is let
-through only while its own outputs are healthy, its writers are weaker than those of the pod in control, and the gate
+A standby that is let through drives the robot as soon as the active pod is silent; no other decision is needed. So it
+is let through only while its own outputs are healthy, its writers are weaker than those of the active pod, and the gate
 was seen to hold it back before.
 """
 
@@ -28,19 +28,19 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.senses import Senses
 
 LOOK = 0.005
-"""Seconds between looks while the pod in control is silent."""
+"""Seconds between looks while the active pod is silent."""
 
 LOOK_FOR = 0.5
 """Seconds past the deadline for which it is looked at so often; who is silent for longer is maybe only at rest."""
 
 WRITE_AGAIN = 1.0
-"""Seconds before a write that failed is tried again."""
+"""Seconds before a failed write is tried again."""
 
 TOO_STRONG_FOR = 5.0
-"""Seconds for which a standby may be as strong as the pod in control before it is replaced by a new one, which is weaker."""
+"""Seconds that a standby may be as strong as the active pod before it is replaced by a new, weaker one."""
 
 REPLACE_AGAIN = 60.0
-"""Seconds between two such replacements: where clocks of nodes differ it may not help."""
+"""Seconds between two such replacements: if the clocks of nodes differ, a replacement may not help."""
 
 Said = tuple[Literal["True", "False", "Unknown"], str, str]
 
@@ -48,7 +48,7 @@ PAUSED: Said = ("False", "Paused", "Nobody is let through beside the pod in cont
 
 
 class Reflexes:
-    """The reflex of one workload; harmless where it has none."""
+    """The reflex of one workload; does nothing if the workload has none."""
 
     def __init__(self, cluster: Cluster, senses: Senses, notices: Notices) -> None:
         self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
@@ -73,7 +73,7 @@ class Reflexes:
 
     @property
     def deadline(self) -> float:
-        """Seconds of silence after which the robot's readers take the standby's messages; 0 where there's no reflex."""
+        """Seconds of silence after which the robot's readers take the standby's messages; 0 if there is no reflex."""
         reflex = self._reflex
         return seconds(reflex.deadline) if reflex is not None else 0.0
 
@@ -107,7 +107,7 @@ class Reflexes:
         return max(min(due), now + LOOK) if due else None
 
     def guard(self) -> None:
-        """Let a standby through no longer once it isn't healthy: it could take the robot."""
+        """Stop letting a standby through once it is not healthy: it could take the robot."""
         state = self._gate.state
         if not state.admitted:
             return
@@ -118,8 +118,10 @@ class Reflexes:
     # -- keeping ----------------------------------------------------------------------------------------------------
 
     def keep(self, now: float, *, enforced: bool, paused: bool = False) -> None:
-        """Have the right standby let through, and say how it stands. ``enforced``: the gate was seen to hold standbys back;
-        ``paused``: nobody is to take the robot, whatever becomes of the pod in control.
+        """Let the right standby through, and report the state of the reflex.
+
+        ``enforced``: the gate was seen to hold standbys back. ``paused``: no instance may take the robot, regardless of
+        the active pod.
         """
         state = self._gate.state
         if state.admitted_uid != self._admitted[0]:
@@ -232,7 +234,7 @@ class Reflexes:
     # -- writing ----------------------------------------------------------------------------------------------------
 
     def _write(self, standby: Instance | None) -> None:
-        """In the background: an API server that is slow to answer must not delay a detection."""
+        """Write in the background: an API server that is slow to answer must not delay a detection."""
         if time.monotonic() >= self._write_after:
             self._start(partial(self._admit, standby))
 

@@ -1,7 +1,7 @@
-"""Keeps the state of the instance in control: takes it, persists it, tells of it, and gives it to waiting standbys.
+"""Keeps the state of the active instance: captures it, persists it, reports it, and gives it to waiting standbys.
 
-What is the last healthy state is decided in state/state_capture.py; here it meets ROS, the agents, the disk and the
-status. Nothing of it waits in the monitor's loop.
+state/state_capture.py decides what the last healthy state is; this module connects it to ROS, the agents, the disk and
+the status. None of this blocks the monitor's loop.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from understudy.state.state_store import Shelf
 _logger = logging.getLogger(__name__)
 
 LEAST_LOOK = 0.05
-"""Seconds between two looks at the kept topics, where the policy's period is shorter; what comes in between is left to
-the middleware, which keeps the last."""
+"""Minimum seconds between two looks at the kept topics, if the policy's period is shorter. Messages in between are left
+to the middleware, which keeps the last."""
 
 LOOK_AT_ODOMETRY = 0.1
 """Seconds between two looks at odometry, of which again only the last message counts: at 0.5 m/s and 1 rad/s the way between
@@ -42,25 +42,25 @@ two of them is told to a millimetre, and a jump is told from how the robot drive
 """
 
 UNCARRIED_FOR = 10.0
-"""Seconds for which a pose can't be carried until that is told."""
+"""Seconds that a pose cannot be carried to the present before that is reported."""
 
 PERSIST = 1.0
-"""Seconds between two writes to the disk, at least."""
+"""Minimum seconds between two writes to the disk."""
 
 INSPECT = 2.0
-"""Seconds between two questions for parameters and lifecycle states."""
+"""Seconds between two requests for parameters and lifecycle states."""
 
 INSPECT_WITHIN = 3.0
 """Seconds that an answer may take."""
 
 TELL = 30.0
-"""Seconds between two updates of the status, where only ages have changed."""
+"""Seconds between two updates of the status if only ages have changed."""
 
 CLOCK_STEP = 0.05
-"""Seconds by which the clock must have moved against the monotonic one to count as having been set."""
+"""Seconds that the clock must have moved against the monotonic one to count as set."""
 
 REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked", "TooOld", "NotCarried")
-"""Reasons of the condition StateKept, the gravest first."""
+"""Reasons of the condition StateKept, the most serious first."""
 
 Health = Literal["Starting", "Healthy", "Failed"]
 
@@ -69,7 +69,7 @@ class StateKeeping:
     """The kept state of one workload."""
 
     def __init__(self, graph: Graph, shelf: Shelf, sidecars: Sidecars, notices: Notices) -> None:
-        """Take up what an earlier monitor had kept."""
+        """Take over what an earlier monitor had kept."""
         self._capturing = Capturing(graph)
         self._shelf, self._sidecars, self._notices = shelf, sidecars, notices
         self._keeper = Keeper()
@@ -88,7 +88,7 @@ class StateKeeping:
         self._next_inspect = 0.0
         self._unanswered: dict[Key, str] = {}
         self.taken: dict[str, float] = {}
-        """When the state was taken that would be restored now, in Unix seconds, by what it is of."""
+        """When each part of the state that would be restored now was captured, in Unix seconds."""
         self._told: tuple[object, ...] = ()
         self._next_told = 0.0
         self._upkeep: dict[str, _Upkeep] = {}
@@ -138,7 +138,7 @@ class StateKeeping:
 
     @contextlib.asynccontextmanager
     async def recovering(self) -> AsyncIterator[None]:
-        """Go on watching odometry meanwhile, so that it is noticed when it is set anew."""
+        """Continue to watch odometry during a recovery, so that a reset of odometry is noticed."""
 
         async def watch() -> None:
             while True:
@@ -153,11 +153,11 @@ class StateKeeping:
                 watching.cancel()
 
     def judge(self, health: Health, now: float) -> None:
-        """What was taken counts if the instance was healthy, and is. ``now`` in unix seconds."""
+        """Count captured state as healthy if the instance was healthy then, and is now. ``now`` is in Unix seconds."""
         self._keeper.judge(health, now)
 
     def follow(self, state: State) -> None:
-        """Keep what this policy says; what an earlier monitor had kept of it is taken up."""
+        """Keep what this policy names; the matching state that an earlier monitor had kept is taken over."""
         if state == self._state:
             self._state = state
             return
@@ -173,7 +173,7 @@ class StateKeeping:
             self._adopted = {}
 
     def _follow_clock(self) -> None:
-        """Ages stay what they are when the clock is set."""
+        """Leave ages as they are when the clock is set."""
         before, now, after = time.monotonic(), time.time(), time.monotonic()
         if after - before > CLOCK_STEP / 4:
             return  # this process was stalled just here: the next look tells
@@ -187,16 +187,18 @@ class StateKeeping:
     # -- giving out -------------------------------------------------------------------------------------------------
 
     def select(self, onset: float) -> KeptState:
-        """The state for the instance that takes over after a failure that began then (unix seconds)."""
+        """The state for the instance that takes over after a failure that began at ``onset`` (Unix seconds)."""
         if self._carrier.topics:
             self._take_odometry(time.monotonic())
         return self._carrier.carry(self._keeper.select(onset), time.time())
 
     def tell(self, recovery: Recovery) -> None:
-        """Say what became of the state in a recovery."""
+        """Report what happened to the state in a recovery."""
         if not recovery.state:
             if recovery.result == "Recovered":
-                self._notices.withdraw("StateRestored")  # what is said of an earlier one isn't so of this one
+                self._notices.withdraw(
+                    "StateRestored"
+                )  # the report about an earlier recovery does not apply to this one
             return
         missing = [entry for entry in recovery.state if not entry.restored]
         given = ", ".join(f"{e.name} ({_given(e)})" for e in recovery.state if e.restored)
@@ -218,7 +220,7 @@ class StateKeeping:
         self._notices.event("Warning", "StateNotRestored", text + way_out)
 
     def _place(self, label: str) -> str:
-        """Where in the policy something that is kept is written, for messages; nothing where it isn't there any more."""
+        """Where the policy names a kept part, for messages; empty if it no longer does."""
         state = self._state
         if state is None:
             return ""
@@ -329,7 +331,7 @@ class StateKeeping:
         self._keeper.note(notes)
 
     def _say(self, now: float) -> None:
-        """Update status, condition and metrics: at once where something is wrong or right again, else seldom."""
+        """Update status, condition and metrics: at once if a problem begins or ends, else seldom."""
         entries = self._troubles()
         self._notices.add(StateKept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries}))
         self.taken = {entry.key.label: entry.taken_at for entry in entries if entry.taken_at is not None}
@@ -359,7 +361,7 @@ class StateKeeping:
             self._notices.condition("StateKept", "True", "Kept", f"Keeping {names}.")
 
     def _keep_up(self, waiting: Sequence[tuple[Instance, float]], now: float) -> None:
-        """Give standbys that wait what is newer than what they were given last."""
+        """Give waiting standbys what is newer than what they were given last."""
         state = self._state
         assert state is not None, "it is looked at before"
         known = {instance.uid for instance, _ in waiting}
@@ -369,7 +371,7 @@ class StateKeeping:
             upkeep = self._upkeep.setdefault(instance.uid, _Upkeep())
             if now >= upkeep.due and not upkeep.busy and self._keeper.healthy_since is not None:
                 upkeep.due = now + period
-                # Not the lifecycle states: they would make it drive before its time.
+                # Not the lifecycle states: they would make the standby drive before its time.
                 fresh = replace(self.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.given)
                 if fresh:
                     upkeep.begin(self._hand(instance, fresh, upkeep, seconds(state.within)))
@@ -385,7 +387,7 @@ class StateKeeping:
 
 
 def _given(entry: RestoredState) -> str:
-    """How old it was, and how far it was carried."""
+    """How old the state was, and how far it was carried."""
     age = f"{entry.age_seconds:.1f} s old"
     return age if entry.carried_metres is None else f"{age}, carried by {entry.carried_metres:.2f} m"
 

@@ -1,6 +1,8 @@
-"""The policy's budget of recoveries (limits.budget): what was spent of it, and what people are told of that.
+"""The policy's budget of recoveries (``limits.budget``): how much of it was spent, and what the monitor reports about
+it.
 
-It is kept in the workload's status, with the record of each recovery: a healthy workload costs no writes, and the next monitor knows.
+It is kept in the workload's status, with the record of each recovery: a healthy workload costs no writes, and the next
+monitor knows.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ CONDITION = "WithinBudget"
 
 
 class Spending:
-    """What one workload has spent. Times are unix seconds."""
+    """What one workload has spent. Times are Unix seconds."""
 
     def __init__(self, view: View, notices: Notices) -> None:
         self._view, self._notices = view, notices
@@ -34,7 +36,7 @@ class Spending:
 
     @property
     def resumed(self) -> float | None:
-        """When somebody last said to go on."""
+        """When a user last asked to resume."""
         item = self._view.object
         said = ((item or {}).get("metadata", {}).get("annotations") or {}).get(names.RESUMED, "")
         return unix(said) if said else None
@@ -60,7 +62,7 @@ class Spending:
         return found.until if found is not None else None
 
     def say(self, now: float) -> None:
-        """Say how it stands; nothing where the policy has no budget."""
+        """Report the budget; nothing if the policy has none."""
         budget = self._budget
         if budget is None:
             self._notices.add(BudgetCounted("", None))
@@ -81,7 +83,7 @@ class Spending:
             self._notices.event("Warning", "BudgetSpent", text)
 
     def tell_held(self, progress: Progress) -> None:
-        """Say that a failure isn't recovered, since nothing is left."""
+        """Report that a failure is not recovered because the budget is spent."""
         found = self._notices.status.find(CONDITION)
         pods = ", ".join(pod.name for pod in progress.failed[:1]) or "no pod"
         text = f"{progress.reason}; {pods} is fenced, and nothing else is done. {found.message if found is not None else ''}"

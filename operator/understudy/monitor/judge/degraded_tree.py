@@ -23,15 +23,16 @@ _logger = logging.getLogger(__name__)
 
 
 class Busy(NamedTuple):
-    """Why the robot doesn't count as idle."""
+    """Why the robot does not count as idle."""
 
     kind: str
-    """One word, which stays while the words with their figures change."""
+    """One word, which stays the same while figures in the words change."""
     words: str
 
 
 class Wellness:
-    """What well and idle mean to the policy in force. Where it doesn't say, nothing is loaded, watched or judged."""
+    """What well and idle mean in the policy in force. If the policy does not define them, nothing is loaded, watched or
+    judged."""
 
     def __init__(self) -> None:
         self._given: tuple[Degraded | None, str, tuple[str, ...]] = (None, "", ())
@@ -40,10 +41,11 @@ class Wellness:
         self._tasks: tuple[TaskActive, ...] = ()
         self._blind: Collection[str] = ()
         self.problems: list[str] = []
-        """What doesn't load and why."""
+        """The trees that do not load, and why."""
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> bool:
-        """Judge by this policy; whether that changed anything. A tree that doesn't load leaves the last one in force."""
+        """Judge by this policy. Returns whether that changed anything. If a tree does not load, the last one stays in
+        force."""
         degraded = policy.degraded
         reschedule = degraded.reschedule if degraded is not None else None
         actions = tuple(task.action for task in spec.tasks) if reschedule is not None and spec is not None else ()
@@ -76,26 +78,27 @@ class Wellness:
 
     @property
     def topics(self) -> list[WatchedTopic]:
-        """What must be watched for it; some perhaps more than once."""
+        """The topics to watch; some may be listed more than once."""
         trees = [tree for tree in (self._well, self._idle) if tree is not None]
         statuses = [WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True) for task in self._tasks]
         # That it isn't well may wait for the next look, whatever a message says.
         return [*(replace(topic, prompt=False) for tree in trees for topic in tree.topics), *statuses]
 
     def leave_out(self, topics: Collection[str]) -> None:
-        """Judge without the leaves of topics that can't be watched: being blind is no reason to act."""
+        """Judge without the leaves of topics that cannot be watched: missing data is no reason to act."""
         self._blind = topics
         if self._well is not None:
             self._well.leave_out(topics)
 
     def verdict(self, observations: Observations, *, now: float, since: float) -> Verdict:
-        """Whether the instance in control since then is well; Starting where that can't be told. Times are unix seconds."""
+        """Whether the instance that is active since then is well; Starting if that is unknown. Times are Unix
+        seconds."""
         if self._well is None:
             return Verdict("Starting", "no tree says what well means", "", None)
         return self._well.evaluate(observations, now=now, since=since)
 
     def busy(self, observations: Observations, *, now: float, since: float) -> Busy | None:
-        """Why the robot doesn't count as idle; None while it does. What can't be seen isn't idle."""
+        """Why the robot does not count as idle; None if it does. What cannot be seen does not count as idle."""
         for task in self._tasks:
             if observations.task(task.topic) is not None:
                 return Busy("task", f"a goal of {task.action} is active")

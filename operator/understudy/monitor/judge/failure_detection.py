@@ -1,4 +1,4 @@
-"""Whether the instance in control has failed: its pod is lost, or its health tree doesn't hold."""
+"""Whether the active instance has failed: its pod is lost, or its health tree fails."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DEAD_AFTER = 0.1
 
 @dataclass(frozen=True)
 class Failure:
-    """What failed and since when; times are unix seconds."""
+    """What failed and since when; times are Unix seconds."""
 
     reason: str
     onset: float
@@ -42,21 +42,21 @@ class Failure:
 
 
 class Detector:
-    """Judges the instance in control. Times are unix seconds."""
+    """Judges the active instance. Times are Unix seconds."""
 
     def __init__(self, fleet: Instances, gate: Gate, sidecars: Sidecars, sight: Sight) -> None:
         self._fleet, self._gate = fleet, gate
         self._sidecars, self._sight = sidecars, sight
         self._debounce = Debounce()
         self.since = time.time()
-        """From when on it is watched: what was received before isn't its own."""
+        """Since when the instance is watched: what was received before is not its own."""
 
     def watch(self) -> None:
         """Watch an instance that was just put in control: what was received before is not its own."""
         self.since = time.time()
 
     def restart(self, since: float | None = None) -> None:
-        """Watch whatever is in control, by what was received from a time on (unix seconds); from now on without one."""
+        """Watch the active instance by what was received since a time (Unix seconds); without one, from now on."""
         self.since = since if since is not None else time.time()
         self._debounce.clear()
 
@@ -84,7 +84,7 @@ class Detector:
         return Failure(f"pod {name} {gone}", onset, time.time()), None
 
     def verdict(self, active: Instance, now: float) -> Verdict:
-        """What the health tree says of it."""
+        """The verdict of its health tree."""
         # From later on where the clock was set back, or by the clock of another node: until then nothing would count.
         self.since = min(self.since, now)
         verdict = self._sight.verdict(now=now, since=self.since)
@@ -96,7 +96,7 @@ class Detector:
         return verdict
 
     def onset(self, pod: str, now: float) -> float:
-        """When a pod was seen to be well for the last time; now where it never was."""
+        """When a pod was last seen to be healthy; now if it never was."""
         last = self._sight.last_well(pod)
         return last if last is not None and last <= now else now
 
@@ -105,5 +105,5 @@ class Detector:
         self._debounce.clear()
 
     def counts_from(self, detected: float, monitoring: Monitoring) -> float:
-        """From when on a failure of the tree, which was detected at this time too, counts as one."""
+        """When a failure of the tree, if it was also detected at ``detected``, counts as one."""
         return self._debounce.failed(detected, seconds(monitoring.debounce))

@@ -21,7 +21,7 @@ SILENT = 5.0
 CONDITION = "GateEnforced"
 
 UNGATED = "ReaderWithoutProfile"
-"""Reason where a reader of the robot listens at a port that no gate closes."""
+"""Reason if a reader of the robot listens at a port that no gate closes."""
 
 Judgement = tuple[Literal["True", "False", "Unknown"], str, str]
 
@@ -80,10 +80,10 @@ def judge(
 
 
 class Enforcement:
-    """Whether the gate of one workload is enforced. Times are unix seconds."""
+    """Whether the gate of one workload is enforced. Times are Unix seconds."""
 
     def __init__(self, gate: Gate, probes: Proof, notices: Notices, ungated: Callable[[], str] = str) -> None:
-        """``ungated`` tells of readers of the robot that the gate doesn't reach; empty for none."""
+        """``ungated`` names the readers of the robot that the gate does not reach; empty for none."""
         self._gate, self._probes, self._notices, self._ungated = gate, probes, notices, ungated
         self._changed = time.time()
         self._let_through = ("", "")
@@ -97,7 +97,7 @@ class Enforcement:
         self._changed = min(self._changed, now)  # the clock may have been set back
 
     def judge(self, instances: Sequence[Instance]) -> Judgement:
-        """How it stands, by what came of these instances."""
+        """Judge the gate by the probes of these instances."""
         state = self._gate.state
         last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
         judged = judge(
@@ -115,7 +115,7 @@ class Enforcement:
         return judged
 
     def say(self, judged: Judgement) -> None:
-        """Say how it stands, unless that can't be told for the moment."""
+        """Report the judgement, unless it cannot be known for the moment."""
         if (
             judged[1] not in ("Settling", "Admitted")
             and self._notices.condition(CONDITION, *judged)

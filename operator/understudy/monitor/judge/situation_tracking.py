@@ -1,6 +1,7 @@
-"""Says in which of the policy's situations the robot is. What is in force then, and kept ready for it, the operator decides by that.
+"""Determines which of the policy's situations the robot is in. From that the operator decides what is in force and kept
+ready.
 
-It is said when it changes, and not otherwise. A policy without situations costs nothing.
+The situation is reported only when it changes. A policy without situations costs nothing.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from understudy.trees.core.health_tree import Verdict
 _logger = logging.getLogger(__name__)
 
 LOOK = 0.2
-"""Seconds between two looks: a standby takes seconds to be made ready."""
+"""Seconds between two looks: preparing a standby takes seconds."""
 
 HEARING = 10.0
-"""Seconds in which a new monitor hears of the goals that there are: until then that it sees none ends no situation."""
+"""Seconds that a new monitor needs to receive existing goals: until then, seeing none ends no situation."""
 
 
 class Situations:
@@ -37,9 +38,10 @@ class Situations:
         self._next = 0.0
 
     def look(self, policy: FailurePolicySpec, verdict: Verdict, *, now: float, since: float) -> None:
-        """See in which situation the robot is. Times are unix seconds.
+        """Determine the situation of the robot. Times are Unix seconds.
 
-        While the instance in control fails, or begins, its goals may be nobody's for a moment: the situation stays as it is.
+        While the active instance fails or starts, its goals may be without an owner for a moment: the situation stays
+        as it is.
         """
         said = self._notices.status.situation
         if not policy.situations:

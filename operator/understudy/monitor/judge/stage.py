@@ -12,7 +12,7 @@ from understudy.monitor.observe.senses import Senses
 
 
 class JudgeStage:
-    """What the observations say of the instance in control, and of the gate."""
+    """What the observations say about the active instance and the gate."""
 
     def __init__(self, pods: Instances, gate: Gate, senses: Senses, notices: Notices) -> None:
         self.detector = Detector(pods, gate, senses.sidecars, senses.sight)
