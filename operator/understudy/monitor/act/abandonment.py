@@ -32,8 +32,8 @@ class Abandonment:
         self._kept: list[GivenUp] | None = None
         """The recoveries that were abandoned; None until those of an earlier monitor were taken over."""
         self._left: tuple[str, float] = ("", 0.0)
-        """The recovery in the gate's record that is not this monitor's, and since when it is there (monotonic
-        seconds)."""
+        """The recovery in the gate's record that is not this monitor's, and since when it has been there while the
+        robot was driven (monotonic seconds)."""
         self._saying: asyncio.Task[None] | None = None
 
     @property

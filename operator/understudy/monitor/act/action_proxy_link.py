@@ -186,7 +186,7 @@ def reachable(instance: Instance, state: GateState) -> bool:
 
 
 def executing(instance: Instance, state: GateState, full: set[str]) -> bool:
-    """Whether an instance is an executing standby: of an executing pool, or of the controller's own if there is one."""
+    """Return whether an instance is an executing standby: of an executing pool, or of the workload's own if there is such a pool."""
     standby = instance.uid != state.active_uid and not instance.claim
     return standby and (instance.pool in full or (instance.from_source and bool(full)))
 
