@@ -135,7 +135,7 @@ def test_a_pool_whose_size_follows_the_failures_does_not_scale(cluster: Cluster,
 
 def test_a_pool_per_workload_does_not_scale(cluster: Cluster, make) -> None:
     pool = make("pool-executing")
-    with pytest.raises(Refused, match="has perWorkload"):
+    with pytest.raises(Refused, match="needs perWorkload"):
         cluster.patch(pool, {"spec": {"replicas": 3}}, subresource="scale")
 
 
