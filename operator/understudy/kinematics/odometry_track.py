@@ -18,7 +18,7 @@ LENGTH = 120
 """Points that are remembered. A message may be of a time that lies back a little; older moments were asked for before."""
 
 SLACK = 100_000_000
-"""ns by which a moment may lie after the last point and still be told by it, if none comes any more."""
+"""Longest time after the last point, in ns, for which that point still gives the pose if no other point follows."""
 
 BLIND = 1_000_000_000
 """ns without a point after which it was not watched meanwhile."""
@@ -140,7 +140,7 @@ class Track:
     def at(self, stamp: int, received: int, *, last: bool = False) -> Moment | None:
         """The moment at a time, which is given by the clock of who says it (0 if it does not) and by this machine's.
 
-        None if the time is not known. With ``last`` a time shortly after the last point is told by that.
+        None if the time is not known. With ``last``, the last point also answers for a time shortly after it.
         """
         if not self._points:
             return None

@@ -1,7 +1,7 @@
 """Who reads the outputs besides the monitor and the instances, and whether the gate can keep standbys from them.
 
 The gate closes ports. A process of the robot that was started without its profile listens at others, where every instance that
-executes is heard: nothing else would tell of that. ROS's graph says who reads, the middleware's discovery says where.
+executes is heard: nothing else would report that. ROS's graph says who reads, the middleware's discovery says where.
 """
 
 from __future__ import annotations
