@@ -363,14 +363,13 @@ class Bench:
             time.sleep(every)
 
     def _until_driven(self) -> None:
-        def driven() -> int:
-            return sum(role.ask("state")["driven"] for role in self._monitors)
+        def driven() -> bool:
+            ended = [told["error"] for role in self._monitors for told in role.told_so_far() if told["told"] == "broken"]
+            if ended:
+                raise SystemExit(f"{len(ended)} monitors ended; the first with: {ended[0]}")
+            return sum(role.ask("state")["driven"] for role in self._monitors) == len(self._robots)
 
-        for role in self._monitors:
-            for told in role.told_so_far():
-                if told["told"] == "broken":
-                    self.say(f"a monitor ended: {told['error']}")
-        self._until(lambda: driven() == len(self._robots), "every robot to be driven")
+        self._until(driven, "every robot to be driven")
 
     def _calm(self) -> None:
         """Wait until all is well and nobody but the lease's holder writes anything."""

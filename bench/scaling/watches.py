@@ -33,7 +33,7 @@ class Drain(Client):
         }
         timeout = aiohttp.ClientTimeout(total=None, sock_connect=10, sock_read=LIFETIME + 15)
         url = self._access.server + resource.path(namespace)
-        async with self._session.get(url, params=params, headers=self._headers(), timeout=timeout) as response:
+        async with self._session.get(url, params=params, headers=await self._headers(), timeout=timeout) as response:
             response.raise_for_status()
             async for _ in response.content.iter_any():
                 pass
