@@ -364,7 +364,9 @@ class Bench:
 
     def _until_driven(self) -> None:
         def driven() -> bool:
-            ended = [told["error"] for role in self._monitors for told in role.told_so_far() if told["told"] == "broken"]
+            ended = [
+                told["error"] for role in self._monitors for told in role.told_so_far() if told["told"] == "broken"
+            ]
             if ended:
                 raise SystemExit(f"{len(ended)} monitors ended; the first with: {ended[0]}")
             return sum(role.ask("state")["driven"] for role in self._monitors) == len(self._robots)

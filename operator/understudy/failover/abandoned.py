@@ -25,7 +25,7 @@ class GivenUp(Model):
         return found is not None and (found.id, found.result) == (self.id, "Running") and ours
 
     def may_come(self, epoch: int) -> bool:
-        """Whether a gate of this epoch may yet come to tell of it: a commit holds over what its sender knew, and over nothing newer."""
+        """Whether a gate of this epoch may still show its commit: a commit replaces what its sender knew, and nothing newer."""
         return epoch <= self.epoch
 
 

@@ -17,7 +17,7 @@ from understudy.api.protocol.monitor_settings import Upstream
 from understudy.failover.progress import Committed, Progress, told_in, under_way
 
 SLACK = 0.1
-"""Seconds by which an effect may seem to come before its cause: the clocks of two nodes differ, and messages take time."""
+"""Maximum seconds that an effect may seem to come before its cause: the clocks of two nodes differ, and messages take time."""
 
 FAILING = ("Starting", "Failed", "Recovering")
 """Health of a workload that others cannot depend on. Unknown is not one of them: the workload may have no monitor."""
@@ -166,7 +166,7 @@ def due(
     followed: Mapping[str, str],
     now: float,
 ) -> Due | None:
-    """The recoveries after which something is to be done now; None where there are none, or others come first.
+    """Return the recoveries after which something is due now; None if there are none, or if others come first.
 
     ``followed`` are those after which it was done. It waits for each of those that are recovered, and for each upstream that has to do
     something after a recovery itself: so each is done in the order of the graph, once for all that came before, and at the same time

@@ -181,7 +181,7 @@ class Agents(Protocol):
     async def bring_up(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
     ) -> RestoreReport:
-        """Run a procedure on it, in so many seconds; ``state`` is for its leaves, and what became of that is answered.
+        """Run a procedure on the instance within so many seconds. ``state`` is for its leaves; the result reports what was restored.
 
         Raises NotVerified, which says at which leaf it failed and why.
         """

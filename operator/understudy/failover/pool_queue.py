@@ -1,7 +1,7 @@
 """The order in which several workloads get pods of a shared pool that is empty.
 
-Nobody hands the pods out: each that waits says so beside its gate, looks who else does, and leaves a free pod to those that are
-before it. For a moment only, since one of them may have died; and whoever writes first owns the pod anyway (the claim).
+Nobody hands the pods out. Each waiting monitor records that it waits next to its gate, looks who else waits, and leaves a free pod
+to those before it. For a moment only, since one of them may have died; and whoever writes first owns the pod anyway (the claim).
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def before(me: Waiter, others: Iterable[Waiter], now: float) -> int:
 
 
 def due(ahead: int, free_since: Collection[float]) -> float | None:
-    """When a waiter may take a pod, of those that it has seen free since then; None where there is none.
+    """Return when a waiter may take one of the pods, given since when it has seen each of them free; None if there are none.
 
     Where there are more pods than waiters ahead of it, at once. Else those ahead have a moment each.
     """

@@ -57,7 +57,7 @@ class Prepared:
 async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, unfit: Unfit) -> Prepared:
     """Bring an understudy to where it can drive, by the first of the strategies that gets there in its time.
 
-    The gate is left alone, and nothing is written down that a new monitor would go on with: it begins anew.
+    The gate stays as it is, and nothing is persisted that a new monitor would continue: a new monitor begins again.
     """
     aside = replace(means, save=lambda progress: None)
     attempts: list[Attempt] = []

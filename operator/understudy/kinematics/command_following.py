@@ -33,7 +33,7 @@ STEPS = 3
 """How many observations a failure takes at least: a single one, however wrong, may be a marker that was misread."""
 
 JITTER = 0.015, 0.05
-"""Standard deviations, in m/s and rad/s, by which a robot that does what it should moves unevenly: floors, wheels, regulation."""
+"""Standard deviations, in m/s and rad/s, of the velocity of a robot that works well: floors, wheels and controllers are uneven."""
 
 MOST_PIECES = 1000
 """Commands that are remembered at once; 50 Hz for twenty seconds."""
@@ -63,9 +63,9 @@ class Allowance:
     turn_acceleration: float = 1.0
     """rad/s2"""
     slip: float = 0.2
-    """The part of a velocity by which it may be wrong."""
+    """The part of a velocity that may be wrong."""
     tolerance: float = 0.03
-    """m/s by which it may be wrong besides."""
+    """m/s that may be wrong in addition."""
     turn_tolerance: float = 0.1
     """rad/s"""
 
@@ -196,7 +196,7 @@ class Discrepancy:
 
 
 class CommandFollowing:
-    """Compares commands with what is seen. All times are seconds of one clock, by which both came in."""
+    """Compares commands with the observed motion. All times are seconds of one clock, the time of receipt of both."""
 
     def __init__(self, allowance: Allowance) -> None:
         self._allowance = allowance

@@ -20,14 +20,14 @@ POSE_TYPES = (
 """Types that begin with a header, for the last also the body's frame, and then a pose."""
 
 _HEADER = 4
-"""Bytes before the message itself, by which the alignment of what follows is counted (CDR, OMG DDS-XTypes 7.4)."""
+"""Bytes before the message itself. Alignment is counted from their end (CDR, OMG DDS-XTypes 7.4)."""
 
 
 class Reading(NamedTuple):
     """What a message says of a pose."""
 
     stamp: int
-    """When it was so, in ns by the clock of who said it; 0 if it does not say."""
+    """Time of the pose in ns, by the clock of its publisher; 0 if the message has none."""
     frame: str
     child: str
     """The body's own frame; empty if the type has none."""

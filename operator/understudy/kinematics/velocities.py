@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 LEAST = 3
-"""Poses in a window without which no velocity is told: two always lie on a line, and say nothing of how well."""
+"""Minimum number of poses in a window for a velocity: two always lie on a line, and show nothing about the fit."""
 
 FULL = 0.5
 """The part of the window that the poses must span at least, so that a body that has just come into sight has no velocity yet."""

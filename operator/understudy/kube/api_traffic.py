@@ -9,7 +9,7 @@ def series(registry: CollectorRegistry) -> tuple[Counter, Gauge]:
     """Create the metrics of one process."""
     requests = Counter(
         "understudy_api_requests",
-        "Requests to the API server, by what came of them: the status, or error where there was no answer.",
+        "Requests to the API server, by result: the HTTP status, or error if there was no answer.",
         ["method", "resource", "code"],
         registry=registry,
     )

@@ -55,7 +55,7 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
             if (fresh["metadata"].get("annotations") or {}).get(names.CLAIM) == claim:
                 return fresh
             if not unclaimed(fresh) or not _same(fresh, pod):
-                raise ApiError(409, "Conflict", f"pod {pod['metadata']['name']} isn't free any more") from error
+                raise ApiError(409, "Conflict", f"pod {pod['metadata']['name']} is not free any more") from error
             pod = fresh
 
 

@@ -1,9 +1,9 @@
-"""Where odometry had the robot when a kept pose was so, for as long as that can be joined with where it has it now.
+"""The odometry of the moment of a kept pose, as long as it can be joined with the odometry of now.
 
-A pose that is restored was so before the failure, and the robot may have driven since: what odometry says of that
-motion brings it to the present. That takes one moment of odometry for each version of a pose that is kept, found when
-the pose comes, so that only seconds of odometry have to be remembered. When odometry begins anew, all that is lost, and
-it is said why.
+A restored pose is from before the failure, and the robot may have driven since. Odometry measured that motion, which
+brings the pose to the present. That takes one moment of odometry for each version of a pose that is kept, found when
+the pose comes, so that only seconds of odometry have to be remembered. When odometry starts again, all of this is
+lost, and the monitor reports why.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Carrier:
         try:
             said = read(type_name, data)
         except ValueError as error:
-            odometry.problem = f"it can't be read: {error}"
+            odometry.problem = f"it cannot be read: {error}"
             return
         odometry.problem = ""
         point = Point(said.pose, said.stamp, round(received_at / _SECOND), said.frame, said.child, writer)
@@ -117,7 +117,7 @@ class Carrier:
         for topic, odometry in self._odometry.items():
             if topic in problems:
                 odometry.problem = problems[topic]
-            elif odometry.track.last is not None and not odometry.problem.startswith("it can't be read"):
+            elif odometry.track.last is not None and not odometry.problem.startswith("it cannot be read"):
                 odometry.problem = ""
 
     def settle(self, now: float) -> None:

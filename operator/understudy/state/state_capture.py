@@ -37,7 +37,7 @@ SPREAD = 0.25
 """Distance of two versions, as a part of their age: how much older than asked for the chosen one may be."""
 
 LAG = 10.0
-"""Seconds by which a failure may lie back when it is noticed, where there's no room for many versions."""
+"""Maximum seconds from a failure until it is noticed, if there is no room for many versions."""
 
 PATIENCE = 10.0
 """Seconds of health after which something that never came is said to be missing."""
@@ -265,7 +265,7 @@ class Keeper:
                 gone = largest.versions.pop()
                 largest.count()
                 said = (
-                    f"a message of {len(gone.data)} bytes didn't fit: {total} bytes would have been kept, and "
+                    f"a message of {len(gone.data)} bytes did not fit: {total} bytes would have been kept, and "
                     f"state.maxBytes is {self._state.max_bytes}"
                 )
                 # Without a newcomer the policy has changed, and what comes next decides.
@@ -307,7 +307,7 @@ class Keeper:
         return KeptState(tuple(samples), tuple(parameters), tuple(states), tuple(left_out))
 
     def note(self, notes: Mapping[Key, tuple[Trouble, str]]) -> None:
-        """Say why something can't come: what is told of it where nothing is kept of it."""
+        """Set why something cannot be captured: reported if nothing of it is kept."""
         self._notes = dict(notes)
 
     def entries(self, now: float) -> list[Entry]:

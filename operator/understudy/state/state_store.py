@@ -90,7 +90,7 @@ class Shelf:
         except FileNotFoundError:
             return {}
         except OSError as error:
-            _logger.error("kept state can't be read: %s", error)
+            _logger.error("kept state cannot be read: %s", error)
             return {}
         try:
             return self._read(raw)
@@ -101,7 +101,7 @@ class Shelf:
     def _read(self, raw: bytes) -> dict[Key, list[Version]]:
         magic, digest, length = _HEADER.unpack_from(raw)
         if magic != _MAGIC:
-            raise ValueError("it isn't of this version")
+            raise ValueError("it is not of this version")
         if hashlib.sha256(memoryview(raw)[_HEADER.size - 4 :]).digest() != digest:
             raise ValueError("the checksum is wrong")
         document = json.loads(raw[_HEADER.size : _HEADER.size + length])
@@ -126,7 +126,7 @@ class Shelf:
         try:
             data = (self._directory / Path(name).name).read_bytes()
         except OSError as error:
-            _logger.error("a kept message can't be read and is left out: %s", error)
+            _logger.error("a kept message cannot be read and is left out: %s", error)
             return None
         if f"{hashlib.sha256(data).hexdigest()}.message" != name:
             _logger.error("a kept message in %s is damaged and left out", name)

@@ -116,7 +116,7 @@ class CameraPose(_Part):
 
 
 class Reference(_Part):
-    """A marker that lies on the floor at a place that is known, by which the camera's pose is found."""
+    """A marker that lies on the floor at a known place. The camera's pose is calculated from it."""
 
     id: Identity
     size: Size

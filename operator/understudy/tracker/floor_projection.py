@@ -119,7 +119,7 @@ def place(corners: Corners, marker: Marker, calibration: Calibration, view: View
     down = marker.height - view.place[2]
     if not (directions[:, 2] * down > 0).all():
         raise Misfit(
-            f"the marker {marker.name} is seen where there is no floor: camera.pose or its height of {marker.height:g} m is wrong"
+            f"the marker {marker.name} is seen in a direction without floor: camera.pose or its height of {marker.height:g} m is wrong"
         )
     points = (view.place + directions * (down / directions[:, 2:]))[:, :2].reshape(9, 4, 2)
     poses = np.array([_pose(square_, marker) for square_ in points])

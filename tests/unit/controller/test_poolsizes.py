@@ -211,7 +211,7 @@ class TestWhatIsSaid:
         assert sure.endswith("So it keeps 5 pods; 1 would surely be enough, so it becomes one less every 10 minutes.")
         pool["status"]["sizing"]["size"] = 4
         unsure = condition(observed(pool, *(robot(f"w{n}", age=60) for n in range(60))), "Sized")["message"]
-        assert unsure.endswith("So it keeps 4 pods; 3 may be enough, which isn't sure yet (95%).")
+        assert unsure.endswith("So it keeps 4 pods; 3 may be enough, which is not certain yet (95%).")
         least = condition(observed(sized(min=4), robot("w", age=24 * HOUR)), "Sized")["message"]
         assert least.endswith("So it keeps 4 pods, which is spec.sizing.min; 1 would be enough.")
 

@@ -132,7 +132,7 @@ def test_without_odometry_it_says_so(carrier: Carrier) -> None:
 
 def test_odometry_that_is_none_is_told(carrier: Carrier) -> None:
     carrier.moved("/odom", ODOMETRY, b"\0\1\0\0", received_at=START, writer=ROBOT)
-    assert "it can't be read: " in motion(carrier, 0.0, 1.0).missing
+    assert "it cannot be read: " in motion(carrier, 0.0, 1.0).missing
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ def test_pods_with_the_same_host_id_are_not_told_apart_but_reported():
     assert sources.candidates(gid(second)) == ("a", "b")
     assert sources.ambiguous == [("a", "b")]
     (problem,) = sources.problems()
-    assert problem.startswith(f"a ({first}), b ({second}) can't be told apart")
+    assert problem.startswith(f"a ({first}), b ({second}) cannot be distinguished")
     assert sources.pod(gid("192.0.2.2")) == "c"
 
 
@@ -125,4 +125,4 @@ def test_real_publishers_with_the_same_host_id_count_and_are_reported(lan, proce
     assert seen["last"]["/cmd_vel"] == {"primary": None, "fallback": None}
     assert seen["others"]["/cmd_vel"] is None
     assert seen["counted"]["/cmd_vel"] > 30
-    assert "can't be told apart" in seen["problems"][0]
+    assert "cannot be distinguished" in seen["problems"][0]

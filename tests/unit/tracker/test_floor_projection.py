@@ -88,7 +88,7 @@ def test_straight_down_a_yaw_of_zero_has_the_worlds_x_at_the_images_top():
     [
         ({"size": 0.3}, r"looks 0\.200 m large and not 0\.3 m: its size or its height is wrong"),
         ({"height": 1.5}, "its size or its height is wrong"),
-        ({"height": 3.5}, r"is seen where there is no floor: camera\.pose or its height of 3\.5 m is wrong"),
+        ({"height": 3.5}, r"is seen in a direction without floor: camera\.pose or its height of 3\.5 m is wrong"),
     ],
 )
 def test_what_does_not_fit_is_refused_with_what_may_be_wrong(changes: dict[str, Any], expected: str):

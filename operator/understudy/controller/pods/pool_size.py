@@ -221,7 +221,7 @@ def _outlook(found: Sized) -> str:
         fewer = max(decision.safe, spec.min)
         return f"{told}; {fewer} would surely be enough, so it becomes one less every {REST / 60:g} minutes."
     if decision.size > decision.needed:
-        return f"{told}; {decision.needed} may be enough, which isn't sure yet ({SURE:.0%})."
+        return f"{told}; {decision.needed} may be enough, which is not certain yet ({SURE:.0%})."
     return f"{told}."
 
 

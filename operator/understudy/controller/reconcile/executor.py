@@ -108,7 +108,7 @@ class Executor:
     def check(self) -> None:
         """Raise LeadershipLost unless this replica may write now."""
         if not self._may_write():
-            raise LeadershipLost("the lease was not renewed in time")
+            raise LeadershipLost("leadership was not renewed in time")
 
     async def _one(self, key: Key, write: Write) -> None:
         match write:

@@ -51,7 +51,7 @@ def _workloads(items: Iterable[Object]) -> list[Metric]:
     )
     recoveries = CounterMetricFamily(
         "understudy_workload_recoveries",
-        "Recoveries of a workload since it was made, whatever came of them.",
+        "Recoveries of a workload since it was created, regardless of their result.",
         labels=_OF_WORKLOAD,
     )
     last = GaugeMetricFamily(

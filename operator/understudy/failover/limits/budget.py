@@ -13,7 +13,7 @@ from understudy.api.kinds.pause_spec import in_words
 from understudy.failover.limits.state import InForce
 
 CLOCKS_DIFFER = 60.0
-"""Seconds by which the clock of the person who resumes may be ahead of the monitor's clock."""
+"""Maximum seconds that the clock of the person who resumes may be ahead of the monitor's clock."""
 
 
 def left(spent: Sequence[float], now: float, *, recoveries: int, within: float) -> int:
