@@ -126,7 +126,7 @@ class _Examination:
         except Refused as refused:
             if self._given.names:
                 raise
-            self.found.append(Finding("robots", "WARN", f"they can't be listed: {refused}", "see your rights, above"))
+            self.found.append(Finding("robots", "WARN", f"they cannot be listed: {refused}", "see your rights, above"))
             return []
         return sorted(items, key=kube_objects.name)
 
@@ -136,7 +136,7 @@ class _Examination:
         if self._given.image:
             return replace(known, monitor=self._given.image) if known is not None else Images(self._given.image)
         if known is None:
-            raise CommandError("the monitor's image isn't known, since no operator is found; give it with --image")
+            raise CommandError("the monitor's image is not known, since no operator is found; give it with --image")
         return known
 
     def _try(self, images: Images, workloads: Sequence[Object]) -> None:
@@ -179,7 +179,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Finds out whether a cluster does what Understudy needs: Kubernetes, operator and CRDs fit this version, you and the "
         "operator have the rights, gates are enforced for UDP and how soon, clocks agree, and the robots' discovery servers "
         "answer. It creates two pods and a gate for a while, which touch no robot, and deletes them again.",
-        epilog="Exit status: 0 where nothing failed (warnings are told), 1 where something did, 2 where it can't be told.",
+        epilog="Exit status: 0 if nothing failed (warnings are reported), 1 if something failed, 2 if this cannot be determined.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload; all where none is named")
     parser.add_argument(

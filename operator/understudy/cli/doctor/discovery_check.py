@@ -47,7 +47,7 @@ def servers(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[F
         yield Finding(
             check(workload),
             "FAIL",
-            f"its server doesn't run{f': {why}' if why else ''}",
+            f"its server does not run{f': {why}' if why else ''}",
             f"kubectl describe deployment -n {namespace} {names.discovery(name)}; what knows each other goes on, nobody new joins",
         )
 
@@ -74,7 +74,7 @@ def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], No
                 yield Finding(
                     check(workload),
                     "WARN",
-                    f"ConfigMap {names.robot_env(kube_objects.name(workload))} isn't there yet",
+                    f"ConfigMap {names.robot_env(kube_objects.name(workload))} is not there yet",
                     f"understudy explain {kube_objects.name(workload)} says what it waits for",
                 )
                 continue

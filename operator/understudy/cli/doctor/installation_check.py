@@ -117,9 +117,9 @@ def definitions_served(api: Api) -> Iterator[Finding]:
         except Refused as refused:
             if refused.status == 403:
                 cure = "have somebody run this who may get customresourcedefinitions"
-                yield Finding(check, "WARN", f"it can't be told: {refused}", cure)
+                yield Finding(check, "WARN", f"this cannot be determined: {refused}", cure)
             elif refused.status == 404:
-                yield Finding(check, "FAIL", "it isn't there", "helm install the chart, or kubectl apply -f crds/")
+                yield Finding(check, "FAIL", "it is not there", "helm install the chart, or kubectl apply -f crds/")
             else:
                 raise
 
@@ -142,8 +142,8 @@ def definition(check: str, wanted: Object, live: Object) -> Finding:
     others += list(differences(expected.get("subresources"), version.get("subresources"), "subresources"))
     if others:
         more = f", and {len(others) - 1} more" if len(others) > 1 else ""
-        cure = f"what isn't in it is dropped by the API server: {_UPGRADE}. CRDs are upgraded with the chart unless crds.install is false"
-        return Finding(check, "FAIL", f"it isn't that of version {__version__}: {others[0]}{more}", cure)
+        cure = f"what is not in it is dropped by the API server: {_UPGRADE}. CRDs are upgraded with the chart unless crds.install is false"
+        return Finding(check, "FAIL", f"it is not that of version {__version__}: {others[0]}{more}", cure)
     return Finding(check, "OK", f"{VERSION} of version {__version__}")
 
 
@@ -158,7 +158,7 @@ def differences(wanted: Any, live: Any, path: str = "") -> Iterator[str]:
             if key not in live:
                 yield f"{below} is missing"
             elif key not in wanted:
-                yield f"{below} is there, which this version doesn't know"
+                yield f"{below} is there, which this version does not know"
             else:
                 yield from differences(wanted[key], live[key], below)
     elif _is_list(wanted) and _is_list(live) and len(wanted) == len(live):

@@ -238,7 +238,7 @@ def _state(known: Known) -> Iterator[_Entry]:
     status, observed = known.status, known.observed
     if not known.is_watched:
         said = f"; the last that was said is {status.health}" if status.health else ""
-        yield _Entry(f"Nobody watches it, so how it is isn't known{said}.")
+        yield _Entry(f"Nobody watches it, so its health is unknown{said}.")
     elif known.health != "Healthy":
         recovering = known.said.recovering
         reason = recovering.message if recovering else why(known.health, known.said.active, status.conditions or [])
@@ -316,7 +316,7 @@ def _failing(known: Known) -> Iterator[_Entry]:
         yield _Entry("No strategy of its policy could run: the robot would be left without commands.", "Failed")
     elif before is not None:
         yield _Entry(
-            f"If the last isn't verified within {before.verify_within} either, all are tried again after a pause. What isn't "
+            f"If the last is not verified within {before.verify_within} either, all are tried again after a pause. What is not "
             "available in that moment is passed over at once."
         )
     if before is not None and known.left_out:
@@ -400,7 +400,7 @@ def _dependencies(known: Known) -> Iterator[_Entry]:
         yield _Entry(f"on {one.name} ({health}); {after}", state)
     found = [name for name, one in known.workloads.items() if known.said.name in dependency_graph.named(one)]
     if found:
-        told = f"On this one: {listed(sorted(found))}. While it isn't healthy, a failure of theirs that may follow from that is held."
+        told = f"On this one: {listed(sorted(found))}. While it is not healthy, a failure of theirs that may follow from that is held."
         yield _Entry(told)
 
 
@@ -487,7 +487,7 @@ def _unprotected(known: Known) -> str:
     first = next((one.availability for one in known.considered), None)
     seen = first is not None and not first.available and found.reason == first.reason
     words = "the first strategy of its policy cannot run, see above." if seen else found.message
-    stale = " Its status says that it is: that is a moment old, or the operator isn't running." if said is None else ""
+    stale = " Its status says that it is: that is a moment old, or the operator is not running." if said is None else ""
     return f"not protected ({found.reason}{since}): {words}{stale}"
 
 
@@ -506,14 +506,14 @@ def _not_covered(known: Known) -> Iterator[_Entry]:
         return  # it is reported above
     unwatched = [output.topic for output in spec.outputs if output.topic and output.topic not in watched]
     if unwatched:
-        yield _Entry(f"The health tree doesn't watch {listed(unwatched)}: nobody notices where it falls silent.")
+        yield _Entry(f"The health tree does not watch {listed(unwatched)}: nobody notices where it falls silent.")
     if not (policy.state.keep or policy.state.parameters or policy.state.lifecycle):
         yield _Entry("The policy keeps no state: whatever takes over begins without what the failed instance knew.")
     if len(known.considered) + len(known.left_out) == 1:
-        yield _Entry("The policy has one strategy: where it isn't verified, there is nothing else to be tried.")
+        yield _Entry("The policy has one strategy: where it is not verified, there is nothing else to be tried.")
     if policy.safety is None:
         yield _Entry(
-            "The policy has no safety commands: until somebody is in control again, the robot is told nothing."
+            "The policy has no safety commands: until an instance is in control again, the robot receives no commands."
         )
 
 

@@ -205,7 +205,7 @@ def test_what_an_older_definition_has_not_is_named_as_the_user_writes_it() -> No
     del spec["pause"]
     found = installation_check.definition("CRD", served(), live)
     assert found.level == "FAIL"
-    assert found.found == f"it isn't that of version {__version__}: spec.pause is missing"
+    assert found.found == f"it is not that of version {__version__}: spec.pause is missing"
     assert "helm upgrade" in found.cure
 
 
@@ -425,7 +425,7 @@ def test_a_server_that_does_not_run_is_told_without_a_packet() -> None:
     (found,) = discovery_check.servers(Server({"*": {"items": [pod]}}), "fleet", [fleet.well()])  # type: ignore[arg-type]
     assert found.level == "FAIL"
     assert (
-        "its server doesn't run: pod robot-17-navigation-discovery-x: container discovery (image i) cannot start"
+        "its server does not run: pod robot-17-navigation-discovery-x: container discovery (image i) cannot start"
         in found.found
     )
 

@@ -133,7 +133,7 @@ def test_the_cluster_is_believed_where_the_status_is_of_another_time() -> None:
     assert not found.is_well
     assert told(found)["Missing"] == [
         "✗ not protected (StandbyNotReady): the first strategy of its policy cannot run, see above. Its status says that it "
-        "is: that is a moment old, or the operator isn't running."
+        "is: that is a moment old, or the operator is not running."
     ]
 
 
@@ -274,7 +274,7 @@ def test_what_the_protection_leaves_out_as_it_is_written() -> None:
         ],
     )
     first, *others = told(known(item))["Not covered"]
-    assert first == "The health tree doesn't watch /gripper: nobody notices where it falls silent."
+    assert first == "The health tree does not watch /gripper: nobody notices where it falls silent."
     assert any("keeps no state" in line for line in others)
     assert any("no safety commands" in line for line in others)
 
@@ -364,7 +364,7 @@ def test_what_it_depends_on_and_what_depends_on_it() -> None:
     assert text["Dependencies"] == [
         "✗ on localization (Recovering); once it was recovered, nothing is done here",
         "✗ on maps, which is not there; once it was recovered, the pod in control here is replaced",
-        "On this one: control. While it isn't healthy, a failure of theirs that may follow from that is held.",
+        "On this one: control. While it is not healthy, a failure of theirs that may follow from that is held.",
     ]
     assert "Dependencies" not in told(known(fleet.well()))
 
