@@ -40,7 +40,7 @@ from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
-from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -101,7 +101,7 @@ class Monitor:
         self.robot, self._client, self._waiting, self._state = robot, client, waiting, state
         self.application = Application()
         self.wakeups, self.current = PodWakeups(), CurrentRecovery()
-        self.supervisor: Supervisor | None = None
+        self.monitor_loop: MonitorLoop | None = None
         self.fleet: Fleet | None = None
         self.gate: GateControl | None = None
         self.notices: Recording | None = None
@@ -131,11 +131,11 @@ class Monitor:
                 black_box=cast(Any, BlackBox()),
                 notices=self.notices,
             )
-            self.supervisor = Supervisor(parts)
+            self.monitor_loop = MonitorLoop(parts)
             group.create_task(keep_warm(client))
             group.create_task(StatusWriter(client, view, recorder, self.notices).run())
             watching.set()
-            await self.supervisor.run()
+            await self.monitor_loop.run()
 
     def wake(self) -> None:
         """Have it look at once."""
@@ -144,7 +144,7 @@ class Monitor:
     @property
     def drives(self) -> str:
         """UID of the instance in control if its outputs flow and nothing is being recovered, else nothing."""
-        if self.gate is None or self.supervisor is None or self.current.progress is not None:
+        if self.gate is None or self.monitor_loop is None or self.current.progress is not None:
             return ""
         uid = self.gate.state.active_uid
         return uid if self.application.well(uid) else ""
@@ -161,12 +161,12 @@ class Monitor:
 
     async def claim(self, intended: float) -> None:
         """Claim a pod of the pool as a recovery does, and nothing else of it."""
-        assert self.supervisor is not None
+        assert self.monitor_loop is not None
         self.wakeups.claiming = True
         begun = time.time()
         strategy = UninitializedFallback(POOL)
         progress = Progress.begin("claim", last_healthy=begun, detected=begun)
-        means = self.supervisor.decide.repertoire.means()
+        means = self.monitor_loop.decide.repertoire.means()
         found: Instance | None = None
         error = "no pod was free"
         while found is None and time.time() < begun + CLAIM_WITHIN:

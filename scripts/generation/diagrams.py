@@ -170,18 +170,18 @@ def failover() -> str:
 
 MODULES: dict[str, tuple[str, ...]] = {
     "observe": ("ros/observe/topic_watch", "monitor/observe/health_observer", "monitor/loop"),
-    "judge": ("trees/core/health_tree", "monitor/judge/failure_detection"),
-    "decide": ("monitor/decide/deferred_failures", "failover/decide"),
+    "judge": ("monitor/judge/stage", "monitor/judge/failure_detection", "trees/core/health_tree"),
+    "decide": ("monitor/decide/stage", "failover/decide"),
     "act": (
-        "monitor/act/recovery_start", "monitor/act/deferred_recovery", "monitor/act/recovery_runner", "failover/protocol",
-        "failover/strategies/executing", "monitor/act/gate_control", "kube/gates/network_policy", "kube/client",
+        "monitor/act/recovery_runner", "monitor/act/deferred_recovery", "failover/protocol", "failover/strategies/executing",
+        "monitor/act/gate_control", "kube/gates/network_policy", "kube/client",
     ),
     "report": ("monitor/report/recovery_report", "monitor/notices", "monitor/report/status_writer"),
 }  # fmt: skip
 """The modules through which a failure passes, by stage and in this order. What follows the patch of the gate is
 `report`."""
 
-HANDED = {"observe": "samples", "judge": "verdict", "decide": "failure", "act": "outcome"}
+HANDED = {"observe": "samples", "judge": "judgement", "decide": "resolution", "act": "outcome"}
 """What each stage passes to the next."""
 
 
@@ -197,8 +197,8 @@ def pipeline() -> str:
         1180,
         330,
         "The monitor as a pipeline",
-        "Five stages from left to right: observe, judge, decide, act and report. Each hands one value on to the next: samples, a verdict, "
-        "a failure, an outcome. Under each stage are the modules that a failure passes.",
+        "Five stages from left to right: observe, judge, decide, act and report. Each hands one value on to the next: samples, a "
+        "judgement, a resolution, an outcome. Under each stage are the modules that a failure passes.",
     )
     colours = {"observe": BLUE, "judge": PURPLE, "decide": AMBER, "act": RED, "report": PALE}
     fills = {"observe": "#e9f2f9", "judge": "#f1ecf7", "decide": "#fff8e6", "act": "#fdf1ef", "report": "#f6f6f6"}

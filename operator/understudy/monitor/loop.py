@@ -12,10 +12,9 @@ from collections.abc import Collection
 from contextlib import aclosing
 from dataclasses import dataclass
 
-from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover import switchover
-from understudy.failover.interfaces import Instance
+from understudy.failover.decide import Activate, Decision, Hold, Recover, SwitchOver, Wait
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Means
 from understudy.failover.switchover import Prepared
@@ -25,19 +24,17 @@ from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.act.recovery_runner import ENDS
 from understudy.monitor.act.stage import ActStage
 from understudy.monitor.act.state_keeping import StateKeeping
-from understudy.monitor.decide.stage import DecideStage
-from understudy.monitor.judge.failure_detection import Failure
-from understudy.monitor.judge.stage import JudgeStage
-from understudy.monitor.notices import FailureDetected, Notices
+from understudy.monitor.decide.initial_activation import Candidates
+from understudy.monitor.decide.stage import DecideStage, Resolution
+from understudy.monitor.judge.stage import Judgement, JudgeStage
+from understudy.monitor.notices import Notices
 from understudy.monitor.observe import interrupted_recovery
-from understudy.monitor.observe.dependencies import told
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.stage import ObserveStage
 from understudy.monitor.observe.wakeups import TICK, WAKE_LATE
 from understudy.monitor.outcome import Outcome
 from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.stage import ReportStage
-from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)
 
@@ -60,7 +57,7 @@ class Parts:
     notices: Notices
 
 
-class Supervisor:
+class MonitorLoop:
     """Protects one workload."""
 
     def __init__(self, parts: Parts) -> None:
@@ -80,7 +77,7 @@ class Supervisor:
             kept=parts.keeping.select,
         )
         self.observe = ObserveStage(cluster.view, senses, notices)
-        self.judge = JudgeStage(cluster.pods, cluster.gate, senses, notices)
+        self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, notices)
         self.decide = DecideStage(cluster.view, senses.sidecars, means, self.judge, self.observe.dependencies, notices)
         self.act = ActStage(cluster, senses, parts.keeping, parts.journal, self.decide, notices)
         self.report = ReportStage(cluster.view, cluster.gate, senses.sight, self.decide, self.act, notices)
@@ -93,12 +90,11 @@ class Supervisor:
         self._new_until = time.monotonic() + SETTLE
         await self.resume()
         while True:
-            failure = await self._watch()
-            await self.recover(failure)
+            await self.carry_through(await self._watch())
 
     # -- observe, judge, decide -------------------------------------------------------------------------------------
 
-    async def _watch(self) -> Failure:
+    async def _watch(self) -> Resolution:
         """Look at every deadline until there is something to do."""
         looks = self.observe.looks
         looks.restart()
@@ -112,14 +108,13 @@ class Supervisor:
                 next_look = now + SLOW
             else:
                 self._take_in(policy, now)
-                failure, deadline = await self.look(policy, now)
-                if failure is not None:
-                    return failure
-                if deadline is not None:
-                    next_look = min(next_look, deadline + WAKE_LATE)
+                resolution = await self.look(policy, now)
+                if isinstance(resolution.decision, Recover | Hold | SwitchOver):
+                    return resolution
                 self.act.reflexes.guard()
-                if (again := self.act.reflexes.next_look(time.time())) is not None:
-                    next_look = min(next_look, again)
+                for deadline in (resolution.deadline, self.judge.takeover.next_look(time.time())):
+                    if deadline is not None:
+                        next_look = min(next_look, deadline + WAKE_LATE)
             if (clock := time.monotonic()) >= self._next_slow:  # unlike the other clock it is never set
                 self._next_slow = clock + SLOW
                 self._housekeeping()
@@ -136,92 +131,40 @@ class Supervisor:
         self._sight.drain(self._pods.of_workload(), active)
         self.act.keeping.take(policy.state, self._sight.addresses, active)
 
-    async def look(self, policy: FailurePolicySpec, now: float) -> tuple[Failure | None, float | None]:
-        """Return what to do now, or else when to look again at the latest (Unix seconds; None for the next tick)."""
-        state, detector, trusted_from = self._gate.state, self.judge.detector, self.observe.looks.trusted_from
+    async def look(self, policy: FailurePolicySpec, now: float) -> Resolution:
+        """Judge and decide once. ``now`` is in Unix seconds."""
         if not self._gate.exists:
             self._notices.set(health="Unknown")
-            return None, None
-        self.judge.enforcement.look(now)
-        if state.closed:
-            if await self.decide.opening.look(policy, now):
-                detector.watch()
-            return None, None
-        active = self._pods.find(state.active_uid)
-        if (taken := self.act.reflexes.taken_over(now)) is not None:
-            if now < trusted_from:
-                return None, trusted_from
-            reason = f"{state.active} is silent and {taken.standby.name} has taken over"
-            return Failure(reason, taken.last, taken.first, taken), None
-        if (loss := detector.lost(active, now)) is not None:
-            failure, again = loss
-            return (self.admit(failure, now) if failure else None), again
-        assert active is not None
-        verdict = detector.verdict(active, now)
-        degraded = self.judge.levels.look(policy, verdict, active, now=now, since=detector.since)
-        self.judge.situations.look(policy, verdict, now=now, since=detector.since)
-        self.report.saying.health(verdict, degraded=degraded)
-        self.act.keeping.judge(verdict.state, now)
-        if verdict.state != "Starting" and (follows := self.decide.occasions.followed(active, now)):
-            onset = detector.onset(active.name, now)
-            return Failure(told(follows), onset, time.time(), follows=follows), None
-        if verdict.state != "Failed":
-            return self._look_at_working(policy, verdict, active, degraded=degraded, now=now)
-        return self._look_at_failing(policy, verdict, active, now)
+            return Resolution(Wait("NoGate"))
+        judgement = self.judge.look(policy, now, self.observe.looks.trusted_from)
+        self.report.judged(judgement)
+        self.decide.judged(judgement)
+        self.act.judged(judgement)
+        prepared = self._prepared_switchover(judgement)
+        resolution = self.decide.decide(policy, judgement, prepared)
+        if resolution.candidates is not None:
+            await self._while_closed(resolution.decision, resolution.candidates, now)
+        return resolution
 
-    def _look_at_working(
-        self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, degraded: bool, now: float
-    ) -> tuple[Failure | None, float | None]:
-        detector, limits, occasions = self.judge.detector, self.decide.limits, self.decide.occasions
-        healthy = verdict.state == "Healthy"
-        detector.well()
-        self.observe.dependencies.well(active.name)
-        if healthy:
-            self.act.unattended.driven()
-            self.decide.postponing.healthy()
-        if healthy and now - detector.since >= seconds(policy.limits.healthy_delay):
-            limits.retries.healthy()
-            if self._notices.status.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
-                self._notices.condition("Recovering", "False", "HealthyAgain", f"{active.name} is healthy again.")
-        if (switch := self._planned_switchover(verdict, now)) is not None:
-            return Failure(switch.progress.reason, now, now, switch=switch), None
-        if healthy and degraded and (reason := occasions.hand_over(now)) is not None:
-            return Failure(reason, detector.onset(active.name, now), time.time(), planned=True), None
-        return None, self._sight.deadline(now=now, since=detector.since)
-
-    def _planned_switchover(self, verdict: Verdict, now: float) -> Prepared | None:
+    def _prepared_switchover(self, judgement: Judgement) -> Prepared | None:
         """Return the planned switchover that can be carried out now, or is not settled yet."""
+        if judgement.verdict is None or judgement.verdict.state == "Failed":
+            return None
         if (unsettled := self.act.switchovers.unsettled()) is not None:
             return Prepared(unsettled)
         if self._view.settings is None:
             return None
-        lacking = self.decide.occasions.defers_switchover(self._gate.state.active, verdict, now)
-        return self.act.switchovers.look(lacking)
-
-    def _look_at_failing(
-        self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, now: float
-    ) -> tuple[Failure | None, float | None]:
-        dependencies, detected, trusted_from = self.observe.dependencies, time.time(), self.observe.looks.trusted_from
-        if detected < trusted_from:
-            return None, trusted_from
-        onset = verdict.onset if verdict.onset is not None else self.judge.detector.onset(active.name, now)
-        dependencies.notice(onset, detected)
-        counts = self.judge.detector.counts_from(detected, policy.monitoring)
-        if detected < counts:
-            return None, counts
-        # What is critical to safety is not left in control for another's sake: it may do worse than to be silent.
-        urgent = policy.priority == "Safety"
-        if not urgent and (again := dependencies.hold(verdict.reason, onset, now)) is not None:
-            return None, again
-        return self.admit(Failure(verdict.reason, onset, detected), now), None
-
-    def admit(self, failure: Failure, now: float) -> Failure | None:
-        """Return the failure, unless the limits defer it."""
-        self.act.keeping.judge("Failed", now)
-        self._notices.set(health="Failed", failing_since=failure.onset)
-        return self.decide.postponing.admit(failure, now)
+        return self.act.switchovers.look(self.decide.prevents_switchover(judgement))
 
     # -- act --------------------------------------------------------------------------------------------------------
+
+    async def _while_closed(self, decision: Decision, candidates: Candidates, now: float) -> None:
+        """Open the gate for the first pod, or request one."""
+        self.report.saying.none_active(candidates)
+        if decision.reason == "NoPodRunning":
+            await self.act.opening.request_pod(now)
+        elif isinstance(decision, Activate) and await self.act.opening.open(candidates.first):
+            self.judge.detector.watch()
 
     async def resume(self) -> None:
         """Finish what an earlier monitor began."""
@@ -238,27 +181,20 @@ class Supervisor:
         elif (done := interrupted_recovery.concluded(gate, self._notices.status)) is not None:
             self.decide.limits.retries.note(done)
 
-    async def recover(self, failure: Failure) -> None:
-        """Recover from a failure, or carry out what is due without one."""
-        if failure.switch is not None:
-            self.conclude(await self.act.switchovers.carry_out(failure.switch))
+    async def carry_through(self, resolution: Resolution) -> None:
+        """Carry out a recovery or a planned switchover that was decided on."""
+        if resolution.switch is not None:
+            self.conclude(await self.act.switchovers.carry_out(resolution.switch))
             return
+        failure = resolution.failure
+        assert failure is not None, "a recovery is for a failure, a hand-over or a recovered dependency"
         known = self._view.policy is not None and self._view.settings is not None
-        if failure.planned and known and not await self.decide.occasions.is_there():
+        if failure.planned and known and not await self.decide.confirm():
             return
-        what = "hand-over" if failure.planned else "dependency" if failure.follows else "failure"
         if failure.planned:
             self.judge.levels.handed_over()
-            self._notices.event("Normal", "Rescheduling", failure.reason)
-        elif failure.follows:
-            self._notices.event("Normal", "FollowsDependency", failure.reason)
-        else:
-            self._notices.add(FailureDetected(time.time() - failure.detected))
-        _logger.warning("%s of %s: %s", what, self._gate.state.active, failure.reason)
-        progress = self.act.start.begin(failure)
-        if progress is None:
-            self.decide.postponing.told_to_wait()
-            return
+        self.report.recovery.begins(failure)
+        progress = self.act.start.begin(failure, resolution.first_strategy)
         if progress.taken_over is None and not progress.follows:
             await self._hear({one.uid for one in progress.failed})
         await self.carry_out(progress)
@@ -298,7 +234,6 @@ class Supervisor:
         if outcome is None:
             return
         self.judge.detector.restart(outcome.committed)
-        self.decide.postponing.conclude()
         if not outcome.concluded:
             self.report.recovery.abandoned(outcome)
         else:
@@ -309,7 +244,7 @@ class Supervisor:
             text = self.report.recovery.concluded(outcome, recovery)
             if outcome.kind in ("SwitchedOver", "NotSwitchedOver"):
                 self.act.switchovers.done(outcome.progress, f"{text}.")
-        self.decide.limits.conclude(outcome)
+        self.decide.conclude(outcome)
         self.act.conclude(outcome)
 
     def _meanwhile(self) -> None:

@@ -31,7 +31,7 @@ from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.crash_points import CrashPoints
-from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
@@ -123,8 +123,8 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         telling = Telling(view, sight, notices, lambda: parts.keeping.taken)
         showing = Showing(view, sight, notices, lambda: telling.problems)
         pages |= {"/": showing.page, "/tree": showing.tree}
-        supervisor = Supervisor(parts)
-        looks = supervisor.observe.looks
+        monitor_loop = MonitorLoop(parts)
+        looks = monitor_loop.observe.looks
         REGISTRY.register(
             monitor_metrics.ObservationMetrics(lambda: sight.heard, lambda: (looks.count, looks.overruns))
         )
@@ -143,4 +143,4 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         gc.collect()
         gc.freeze()
         _logger.info("watching %s in %s", workload, namespace)
-        await supervisor.run()
+        await monitor_loop.run()

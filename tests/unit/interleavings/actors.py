@@ -41,7 +41,7 @@ from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.pod_control import Fleet
 from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
-from understudy.monitor.loop import Parts, Supervisor
+from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
@@ -149,7 +149,7 @@ class Monitor:
             )
             self._beside(parts, group)
             group.create_task(StatusWriter(client, view, Silent(), notices).run())
-            await Supervisor(parts).run()
+            await MonitorLoop(parts).run()
 
     def _look_at_gate(self) -> None:
         if self._view is not None:

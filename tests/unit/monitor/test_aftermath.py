@@ -16,7 +16,7 @@ from understudy.failover.progress import Progress
 from understudy.monitor.act import safe_commands
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.judge import failure_detection
-from understudy.monitor.loop import Supervisor
+from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.outcome import Kind, Outcome
 
 NOW = 1_000_000.0
@@ -39,7 +39,7 @@ class World:
         )
         gate = SimpleNamespace(state=GateState(epoch=4, active="w-1", active_uid="uid-1"), left_by=nothing)
         self.told = RecordedNotices()
-        supervisor = Supervisor(blank_parts(view=view, gate=gate, notices=self.told))
+        supervisor = MonitorLoop(blank_parts(view=view, gate=gate, notices=self.told))
         self.conclude, self.limits = supervisor.conclude, supervisor.decide.limits
         self.detector, self.unattended = supervisor.judge.detector, supervisor.act.unattended
         self.unattended.conclude(Outcome("NothingVerified", over("Failed")))

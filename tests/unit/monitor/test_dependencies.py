@@ -20,13 +20,16 @@ from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover.decide import Recover
 from understudy.failover.dependency import Due
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.monitor.act.recovery_messages import describe
-from understudy.monitor.loop import Supervisor
+from understudy.monitor.decide.stage import Resolution
+from understudy.monitor.judge.failure_detection import Failure
+from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.dependencies import Dependencies, begin, following
 from understudy.monitor.observe.wakeups import Wakeups
@@ -369,7 +372,7 @@ class Held:
         return self.until
 
 
-def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None = None) -> Supervisor:
+def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None = None) -> MonitorLoop:
     verdict = Verdict(cast(Any, state), "no /plan for 500 ms", "plan", NOW)
     seen = sight(
         verdict=lambda now, since: verdict,
@@ -383,31 +386,36 @@ def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None 
         sight=seen,
         notices=RecordedNotices(),
     )
-    watching = Supervisor(parts)
+    watching = MonitorLoop(parts)
     for name in ("due", "well", "notice", "hold"):
         setattr(watching.observe.dependencies, name, getattr(dependencies, name))
     return watching
 
 
+def recovered(found: Resolution) -> Failure | None:
+    """What is recovered now, if anything is."""
+    return found.failure if isinstance(found.decision, Recover) else None
+
+
 class TestInTheMonitorsLoop:
     async def test_a_failure_that_is_held_is_none_yet_and_is_looked_at_again_in_time(self) -> None:
         held, now = Held(time.time() + 5), time.time()
-        failure, again = await supervising(held, pod=active()).look(POLICY, now)
-        assert (failure, again) == (None, held.until)
+        found = await supervising(held, pod=active()).look(POLICY, now)
+        assert (found.decision.reason, found.deadline) == ("UpstreamFailure", held.until)
         assert held.noticed == [NOW]
 
     async def test_one_that_is_not_held_is_acted_on_in_the_same_look(self) -> None:
-        failure, _ = await supervising(Held(None), pod=active()).look(POLICY, time.time())
+        failure = recovered(await supervising(Held(None), pod=active()).look(POLICY, time.time()))
         assert failure is not None
         assert failure.onset == NOW
 
     async def test_what_is_critical_to_safety_is_never_held(self) -> None:
         critical = POLICY.model_copy(update={"priority": "Safety"})
-        failure, _ = await supervising(Held(time.time() + 5), pod=active()).look(critical, time.time())
+        failure = recovered(await supervising(Held(time.time() + 5), pod=active()).look(critical, time.time()))
         assert failure is not None
 
     async def test_a_pod_that_is_gone_is_acted_on_whatever_has_failed_besides(self) -> None:
-        failure, _ = await supervising(Held(time.time() + 5)).look(POLICY, time.time())
+        failure = recovered(await supervising(Held(time.time() + 5)).look(POLICY, time.time()))
         assert failure is not None
         assert failure.reason == "pod planning-1 is gone"
 
@@ -415,17 +423,17 @@ class TestInTheMonitorsLoop:
     async def test_what_is_due_after_another_was_recovered_comes_first(self, state: str) -> None:
         follows = [DependencyRecovery(name="localization", recovery="r1")]
         watching = supervising(Held(time.time() + 5, Due(follows, NOW)), state, active())
-        failure, _ = await watching.look(POLICY, time.time())
+        failure = recovered(await watching.look(POLICY, time.time()))
         assert failure is not None
         assert list(failure.follows) == follows
 
     async def test_but_not_while_it_starts_nor_within_the_pause_after_a_recovery(self) -> None:
         due = Due([DependencyRecovery(name="localization", recovery="r1")], NOW)
-        failure, _ = await supervising(Held(None, due), "Starting", active()).look(POLICY, time.time())
+        failure = recovered(await supervising(Held(None, due), "Starting", active()).look(POLICY, time.time()))
         assert failure is None
         watching = supervising(Held(None, due), "Healthy", active())
         watching.decide.limits.retries.after(10.0)
-        failure, _ = await watching.look(POLICY, time.time())
+        failure = recovered(await watching.look(POLICY, time.time()))
         assert failure is None
 
 

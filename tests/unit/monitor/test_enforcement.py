@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -13,9 +14,17 @@ from tests.unit.monitor.gates import Packets
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge import gate_enforcement
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT, Enforcement, judge
+from understudy.monitor.notices import Notices
 
 NOW = 1000.0
 SINCE = NOW - 60
+
+
+@dataclass
+class Readers:
+    """The robot's readers: a sentence about those that the gate does not reach."""
+
+    ungated: str = ""
 
 
 def instance(name: str, **values: object) -> Instance:
@@ -87,7 +96,7 @@ def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once
     told = RecordedNotices()
     clock = [NOW]
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
-    enforced = Enforcement(gate, probes, told)
+    enforced = Enforcement(gate, probes, told, Readers())
     enforced.look(NOW)
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
     assert (found[1], told.conditions) == ("Settling", {})
@@ -112,13 +121,13 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
     clock = [NOW]
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
     told = RecordedNotices()
-    ungated = [""]
-    enforced = Enforcement(gate, probes, told, lambda: ungated[0])
+    readers = Readers()
+    enforced = Enforcement(gate, probes, told, readers)
     enforced.look(NOW)
     clock[0] = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
-    ungated[0] = "The gate doesn't reach who reads /cmd_vel."
-    assert enforced.judge([ACTIVE, STANDBY]) == ("False", "ReaderWithoutProfile", ungated[0])
+    readers.ungated = "The gate doesn't reach who reads /cmd_vel."
+    assert enforced.judge([ACTIVE, STANDBY]) == ("False", "ReaderWithoutProfile", readers.ungated)
     assert enforced.judge([ACTIVE])[:2] == ("False", "ReaderWithoutProfile"), "where there is no standby too"
     enforced.say(enforced.judge([ACTIVE, STANDBY]))
     assert [reason for _, reason, _ in told.events] == ["GateReaderWithoutProfile"]
@@ -132,7 +141,7 @@ def test_after_the_clock_was_set_back_it_is_judged_as_before(monkeypatch: pytest
     probes = Packets(last)
     clock = [NOW + 3600.0]
     monkeypatch.setattr(time, "time", lambda: clock[0])
-    enforced = Enforcement(gate, probes, cast(Any, SimpleNamespace()))
+    enforced = Enforcement(gate, probes, Notices(), Readers())
     enforced.look(NOW + 3600)
     clock[0] = NOW
     enforced.look(NOW)

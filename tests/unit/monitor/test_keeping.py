@@ -33,7 +33,7 @@ from understudy.monitor.act.recovery_runner import Recoveries
 from understudy.monitor.act.standby_supervision import receivers
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide import strategy_options
-from understudy.monitor.loop import Supervisor
+from understudy.monitor.loop import MonitorLoop
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state import state_capture as pure
 from understudy.state.state_store import Shelf
@@ -192,7 +192,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     onset = time.time()
     later = Monitor(graph, tmp_path)
     view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(uid="u"), spec=None, retired=False)
-    supervisor = Supervisor(blank_parts(view=view, notices=later.told, keeping=later.keeping))
+    supervisor = MonitorLoop(blank_parts(view=view, notices=later.told, keeping=later.keeping))
     found: list[KeptState] = []
 
     async def recovered(self: Recoveries, *_: object) -> None:

@@ -6,7 +6,7 @@ import asyncio
 import time
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 
@@ -16,18 +16,20 @@ from understudy.api.conditions import condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
 from understudy.api.kinds.task_spec import TaskStatus
+from understudy.failover.decide import Recover, Trigger
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.limits import pause
 from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Means
 from understudy.monitor.decide import strategy_options
-from understudy.monitor.decide.planned_triggers import Occasions
+from understudy.monitor.decide.limits import Limits
 from understudy.monitor.judge import degradation_level
 from understudy.monitor.judge.degradation_level import AGAIN, LOOK, Levels
 from understudy.monitor.judge.degraded_tree import Busy
-from understudy.monitor.loop import Supervisor
+from understudy.monitor.judge.stage import Judgement
+from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.notices import BecameDegraded, PublishedStatus
+from understudy.monitor.observe.storm_condition import Storms
 from understudy.trees.core.health_tree import Verdict
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -220,9 +222,9 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
         notices=notices,
         keeping=SimpleNamespace(judge=lambda state, now: kept.append(state), select=nothing),
     )
-    watching = Supervisor(parts)
-    failure, _ = await watching.look(at_once, time.time())
-    assert (failure is not None) == (health is FAILED)
+    watching = MonitorLoop(parts)
+    found = await watching.look(at_once, time.time())
+    assert isinstance(found.decision, Recover) == (health is FAILED)
     assert notices.status.health == level
     assert kept[0] == health.state, "state is kept of what is healthy, well or not"
 
@@ -338,18 +340,19 @@ class TestHandingOver:
         assert world.levels.due is None
 
 
-def occasions(
-    monkeypatch: pytest.MonkeyPatch, waits: list[str], due: str | None, limits: Any = None, **first: Any
-) -> Occasions:
-    """Of a workload whose policy has one strategy."""
+def deciding(
+    monkeypatch: pytest.MonkeyPatch, waits: list[str], due: str | None, limits: LimitsInForce, **first: Any
+) -> MonitorLoop:
+    """The loop of a monitor whose workload has a policy with one strategy. ``due`` is why a hand-over is due."""
     strategy = SimpleNamespace(standing=False, **first)
     monkeypatch.setattr(strategy_options, "choices", lambda *_: [SimpleNamespace(strategy=strategy)])
-    view: Any = SimpleNamespace(policy=HANDED, settings=SimpleNamespace(uid="uid-w"), spec=None)
-    levels: Any = SimpleNamespace(due=due, wait=lambda kind, words: waits.append(words))
-    dependencies: Any = SimpleNamespace()
-    means = Means(*[cast(Any, None)] * 7, workload_uid="")
-    repertoire = strategy_options.Repertoire(view, limits.storms if limits else None, means)
-    return Occasions(view, levels, dependencies, repertoire, limits)
+    monkeypatch.setattr(Limits, "in_force", lambda self, now: limits)
+    monkeypatch.setattr(Storms, "on", lambda self, now: limits.storm)
+    monkeypatch.setattr(Levels, "due", property(lambda self: due))
+    monkeypatch.setattr(Levels, "wait", lambda self, kind, words: waits.append(words))
+    view = SimpleNamespace(policy=HANDED, settings=SimpleNamespace(uid="uid-w"), spec=None)
+    gate = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True)
+    return MonitorLoop(blank_parts(view=view, gate=gate))
 
 
 @pytest.mark.parametrize(
@@ -382,10 +385,11 @@ def test_a_hand_over_is_begun_like_a_failure_once_the_first_strategy_is_there_an
         storm=InForce(storm) if storm else None,
         budget=InForce(until=spent) if spent else None,
     )
-    limits = SimpleNamespace(in_force=lambda now: in_force, storms=SimpleNamespace(on=lambda now: in_force.storm))
-    found = occasions(monkeypatch, waits, due, limits, outlook=lambda means: available).hand_over(now)
-    assert (found is not None) == planned
-    assert found == ("degraded: slow" if planned else None)
+    loop = deciding(monkeypatch, waits, due, in_force, outlook=lambda means: available)
+    judgement = Judgement(now, active=ACTIVE, verdict=HEALTHY, degraded=True, last_well=now)
+    found = loop.decide.decide(HANDED, judgement, None)
+    assert isinstance(found.decision, Recover) == planned
+    assert (found.decision.trigger is Trigger.DEGRADED) == (due is not None)
     assert len(waits) == (1 if due and not planned else 0)
     assert all(available in words for words in waits if available)
 
@@ -402,6 +406,6 @@ async def test_a_hand_over_that_is_due_is_not_begun_where_a_look_finds_otherwise
 
     monkeypatch.setattr(strategy_options, "LOOK_WITHIN", 0.02)
     waits: list[str] = []
-    due = "degraded: slow"
-    found = await occasions(monkeypatch, waits, due, look=look, available=lambda means: available).is_there()
+    loop = deciding(monkeypatch, waits, "degraded: slow", LimitsInForce(), look=look, available=lambda means: available)
+    found = await loop.decide.confirm()
     assert (found, len(waits)) == (there, 0 if there else 1)

@@ -17,6 +17,7 @@ from tests.unit.monitor.blank_parts import blank_parts
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
+from understudy.failover.decide import Hold, Recover
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
@@ -26,8 +27,10 @@ from understudy.monitor.act import deferred_recovery as holding
 from understudy.monitor.act.planned_switchover import Switching
 from understudy.monitor.act.recovery_runner import Recoveries
 from understudy.monitor.act.stage import ActStage
+from understudy.monitor.decide.stage import Resolution
 from understudy.monitor.judge.failure_detection import Failure
-from understudy.monitor.loop import Supervisor
+from understudy.monitor.judge.stage import Judgement
+from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.outcome import Outcome
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -82,8 +85,8 @@ class World:
         )
         pods = SimpleNamespace(of_workload=lambda: [ACTIVE])
         self.parts = blank_parts(view=self.view, pods=pods, gate=self.gate, notices=self.told, journal=journal)
-        self.watching = Supervisor(self.parts)
-        monkeypatch.setattr(Supervisor, "_housekeeping", lambda self: None)
+        self.watching = MonitorLoop(self.parts)
+        monkeypatch.setattr(MonitorLoop, "_housekeeping", lambda self: None)
         monkeypatch.setattr(ActStage, "get_ready", lambda self, policy: None)
         monkeypatch.setattr(ActStage, "follow_safety", lambda self, policy: None)
         monkeypatch.setattr(Recoveries, "carry_out", self._carry_out)
@@ -91,6 +94,11 @@ class World:
 
     async def _carry_out(self, progress: Progress, policy: FailurePolicySpec) -> None:
         self.carried_out.append(progress)
+
+    def recovered(self, failure: Failure, now: float) -> Failure | None:
+        """What is recovered of this failure at a time, if the limits allow it."""
+        found = self.watching.decide.decide(self.view.policy, Judgement(now, failure=failure), None)
+        return found.failure if isinstance(found.decision, Recover | Hold) else None
 
     async def allowed(self, progress: Progress) -> bool:
         """Whether a recovery is carried out, in the end."""
@@ -241,7 +249,7 @@ def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> 
     now = time.time()
     world.watching.decide.limits.pauses.look(now)
     for _ in range(2):
-        assert world.watching.admit(Failure("no /cmd_vel", now - 1, now), now) is None
+        assert world.recovered(Failure("no /cmd_vel", now - 1, now), now) is None
     told = [message for kind, reason, message in world.told.events if reason == "RecoveryPostponed"]
     assert len(told) == 1
     assert PAUSE.words in told[0]
@@ -256,10 +264,10 @@ def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     world.watching.decide.limits.pauses.look(now)
     world.spec.pause = None
     world.watching.decide.limits.pauses.look(now + 0.1)
-    found = world.watching.admit(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
+    found = world.recovered(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
     assert found is not None
     assert found.onset == now
-    found = world.watching.admit(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
+    found = world.recovered(Failure("no /cmd_vel", now + 50, now + 51), now + 51)
     assert found is not None
     assert found.onset == now + 50
 
@@ -291,21 +299,22 @@ async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_
         assert not world.carried_out
         heard.append([instance.name for instance in instances])
 
-    async def no_watch(self: Supervisor) -> None:
+    async def no_watch(self: MonitorLoop) -> None:
         raise asyncio.CancelledError
 
     standby = Instance(name="w-2", uid="uid-2", ip="10.0.0.2", running=True, ready=True)
     watching, now = world.watching, time.time()
+    lost = Resolution(Recover("HealthFailed"), Failure("no /cmd_vel", now - 0.5, now))
     sidecars, pods = cast(Any, world.parts.senses.sidecars), cast(Any, world.parts.cluster.pods)
     sidecars.settle, pods.of_workload = settle, lambda: [ACTIVE, standby]
-    monkeypatch.setattr(Supervisor, "resume", no_watch)
+    monkeypatch.setattr(MonitorLoop, "resume", no_watch)
     monkeypatch.setattr(Switching, "failed", lambda self, reason: None)
     with pytest.raises(asyncio.CancelledError):
         await watching.run()
-    await watching.recover(Failure("no /cmd_vel", now - 0.5, now))
+    await watching.carry_through(lost)
     assert (heard, len(world.carried_out)) == ([["w-2"]], 1)
     monkeypatch.setattr(loop, "SETTLE", 0.0)
     with pytest.raises(asyncio.CancelledError):
         await watching.run()
-    await watching.recover(Failure("no /cmd_vel", now - 0.5, now))
+    await watching.carry_through(lost)
     assert (heard, len(world.carried_out)) == ([["w-2"]], 2)

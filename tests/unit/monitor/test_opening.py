@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 
+from tests.unit.monitor.blank_parts import blank_parts
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
-from understudy.monitor.decide.initial_activation import ASK_AGAIN, Opening
-from understudy.monitor.notices import Notices
+from understudy.monitor.act.gate_opening import ASK_AGAIN
+from understudy.monitor.loop import MonitorLoop
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 POLICY = FailurePolicySpec.model_validate(
@@ -43,6 +44,8 @@ class Asked:
 class ClosedGate:
     """Is opened once, or never."""
 
+    exists = True
+
     def __init__(self, left: Progress | None = None) -> None:
         self.state = GateState(epoch=4, recovery=left)
         self.committed: list[tuple[Instance, Progress | None]] = []
@@ -51,26 +54,38 @@ class ClosedGate:
         self.committed.append((target, progress))
 
 
-def opening(fleet: Asked, gate: ClosedGate, paused: Pause | None = None) -> Opening:
-    sidecars = SimpleNamespace(is_ready=lambda _: (True, ""))
-    parts: list[Any] = [fleet, gate, sidecars, Notices(), SimpleNamespace(on=paused)]
-    return Opening(*parts)
+class Closed:
+    """The loop of a monitor whose gate is closed."""
+
+    def __init__(self, fleet: Asked, gate: ClosedGate, paused: Pause | None = None) -> None:
+        spec = SimpleNamespace(pause=paused, failure_policy_ref=None)
+        view = SimpleNamespace(policy=POLICY, settings=None, spec=spec, object=None, namespace="n", workload="w")
+        sidecars = SimpleNamespace(is_ready=lambda _: (True, ""))
+        self._gate = gate
+        self._loop = MonitorLoop(blank_parts(view=view, pods=fleet, gate=gate, sidecars=sidecars))
+
+    async def look(self, now: float) -> bool:
+        """Look once; whether the gate was opened."""
+        before = len(self._gate.committed)
+        self._loop.decide.limits.pauses.look(now)
+        await self._loop.look(POLICY, now)
+        return len(self._gate.committed) > before
 
 
 @pytest.mark.parametrize("left", [(), (replace(ACTIVE, terminating=True),), (replace(ACTIVE, running=False),)])
 async def test_where_nothing_runs_and_nothing_is_recovered_a_pod_is_asked_for(left: tuple[Instance, ...]) -> None:
     # The operator may have scaled the workload's own ReplicaSet to none, for a pod of a shared pool that drove then.
     fleet = Asked(*left)
-    first = opening(fleet, ClosedGate())
-    assert not await first.look(POLICY, 1000.0)
+    first = Closed(fleet, ClosedGate())
+    assert not await first.look(1000.0)
     assert fleet.asked == 1
-    await first.look(POLICY, 1000.1)
+    await first.look(1000.1)
     assert fleet.asked == 1, "not with every look"
     fleet.away = True
-    await first.look(POLICY, 1000.0 + ASK_AGAIN)
-    await first.look(POLICY, 1000.0 + 2 * ASK_AGAIN)
+    await first.look(1000.0 + ASK_AGAIN)
+    await first.look(1000.0 + 2 * ASK_AGAIN)
     assert fleet.asked == 3, "again and again, until one comes"
-    await first.look(POLICY, 1000.0 - 3600)
+    await first.look(1000.0 - 3600)
     assert fleet.asked == 4, "also after the clock was set back"
 
 
@@ -78,7 +93,7 @@ async def test_a_gate_that_is_opened_after_a_recovery_came_to_nothing_still_tell
     failed = [PodIdentity(name="w-0", uid="uid-0"), PodIdentity(name="w-1", uid="uid-1")]
     left = Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=failed)
     gate = ClosedGate(left)
-    assert await opening(Asked(ACTIVE), gate).look(POLICY, 1000.0)
+    assert await Closed(Asked(ACTIVE), gate).look(1000.0)
     ((target, progress),) = gate.committed
     assert target.name == "w-1"
     assert progress is not None
@@ -87,5 +102,5 @@ async def test_a_gate_that_is_opened_after_a_recovery_came_to_nothing_still_tell
 
 async def test_in_a_pause_nobody_is_put_in_control() -> None:
     gate = ClosedGate()
-    assert not await opening(Asked(ACTIVE), gate, Pause(reason="a new gripper", owner="ann")).look(POLICY, 1000.0)
+    assert not await Closed(Asked(ACTIVE), gate, Pause(reason="a new gripper", owner="ann")).look(1000.0)
     assert gate.committed == []

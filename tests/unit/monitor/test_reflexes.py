@@ -14,8 +14,9 @@ from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.reflex_guard import LOOK, TOO_STRONG_FOR, Reflexes
+from understudy.monitor.act.reflex_guard import TOO_STRONG_FOR, Reflexes
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
+from understudy.monitor.judge.reflex_takeover import LOOK, ReflexTakeover
 from understudy.monitor.observe.senses import Senses
 
 NOW = 1000.0
@@ -67,7 +68,8 @@ class World:
         }
         cluster = Cluster(parts["view"], parts["fleet"], parts["gate"])
         senses = Senses(parts["sight"], parts["sidecars"], parts["probes"], *[cast(Any, None)] * 3)
-        self.reflexes = Reflexes(cluster, senses, parts["notices"])
+        self.takeover = ReflexTakeover(parts["view"], parts["gate"], parts["sight"])
+        self.reflexes = Reflexes(cluster, senses, self.takeover, parts["notices"])
 
     def add(self, name: str, strength: int | None) -> None:
         self.pods[name] = Instance(name=name, uid=f"uid-{name}", running=True, pool="" if name == "w-1" else "hot")
@@ -239,25 +241,25 @@ async def test_a_standby_whose_packets_do_not_arrive_is_told(world: World) -> No
 async def test_the_standby_that_is_let_through_is_seen_to_drive(world: World) -> None:
     await world.keep()
     last = world.arrivals["w-1"][-1]
-    assert world.reflexes.taken_over(last + 0.2) is None, "silence alone is nothing"
+    assert world.takeover.look(last + 0.2) is None, "silence alone is nothing"
     world.arrivals["w-2"] = [last + 0.12]
-    taken = world.reflexes.taken_over(last + 0.13)
+    taken = world.takeover.look(last + 0.13)
     assert taken is not None
     assert (taken.standby.name, taken.last, taken.first) == ("w-2", last, last + 0.12)
 
 
 async def test_nobody_takes_over_who_is_not_let_through(world: World) -> None:
     world.arrivals["w-2"] = [world.arrivals["w-1"][-1] + 0.12]
-    assert world.reflexes.taken_over(world.arrivals["w-2"][-1] + 1) is None
+    assert world.takeover.look(world.arrivals["w-2"][-1] + 1) is None
 
 
 async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
-    assert world.reflexes.next_look(NOW) is None, "nobody is let through"
+    assert world.takeover.next_look(NOW) is None, "nobody is let through"
     await world.keep()
     last = world.arrivals["w-1"][-1]
-    assert world.reflexes.next_look(last + 0.02) == pytest.approx(last + 0.1)
-    assert world.reflexes.next_look(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
-    assert world.reflexes.next_look(last + 5) is None, "it may be at rest"
+    assert world.takeover.next_look(last + 0.02) == pytest.approx(last + 0.1)
+    assert world.takeover.next_look(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
+    assert world.takeover.next_look(last + 5) is None, "it may be at rest"
 
 
 async def test_a_clock_that_is_set_back_keeps_no_standby_out(world: World) -> None:

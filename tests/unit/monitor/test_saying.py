@@ -9,6 +9,7 @@ import pytest
 
 from tests.support.notices import RecordedNotices
 from understudy.failover.interfaces import GateState
+from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.report.status_conditions import Saying
 from understudy.trees.core.health_tree import Verdict
 
@@ -59,6 +60,6 @@ def test_whether_all_of_it_is_seen(seen: dict[str, Any], condition: tuple[str, s
 )
 def test_an_instance_that_is_degraded_is_healthy_still(state: Any, degraded: bool, health: str, status: str) -> None:
     notices = RecordedNotices()
-    said(notices).health(Verdict(state, "why", "leaf", None), degraded=degraded)
+    said(notices).judged(Judgement(0.0, verdict=Verdict(state, "why", "leaf", None), degraded=degraded))
     assert (notices.status.health, notices.status.active) == (health, "w-1")
     assert notices.conditions["Healthy"] == (status, state, "why")

@@ -58,7 +58,7 @@ def test_without_a_standby_that_is_ready_a_failure_waits_and_that_is_told_once(
 ) -> None:
     world, now = Storm(monkeypatch, *others, Restart()), time.time()
     for _ in range(2):
-        assert world.watching.admit(failure(now), now) is None
+        assert world.recovered(failure(now), now) is None
     status, reason, message = world.told.conditions["Recovering"]
     assert (status, reason) == ("False", "Storm")
     assert MESSAGE in message
@@ -68,7 +68,7 @@ def test_without_a_standby_that_is_ready_a_failure_waits_and_that_is_told_once(
 
 def test_a_standby_that_is_ready_takes_over_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     world, now = Storm(monkeypatch, UninitializedFallback("spare"), Ready("hot")), time.time()
-    assert world.watching.admit(failure(now), now) is not None
+    assert world.recovered(failure(now), now) is not None
     assert world.watching.decide.repertoire.holds(Ready("hot")) is None
     assert MESSAGE in (world.watching.decide.repertoire.holds(UninitializedFallback("spare")) or "")
     assert world.watching.decide.repertoire.holds(Restart()) is not None
@@ -76,15 +76,15 @@ def test_a_standby_that_is_ready_takes_over_at_once(monkeypatch: pytest.MonkeyPa
 
 def test_it_waits_no_longer_than_it_is_to_though_nobody_says_that_it_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
     world, now = Storm(monkeypatch, Restart()), time.time()
-    assert world.watching.admit(failure(now), now + 50) is None
-    assert world.watching.admit(failure(now), now + 61) is not None
+    assert world.recovered(failure(now), now + 50) is None
+    assert world.recovered(failure(now), now + 61) is not None
 
 
 def test_once_it_is_over_what_still_fails_is_recovered(monkeypatch: pytest.MonkeyPatch) -> None:
     world, now = Storm(monkeypatch, Restart()), time.time()
-    assert world.watching.admit(failure(now), now) is None
+    assert world.recovered(failure(now), now) is None
     world.say("False")
-    assert world.watching.admit(failure(now), now) is not None
+    assert world.recovered(failure(now), now) is not None
 
 
 @pytest.mark.parametrize("absent", ["guard", "condition", "policy"])
@@ -94,5 +94,5 @@ def test_where_nothing_is_said_nothing_waits(monkeypatch: pytest.MonkeyPatch, ab
         world.view.policies.items["policy"] = {}
     if absent == "policy":
         world.view.policies.items.clear()
-    assert world.watching.admit(failure(now), now) is not None
+    assert world.recovered(failure(now), now) is not None
     assert world.watching.decide.repertoire.holds(Restart()) is None

@@ -16,6 +16,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act.recovery_messages import describe, unverified
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.decide.retry_backoff import Retries
+from understudy.monitor.judge.failure_detection import Failure
 
 FAILURE = "no /cmd_vel for 500 ms"
 NOW = 1_000_000.0
@@ -44,6 +45,15 @@ class World:
         self.told = RecordedNotices()
         self.retries = Retries(self.view, self.told)
         self.retries.look(None, NOW)
+
+    def first(self, onset: float) -> int | None:
+        """The strategy with which a recovery begins, or that is put off, as the monitor does it."""
+        first = self.retries.first(onset, "uid-1")
+        if first is None:
+            self.retries.crash_looping(FAILURE)
+        else:
+            self.retries.begin(Failure(FAILURE, onset, onset), "uid-1")
+        return first
 
     def waits(self) -> float:
         """Seconds for which nothing is begun yet."""
@@ -132,27 +142,27 @@ def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(
 def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_told() -> None:
     world, now = World(), NOW
     world.retries.note(took_over(0, now))
-    assert world.retries.first(FAILURE, now + 1, "uid-1") == 1
+    assert world.first(now + 1) == 1
     world.retries.note(took_over(1, now))
-    assert world.retries.first(FAILURE, now + 1, "uid-1") is None
+    assert world.first(now + 1) is None
     status, reason, message = world.told.conditions["Recovering"]
     assert (status, reason) == ("False", "CrashLooping")
     assert f"{FAILURE}, as soon as it was in control" in message
     assert f"again in {BACKOFF_FIRST:g} s" in message
     assert ("Warning", "CrashLooping") in [(kind, reason) for kind, reason, _ in world.told.events]
     assert world.waits() == BACKOFF_FIRST
-    assert world.retries.first(FAILURE, now + 1, "uid-1") == 0, "and then the first one is tried again"
+    assert world.first(now + 1) == 0, "and then the first one is tried again"
 
 
 def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told() -> None:
     world, now = World(limits={"healthyDelay": "1m"}), NOW
     world.retries.note(took_over(0, now))
-    assert world.retries.first(FAILURE, now + 30, "uid-1") == 1
+    assert world.first(now + 30) == 1
     ((kind, reason, message),) = world.told.events
     assert (kind, reason) == ("Warning", "Relapsed")
     assert "30.0 s after it took over (limits.healthyDelay is 1m)" in message
     world.retries.note(took_over(0, now))
-    assert world.retries.first(FAILURE, now + 60, "uid-1") == 0
+    assert world.first(now + 60) == 0
 
 
 def test_a_recovery_tells_what_was_tried_in_vain_before() -> None:

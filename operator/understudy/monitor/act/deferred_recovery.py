@@ -11,6 +11,7 @@ import time
 from collections.abc import AsyncGenerator
 
 from understudy.api.kinds.robot_workload import GateStatus
+from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Superseded
 from understudy.failover.progress import Progress
 from understudy.monitor.act.cluster import Cluster
@@ -41,7 +42,7 @@ class Deferral:
         nothing_failed = progress.planned or bool(progress.follows)
         begun = "decided" in progress.moments or progress.attempts or progress.taken_over is not None
         held = "held" in progress.moments
-        waits = self._must_wait(now) if held else self._limits.spending.spent_until(now) is not None
+        waits = self._must_wait(now) if held else self._limits.hold(Trigger.DECIDED_RECOVERY, now)
         if waits and not begun and not nothing_failed:
             with self._current.during(progress, held=True):
                 epoch = await self._fence(progress)
@@ -72,4 +73,4 @@ class Deferral:
         self._limits.pauses.look(now)
         if self._view.retired:
             return False
-        return self._limits.pauses.on is not None or self._limits.spending.spent_until(now) is not None
+        return self._limits.hold(Trigger.HELD_RECOVERY, now)

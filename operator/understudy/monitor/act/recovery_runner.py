@@ -1,4 +1,4 @@
-"""Carries out recoveries, one at a time, by the protocol of understudy.failover."""
+"""Begins recoveries and carries them out, one at a time, by the protocol of understudy.failover."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ import aiohttp
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover import reflex
 from understudy.failover.interfaces import Superseded
-from understudy.failover.progress import Progress
+from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
 from understudy.kube.client import ApiError
 from understudy.monitor.act.abandonment import Abandonment
+from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.act.planned_switchover import Switching
 from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.decide.retry_backoff import Retries
 from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.judge.failure_detection import Failure
+from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.notices import Notices
+from understudy.monitor.observe import dependencies
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.dependencies import following
@@ -29,6 +36,46 @@ REFLEX_WITHIN = 10.0
 
 ENDS = (Superseded, ApiError, aiohttp.ClientError, OSError)
 """What ends a recovery before its strategies were tried: another writer of the gate, or an API server that refuses or is away."""
+
+
+class RecoveryStart:
+    """Begins the recoveries of one workload."""
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        switchovers: Switching,
+        leftovers: Leftovers,
+        retries: Retries,
+        takeover: ReflexTakeover,
+    ) -> None:
+        self._view, self._gate = cluster.view, cluster.gate
+        self._switchovers, self._leftovers, self._retries = switchovers, leftovers, retries
+        self._takeover = takeover
+
+    def begin(self, failure: Failure, first_strategy: int) -> Progress:
+        """Return the record of the recovery that begins, with the strategy of this index."""
+        prepared = self._switchovers.failed(failure.reason)
+        state = self._gate.state
+        failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
+        if failure.taken is not None:
+            return reflex.begin(failure.taken, failed[0], self._takeover.deadline)
+        if failure.follows and failed:
+            if prepared is not None:
+                self._leftovers.add(prepared)
+            onset, detected = failure.onset, failure.detected
+            return dependencies.begin(failure.follows, failed[0], self._view.spec, onset=onset, detected=detected)
+        progress = Progress.begin(
+            failure.reason,
+            last_healthy=failure.onset,
+            detected=failure.detected,
+            failed=[*failed, *self._leftovers.failed()],
+            planned=failure.planned,
+        )
+        progress.target = prepared
+        self._retries.begin(failure, state.active_uid)
+        progress.index = first_strategy
+        return progress
 
 
 class Recoveries:

@@ -1,4 +1,4 @@
-"""The monitor's part of the reflex: which standby is let through beside the active pod, and whether it took over.
+"""The monitor's part of the reflex: which standby the gate lets through beside the active pod.
 
 A standby that is let through drives the robot as soon as the active pod is silent; no other decision is needed. So it
 is let through only while its own outputs are healthy, its writers are weaker than those of the active pod, and the gate
@@ -16,22 +16,14 @@ from typing import Any, Literal
 
 import aiohttp
 
-from understudy.api.base import seconds
-from understudy.api.kinds.robot_workload import Reflex
 from understudy.failover.interfaces import Instance
-from understudy.failover.progress import PodIdentity
-from understudy.failover.reflex import TakenOver, longest_gap, measured, switched
+from understudy.failover.reflex import longest_gap, measured
 from understudy.kube.client import ApiError
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
+from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.senses import Senses
-
-LOOK = 0.005
-"""Seconds between looks while the active pod is silent."""
-
-LOOK_FOR = 0.5
-"""Seconds past the deadline for which it is looked at so often; who is silent for longer is maybe only at rest."""
 
 WRITE_AGAIN = 1.0
 """Seconds before a failed write is tried again."""
@@ -50,8 +42,8 @@ PAUSED: Said = ("False", "Paused", "Nobody is let through beside the pod in cont
 class Reflexes:
     """The reflex of one workload; does nothing if the workload has none."""
 
-    def __init__(self, cluster: Cluster, senses: Senses, notices: Notices) -> None:
-        self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
+    def __init__(self, cluster: Cluster, senses: Senses, takeover: ReflexTakeover, notices: Notices) -> None:
+        self._fleet, self._gate, self._takeover = cluster.pods, cluster.gate, takeover
         self._sidecars, self._sight, self._probes = senses.sidecars, senses.sight, senses.probes
         self._notices = notices
         self._writing: asyncio.Task[None] | None = None
@@ -60,51 +52,6 @@ class Reflexes:
         self._ready_since: dict[str, float] = {}
         self._too_strong_since: float | None = None
         self._replace_after = 0.0
-
-    @property
-    def _reflex(self) -> Reflex | None:
-        spec = self._view.spec
-        return spec.gate.reflex if spec is not None else None
-
-    @property
-    def _topics(self) -> list[str]:
-        spec = self._view.spec
-        return [output.topic for output in spec.outputs if output.topic] if spec is not None else []
-
-    @property
-    def deadline(self) -> float:
-        """Seconds of silence after which the robot's readers take the standby's messages; 0 if there is no reflex."""
-        reflex = self._reflex
-        return seconds(reflex.deadline) if reflex is not None else 0.0
-
-    # -- watching ---------------------------------------------------------------------------------------------------
-
-    def taken_over(self, now: float) -> TakenOver | None:
-        """Whether the standby that is let through drives the robot now."""
-        state = self._gate.state
-        if not state.admitted or state.closed or not (deadline := self.deadline):
-            return None
-        if self._sight.ambiguous(state.active) or self._sight.ambiguous(state.admitted):
-            return None
-        for topic in self._topics:
-            found = switched(
-                self._sight.arrivals(topic, state.active),
-                self._sight.arrivals(topic, state.admitted),
-                deadline=deadline,
-                now=now,
-            )
-            if found is not None:
-                return TakenOver(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)
-        return None
-
-    def next_look(self, now: float) -> float | None:
-        """When to look again, so that a standby that takes over is noticed at once."""
-        state = self._gate.state
-        if not state.admitted or not (deadline := self.deadline):
-            return None
-        lasts = [found[-1] for topic in self._topics if (found := self._sight.arrivals(topic, state.active))]
-        due = [last + deadline for last in lasts if now < last + deadline + LOOK_FOR]
-        return max(min(due), now + LOOK) if due else None
 
     def guard(self) -> None:
         """Stop letting a standby through once it is not healthy: it could take the robot."""
@@ -126,7 +73,7 @@ class Reflexes:
         state = self._gate.state
         if state.admitted_uid != self._admitted[0]:
             self._admitted = (state.admitted_uid, now)
-        if self._reflex is None:
+        if self._takeover.reflex is None:
             if state.admitted:
                 self._write(None)
             return
@@ -171,8 +118,8 @@ class Reflexes:
             return None, ("False", "Ambiguous", f"{', '.join(pods)} can't be told from other pods, see Monitored.")
         if current in weaker:
             return current, self._armed(active, current, now)
-        if not all(measured(self._sight.arrivals(topic, active.name), now) for topic in self._topics):
-            topics = ", ".join(self._topics)
+        if not all(measured(self._sight.arrivals(topic, active.name), now) for topic in self._takeover.topics):
+            topics = ", ".join(self._takeover.topics)
             return None, ("Unknown", "Measuring", f"Waiting to see how regularly {topics} comes from {active.name}.")
         best = max(weaker, key=lambda i: self._strength(i) or (0, 0))
         if not enforced or now - self._ready_since[best.uid] < SETTLE:
@@ -197,16 +144,16 @@ class Reflexes:
         return (
             "True",
             "Armed",
-            f"The robot's readers take {standby.name} when {active.name} is silent for {self.deadline * 1000:g} ms.{unfenced}",
+            f"The robot's readers take {standby.name} when {active.name} is silent for {self._takeover.deadline * 1000:g} ms.{unfenced}",
         )
 
     def _too_slow(self, active: Instance) -> str:
-        for topic in self._topics:
-            if gap := longest_gap(self._sight.arrivals(topic, active.name), self.deadline):
+        for topic in self._takeover.topics:
+            if gap := longest_gap(self._sight.arrivals(topic, active.name), self._takeover.deadline):
                 return (
                     f"{topic} comes from {active.name} with gaps of up to {gap * 1000:.0f} ms, again and again; "
-                    f"spec.gate.reflex.deadline is {self.deadline * 1000:g} ms, so the robot would fall over to a standby although "
-                    "nothing failed. Give a deadline of at least twice the period."
+                    f"spec.gate.reflex.deadline is {self._takeover.deadline * 1000:g} ms, so the robot would fall over to a standby "
+                    "although nothing failed. Give a deadline of at least twice the period."
                 )
         return ""
 

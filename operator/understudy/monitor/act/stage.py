@@ -9,16 +9,17 @@ from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.deferred_recovery import Deferral
 from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.act.gate_opening import GateOpening
 from understudy.monitor.act.planned_switchover import Switching
 from understudy.monitor.act.pod_labels import Labels
 from understudy.monitor.act.recovery_journal import RecoveryJournal
-from understudy.monitor.act.recovery_runner import Recoveries
-from understudy.monitor.act.recovery_start import RecoveryStart
+from understudy.monitor.act.recovery_runner import Recoveries, RecoveryStart
 from understudy.monitor.act.reflex_guard import Reflexes
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
 from understudy.monitor.act.standby_supervision import Standbys
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide.stage import DecideStage
+from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.outcome import Outcome
@@ -36,7 +37,7 @@ class ActStage:
         decide: DecideStage,
         notices: Notices,
     ) -> None:
-        self._cluster, self._senses = cluster, senses
+        self._cluster, self._senses, takeover = cluster, senses, decide.takeover
         repertoire, limits, current = decide.repertoire, decide.limits, senses.current
         self.keeping = keeping
         self.unattended = Unattended(cluster.view, limits.pauses, current)
@@ -44,12 +45,22 @@ class ActStage:
         self.leftovers = Leftovers(cluster.pods, cluster.gate, notices)
         self.abandonment = Abandonment(cluster.gate, journal, notices)
         self.switchovers = Switching(cluster, repertoire, keeping, current, self.leftovers, notices)
-        self.reflexes = Reflexes(cluster, senses, notices)
-        self.start = RecoveryStart(cluster, self.switchovers, self.leftovers, limits.retries, self.reflexes)
+        self.reflexes = Reflexes(cluster, senses, takeover, notices)
+        self.start = RecoveryStart(cluster, self.switchovers, self.leftovers, limits.retries, takeover)
+        self.opening = GateOpening(cluster.pods, cluster.gate, notices)
         self.deferral = Deferral(cluster, limits, current, journal, notices)
         self.recoveries = Recoveries(cluster.view, repertoire, keeping, current, self.abandonment, notices)
         self._labels = Labels(cluster.pods)
         self._standbys = Standbys(cluster, senses.sidecars, senses.roles, current, keeping, notices)
+
+    def judged(self, judgement: Judgement) -> None:
+        """Remember how the active instance is: its state is kept while it is healthy, and then nothing is unattended."""
+        if judgement.verdict is not None:
+            self.keeping.judge(judgement.verdict.state, judgement.now)
+        elif judgement.failure is not None and judgement.failure.taken is None:
+            self.keeping.judge("Failed", judgement.now)
+        if judgement.healthy:
+            self.unattended.driven()
 
     def follow_safety(self, policy: FailurePolicySpec) -> None:
         """Be ready to send the policy's safe commands."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 
+from understudy.failover.decide import Facts, Hold, Occurrence, Trigger, decide
 from understudy.failover.limits.state import InForce, LimitsInForce
 from understudy.monitor.decide.budget_spending import Spending
 from understudy.monitor.decide.pause_state import Pauses
@@ -37,6 +38,10 @@ class Limits:
                 self.retries.after_recovery(policy)
             else:
                 self.retries.after_nothing_verified(policy)
+
+    def hold(self, trigger: Trigger, now: float) -> bool:
+        """Return whether a limit holds a recovery that is decided on, or that already fenced the failed instance."""
+        return isinstance(decide(Facts(now, (Occurrence(trigger),), self.in_force(now))), Hold)
 
     def in_force(self, now: float) -> LimitsInForce:
         """Return the limits that are in force at a time (unix seconds). The pause is the one of the last look."""

@@ -12,6 +12,7 @@ from understudy.failover.limits.backoff import FIRST, Backoff
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
+from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 
@@ -82,27 +83,31 @@ class Retries:
         """Wait for a backoff, which is longer each time unless the policy has priority Safety."""
         self._backoff = self._backoff.failed(time.time(), constant=policy.priority == "Safety")
 
-    def first(self, reason: str, onset: float, failed_uid: str) -> int | None:
-        """Return the index of the strategy to start with; None if the instance of every strategy failed at once."""
-        policy, settings = self._view.policy, self._view.settings
-        if policy is None or settings is None:
+    def first(self, onset: float, failed_uid: str) -> int | None:
+        """Return the index of the strategy to start with; None if the instance of every strategy failed as soon as it was active."""
+        if (policy := self._view.policy) is None or self._view.settings is None:
             return 0
+        delay = seconds(policy.limits.healthy_delay)
+        return first_strategy(self._latest, failed_uid, onset, len(policy.strategies), healthy_delay=delay)
+
+    def begin(self, failure: Failure, failed_uid: str) -> None:
+        """Note that a recovery begins. Report it if the active instance failed soon after it took over."""
         latest, self._latest = self._latest, None
-        lived, delay = latest.lived(failed_uid, onset) if latest is not None else None, policy.limits.healthy_delay
-        first = first_strategy(latest, failed_uid, onset, len(policy.strategies), healthy_delay=seconds(delay))
-        if first and lived is not None:
+        policy = self._view.policy
+        if policy is None or latest is None or (lived := latest.lived(failed_uid, failure.onset)) is None:
+            return
+        delay = policy.limits.healthy_delay
+        if first_strategy(latest, failed_uid, failure.onset, len(policy.strategies), healthy_delay=seconds(delay)):
             text = (
-                f"{reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}); the next "
+                f"{failure.reason}, {max(0.0, lived):.1f} s after it took over (limits.healthyDelay is {delay}); the next "
                 "strategy is tried"
             )
             _logger.warning("%s", text)
             self._notices.event("Warning", "Relapsed", text)
-        if first is None:
-            self._crash_looping(reason)
-        return first
 
-    def _crash_looping(self, reason: str) -> None:
+    def crash_looping(self, reason: str) -> None:
         """Report that the instance of every strategy failed as soon as it was active, and wait for a backoff."""
+        self._latest = None
         if (policy := self._view.policy) is None:
             return
         text = (

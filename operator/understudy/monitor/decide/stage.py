@@ -1,22 +1,67 @@
-"""The decide stage of one workload: its parts, put together."""
+"""The decide stage of one workload: what should happen now, by the table of precedence in ``failover/decide.py``."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.failover.decide import (
+    FAILURES,
+    Decision,
+    Defer,
+    Facts,
+    Occurrence,
+    Requirement,
+    Trigger,
+    Wait,
+    considered,
+    decide,
+)
+from understudy.failover.limits.state import InForce
 from understudy.failover.strategies.base import Means
-from understudy.monitor.decide.deferred_failures import Postponing
-from understudy.monitor.decide.initial_activation import Opening
+from understudy.failover.switchover import Prepared
+from understudy.monitor.decide.deferred_failures import DeferredFailures
+from understudy.monitor.decide.initial_activation import Candidates, InitialActivation
 from understudy.monitor.decide.limits import Limits
-from understudy.monitor.decide.planned_triggers import Occasions
 from understudy.monitor.decide.strategy_options import Repertoire
-from understudy.monitor.judge.stage import JudgeStage
+from understudy.monitor.judge.failure_detection import Failure
+from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.dependencies import Dependencies
+from understudy.monitor.observe.dependencies import Dependencies, told
+from understudy.monitor.outcome import Outcome
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """A decision, and what it is about."""
+
+    decision: Decision
+    failure: Failure | None = None
+    """What a recovery is for, if one is decided on or held."""
+    first_strategy: int = 0
+    """Index of the strategy to start with."""
+    switch: Prepared | None = None
+    """The understudy that can drive instead, if a planned switchover is decided on; or the switchover that is not settled yet."""
+    candidates: Candidates | None = None
+    """The pods that the gate may open for, while it is closed."""
+    deadline: float | None = None
+    """When to decide again at the latest (Unix seconds); None if the next tick is early enough."""
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A trigger that is present, and what it is about."""
+
+    occurrence: Occurrence
+    failure: Failure | None = None
+    switch: Prepared | None = None
 
 
 class DecideStage:
-    """What should happen now: the limits, the policy's strategies, and what is due though nothing has failed."""
+    """Decides for one workload. Times are Unix seconds."""
 
     def __init__(
         self,
@@ -28,8 +73,134 @@ class DecideStage:
         notices: Notices,
     ) -> None:
         """``means`` are what strategies work with, before the workload's settings and policy are known."""
+        self._view, self._gate, self._notices = view, means.gate, notices
+        self._levels, self._dependencies = judge.levels, dependencies
+        self.takeover = judge.takeover
         self.limits = Limits(view, notices)
         self.repertoire = Repertoire(view, self.limits.storms, means)
-        self.postponing = Postponing(notices, self.limits, self.repertoire)
-        self.occasions = Occasions(view, judge.levels, dependencies, self.repertoire, self.limits)
-        self.opening = Opening(means.instances, means.gate, sidecars, notices, self.limits.pauses)
+        self._deferred = DeferredFailures(notices)
+        self._activation = InitialActivation(means.instances, sidecars)
+
+    def decide(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Prepared | None) -> Resolution:
+        """Return what happens now. ``prepared`` is the planned switchover that can be carried out, or is not settled yet."""
+        if self._gate.state.closed:
+            return self._activate(policy, judgement.now)
+        cases = list(self._cases(policy, judgement, prepared))
+        if not cases:
+            return Resolution(Wait("NothingDue"), deadline=judgement.deadline)
+        facts = self._facts(judgement, tuple(case.occurrence for case in cases))
+        for one in considered(facts):
+            if isinstance(one, Defer) and one.trigger is Trigger.DEGRADED:
+                self._levels.wait(one.reason, one.message)
+        decision = decide(facts)
+        case = next(case for case in cases if case.occurrence.trigger is decision.trigger)
+        self._note(decision, case.failure)
+        deadlines = [moment for moment in (decision.deadline, judgement.deadline) if moment is not None]
+        first = case.occurrence.first_strategy or 0
+        return Resolution(decision, case.failure, first, case.switch, deadline=min(deadlines, default=None))
+
+    def prevents_switchover(self, judgement: Judgement) -> str:
+        """Return why no planned switchover may begin now; empty if one may."""
+        unmet = None
+        if judgement.verdict is not None and not judgement.healthy:
+            why = judgement.verdict.reason or "it has just taken control"
+            unmet = Requirement("NotHealthy", f"{self._gate.state.active} is not healthy yet ({why})")
+        facts = self._facts(judgement, (Occurrence(Trigger.SWITCHOVER_REQUESTED, unmet=unmet),))
+        decision = decide(facts)
+        return decision.message if isinstance(decision, Defer) else ""
+
+    async def confirm(self) -> bool:
+        """Return whether the first strategy can run by the present state of the cluster, not only by what was reported."""
+        if (lacking := await self.repertoire.look_for_first()) is not None:
+            found = _unavailable(lacking)
+            self._levels.wait(found.reason, found.words)
+        return lacking is None
+
+    def judged(self, judgement: Judgement) -> None:
+        """Remember how the active instance is: what is reported of the next failure, and with which strategy it starts."""
+        if judgement.active is not None and judgement.verdict is not None and judgement.failure is None:
+            self._dependencies.well(judgement.active.name)
+        if judgement.healthy:
+            self._deferred.healthy()
+        if judgement.settled:
+            self.limits.retries.healthy()
+
+    def conclude(self, outcome: Outcome) -> None:
+        """Remember the outcome of a recovery or a switchover."""
+        self._deferred.conclude()
+        self.limits.conclude(outcome)
+
+    # -- what could happen now --------------------------------------------------------------------------------------
+
+    def _activate(self, policy: FailurePolicySpec, now: float) -> Resolution:
+        limits = self.limits.in_force(now)
+        candidates = self._activation.candidates(policy, now, paused=limits.pause is not None)
+        occurrence = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=candidates.unmet)
+        return Resolution(decide(Facts(now, (occurrence,), limits)), candidates=candidates)
+
+    def _cases(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Prepared | None) -> Iterator[_Case]:
+        """Return every trigger that is present. ``failover/decide.py`` says which one comes first."""
+        if judgement.failure is not None:
+            yield self._failed(policy, judgement, self._since_pause(judgement.failure))
+        verdict, active, now = judgement.verdict, judgement.active, judgement.now
+        if verdict is None or active is None:
+            return
+        if verdict.state != "Starting" and (due := self._dependencies.due(active, now)) is not None:
+            trigger, reason = Trigger.DEPENDENCY_RECOVERED, told(due.follows)
+            failure = Failure(reason, judgement.last_well, now, trigger, follows=due.follows)
+            yield _Case(Occurrence(trigger, reason), failure)
+        if prepared is not None:
+            trigger = Trigger.SWITCHOVER_REQUESTED if prepared.target is not None else Trigger.UNSETTLED_SWITCHOVER
+            yield _Case(Occurrence(trigger, prepared.progress.reason), switch=prepared)
+        idle = self._levels.due if judgement.healthy and judgement.degraded else None
+        if idle is not None and self._view.settings is not None:
+            lacking = self.repertoire.first_lacks()
+            unmet = _unavailable(lacking) if lacking is not None else None
+            failure = Failure(idle, judgement.last_well, now, Trigger.DEGRADED)
+            yield self._starting_with(failure, Occurrence(Trigger.DEGRADED, idle, unmet=unmet))
+
+    def _failed(self, policy: FailurePolicySpec, judgement: Judgement, failure: Failure) -> _Case:
+        occurrence = Occurrence(failure.trigger, failure.reason, counts_from=judgement.counts_from)
+        if failure.trigger is Trigger.HEALTH_FAILED and judgement.now >= judgement.trusted_from:
+            self._dependencies.notice(failure.onset, failure.detected)
+            # What is critical to safety is not left in control for another's sake: it may do worse than to be silent.
+            if judgement.now >= judgement.counts_from and policy.priority != "Safety":
+                again = self._dependencies.hold(failure.reason, failure.onset, judgement.now)
+                occurrence = replace(occurrence, upstream=InForce(until=again) if again is not None else None)
+        return self._starting_with(failure, occurrence)
+
+    def _since_pause(self, failure: Failure) -> Failure:
+        """Return the failure as it is since the last pause: outputs that were missing during a pause are not a failure."""
+        if failure.trigger is Trigger.REFLEX_TAKEOVER:
+            return failure
+        return replace(failure, onset=max(failure.onset, min(self.limits.pauses.ended, failure.detected)))
+
+    def _starting_with(self, failure: Failure, occurrence: Occurrence) -> _Case:
+        """Return the case with the strategy that a recovery would start with."""
+        retries = self.limits.retries
+        first = retries.first(failure.onset, self._gate.state.active_uid)
+        return _Case(replace(occurrence, first_strategy=first, retry_after=retries.retry_after), failure)
+
+    def _facts(self, judgement: Judgement, occurrences: tuple[Occurrence, ...]) -> Facts:
+        limits = self.limits.in_force(judgement.now)
+        ready = limits.storm is not None and self.repertoire.stands_by()
+        return Facts(judgement.now, occurrences, limits, standby_ready=ready, trusted_from=judgement.trusted_from)
+
+    # -- what is remembered and reported of it ----------------------------------------------------------------------
+
+    def _note(self, decision: Decision, failure: Failure | None) -> None:
+        if failure is None or isinstance(decision, Wait):
+            return
+        if failure.trigger in FAILURES:
+            self._notices.set(health="Failed", failing_since=failure.onset)
+        if not isinstance(decision, Defer):
+            self._deferred.conclude()
+        elif decision.reason == "CrashLooping":
+            self.limits.retries.crash_looping(failure.reason)
+            self._deferred.reported_wait()
+        elif failure.trigger in FAILURES:
+            self._deferred.report(decision, failure)
+
+
+def _unavailable(lacking: str) -> Requirement:
+    return Requirement("FirstStrategyUnavailable", f"the first strategy cannot run ({lacking})")

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.kinds.robot_workload import DependencyRecovery
+from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.failover.reflex import TakenOver
-from understudy.failover.switchover import Prepared
 from understudy.monitor.observe.agent_connections import Sidecars
 from understudy.monitor.observe.health_observer import Sight
 from understudy.trees.core.debounce import Debounce
@@ -26,19 +26,21 @@ DEAD_AFTER = 0.1
 
 @dataclass(frozen=True)
 class Failure:
-    """What failed and since when; times are Unix seconds."""
+    """What a recovery is for, and since when; times are Unix seconds."""
 
     reason: str
     onset: float
     detected: float
+    trigger: Trigger = Trigger.HEALTH_FAILED
     taken: TakenOver | None = None
-    """The standby that the robot follows already, if one does."""
-    planned: bool = False
-    """Whether nothing failed, and an instance that is degraded is handed over."""
-    switch: Prepared | None = None
-    """Where nothing failed either: the understudy that can drive instead, as is planned; or what was begun and isn't settled yet."""
+    """The takeover, if the robot follows a standby already."""
     follows: Sequence[DependencyRecovery] = ()
-    """The recoveries of others after which the instance in control is dealt with, where that is all."""
+    """The recoveries of dependencies, if the instance has not failed and only has to react to them."""
+
+    @property
+    def planned(self) -> bool:
+        """Whether nothing failed: a degraded instance is handed over."""
+        return self.trigger is Trigger.DEGRADED
 
 
 class Detector:
@@ -81,7 +83,7 @@ class Detector:
         ):
             return None, silent + DEAD_AFTER
         gone = "is gone" if active is None else "is being deleted" if active.leaving else "has stopped running"
-        return Failure(f"pod {name} {gone}", onset, time.time()), None
+        return Failure(f"pod {name} {gone}", onset, time.time(), Trigger.POD_LOST), None
 
     def verdict(self, active: Instance, now: float) -> Verdict:
         """The verdict of its health tree."""

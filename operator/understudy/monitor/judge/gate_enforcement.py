@@ -5,8 +5,8 @@ robot's readers (robot_readers.py).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from typing import Literal
+from collections.abc import Sequence
+from typing import Literal, Protocol
 
 from understudy.failover.interfaces import Gate, Instance
 from understudy.kube.gates.base import Proof
@@ -79,12 +79,19 @@ def judge(
     )
 
 
+class Readers(Protocol):
+    """The robot's readers, as far as a gate depends on them."""
+
+    @property
+    def ungated(self) -> str:
+        """The readers of the robot that the gate does not reach, as a sentence; empty if there are none."""
+
+
 class Enforcement:
     """Whether the gate of one workload is enforced. Times are Unix seconds."""
 
-    def __init__(self, gate: Gate, probes: Proof, notices: Notices, ungated: Callable[[], str] = str) -> None:
-        """``ungated`` names the readers of the robot that the gate does not reach; empty for none."""
-        self._gate, self._probes, self._notices, self._ungated = gate, probes, notices, ungated
+    def __init__(self, gate: Gate, probes: Proof, notices: Notices, readers: Readers) -> None:
+        self._gate, self._probes, self._notices, self._readers = gate, probes, notices, readers
         self._changed = time.time()
         self._let_through = ("", "")
 
@@ -110,7 +117,7 @@ class Enforcement:
             leak_hint=self._probes.leak_hint,
             block_hint=self._probes.block_hint,
         )
-        if judged[0] != "False" and judged[1] != "Settling" and (ungated := self._ungated()):
+        if judged[0] != "False" and judged[1] != "Settling" and (ungated := self._readers.ungated):
             return "False", UNGATED, ungated
         return judged
 

@@ -1,21 +1,96 @@
-"""The judge stage of one workload: its parts, put together."""
+"""The judge stage of one workload: what the observations of one instant say about the active instance."""
 
 from __future__ import annotations
 
-from understudy.failover.interfaces import Gate, Instances
+import time
+from dataclasses import dataclass
+
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.failover.decide import Trigger
+from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.monitor.judge.degradation_level import Levels
-from understudy.monitor.judge.failure_detection import Detector
+from understudy.monitor.judge.failure_detection import Detector, Failure
 from understudy.monitor.judge.gate_enforcement import Enforcement
+from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.judge.situation_tracking import Situations
 from understudy.monitor.notices import Notices
+from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.senses import Senses
+from understudy.trees.core.health_tree import Verdict
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """How the active instance is at one instant. Times are Unix seconds."""
+
+    now: float
+    trusted_from: float = 0.0
+    """Silence counts from here on. It is later than ``now`` if the process was stalled and has not caught up."""
+    active: Instance | None = None
+    """None if the gate is closed, or if the pod is gone."""
+    verdict: Verdict | None = None
+    """The verdict of the health tree; None if the tree does not matter: the pod is lost, or the robot follows a standby."""
+    degraded: bool = False
+    last_well: float = 0.0
+    """When the active instance was last seen to be healthy; ``now`` if it never was."""
+    settled: bool = False
+    """Whether the instance has been healthy for ``limits.healthyDelay``, so that its next failure is a new one."""
+    failure: Failure | None = None
+    counts_from: float = 0.0
+    """When the failure of a health tree counts: the end of ``monitoring.debounce``."""
+    deadline: float | None = None
+    """When to judge again at the latest; None if the next tick is early enough."""
+
+    @property
+    def healthy(self) -> bool:
+        """Whether the health tree succeeds."""
+        return self.verdict is not None and self.verdict.state == "Healthy"
 
 
 class JudgeStage:
-    """What the observations say about the active instance and the gate."""
+    """Judges the active instance and the gate."""
 
-    def __init__(self, pods: Instances, gate: Gate, senses: Senses, notices: Notices) -> None:
+    def __init__(self, view: View, pods: Instances, gate: Gate, senses: Senses, notices: Notices) -> None:
+        self._pods, self._gate, self._sight = pods, gate, senses.sight
         self.detector = Detector(pods, gate, senses.sidecars, senses.sight)
+        self.takeover = ReflexTakeover(view, gate, senses.sight)
         self.levels = Levels(senses.sight, notices)
         self.situations = Situations(senses.sight, notices)
-        self.enforcement = Enforcement(gate, senses.probes, notices, lambda: senses.readership.ungated)
+        self.enforcement = Enforcement(gate, senses.probes, notices, senses.readership)
+
+    def look(self, policy: FailurePolicySpec, now: float, trusted_from: float) -> Judgement:
+        """Return the judgement: a takeover by the reflex comes first, then a lost pod, then the health tree."""
+        self.enforcement.look(now)
+        state = self._gate.state
+        if state.closed:
+            return Judgement(now, trusted_from)
+        active = self._pods.find(state.active_uid)
+        if (taken := self.takeover.look(now)) is not None:
+            reason = f"{state.active} is silent and {taken.standby.name} has taken over"
+            failure = Failure(reason, taken.last, taken.first, Trigger.REFLEX_TAKEOVER, taken)
+            return Judgement(now, trusted_from, active, failure=failure)
+        if (loss := self.detector.lost(active, now)) is not None:
+            lost, again = loss
+            return Judgement(now, trusted_from, active, failure=lost, deadline=again)
+        assert active is not None
+        return self._by_health(policy, active, now, trusted_from)
+
+    def _by_health(self, policy: FailurePolicySpec, active: Instance, now: float, trusted_from: float) -> Judgement:
+        verdict = self.detector.verdict(active, now)
+        since = self.detector.since
+        degraded = self.levels.look(policy, verdict, active, now=now, since=since)
+        self.situations.look(policy, verdict, now=now, since=since)
+        last_well = self.detector.onset(active.name, now)
+        if verdict.state != "Failed":
+            self.detector.well()
+            settled = verdict.state == "Healthy" and now - since >= seconds(policy.limits.healthy_delay)
+            deadline = self._sight.deadline(now=now, since=since)
+            return Judgement(now, trusted_from, active, verdict, degraded, last_well, settled, deadline=deadline)
+        detected = time.time()
+        onset = verdict.onset if verdict.onset is not None else last_well
+        counts = self.detector.counts_from(detected, policy.monitoring) if detected >= trusted_from else detected
+        failure = Failure(verdict.reason, onset, detected)
+        return Judgement(
+            detected, trusted_from, active, verdict, degraded, last_well, failure=failure, counts_from=counts
+        )

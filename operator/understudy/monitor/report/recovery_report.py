@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import time
 
 from understudy.api.kinds.robot_workload import GateStatus, Recovery
 from understudy.failover.interfaces import Gate
 from understudy.monitor.act.recovery_messages import describe, describe_switchover, unverified
-from understudy.monitor.notices import Notices
+from understudy.monitor.judge.failure_detection import Failure
+from understudy.monitor.notices import FailureDetected, Notices
 from understudy.monitor.outcome import Outcome
 
 _logger = logging.getLogger(__name__)
@@ -18,6 +20,19 @@ class RecoveryReport:
 
     def __init__(self, gate: Gate, notices: Notices) -> None:
         self._gate, self._notices = gate, notices
+
+    def begins(self, failure: Failure) -> None:
+        """Report what is about to be recovered or handed over."""
+        if failure.planned:
+            what = "hand-over"
+            self._notices.event("Normal", "Rescheduling", failure.reason)
+        elif failure.follows:
+            what = "dependency"
+            self._notices.event("Normal", "FollowsDependency", failure.reason)
+        else:
+            what = "failure"
+            self._notices.add(FailureDetected(time.time() - failure.detected))
+        _logger.warning("%s of %s: %s", what, self._gate.state.active, failure.reason)
 
     def abandoned(self, outcome: Outcome) -> None:
         """Report that a recovery was superseded or stopped."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from understudy.failover.interfaces import Gate
 from understudy.monitor.act.stage import ActStage
 from understudy.monitor.decide.stage import DecideStage
+from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
@@ -21,3 +22,7 @@ class ReportStage:
         self.notices = notices
         self.recovery = RecoveryReport(gate, notices)
         self.saying = Saying(view, gate, sight, act.safety, decide.repertoire, notices)
+
+    def judged(self, judgement: Judgement) -> None:
+        """Report how the active instance is."""
+        self.saying.judged(judgement)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from understudy.api.kinds.robot_workload import GateStatus
+from understudy.api.kinds.robot_workload import GateStatus, Health
 from understudy.failover.interfaces import Gate
 from understudy.monitor.act.safe_commands import SafeCommands
+from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.cluster_view import View
 from understudy.monitor.observe.health_observer import Sight
-from understudy.trees.core.health_tree import Verdict
 
 
 class Saying:
@@ -27,16 +28,25 @@ class Saying:
         self._view, self._gate, self._sight = view, gate, sight
         self._safety, self._repertoire, self._notices = safety, repertoire, notices
 
-    def health(self, verdict: Verdict, *, degraded: bool) -> None:
-        """How the instance in control is."""
-        state = self._gate.state
+    def judged(self, judgement: Judgement) -> None:
+        """Report how the active instance is."""
+        state, verdict = self._gate.state, judgement.verdict
+        if verdict is None:
+            return
         self._notices.set(
             active=state.active,
-            health="Degraded" if degraded and verdict.state == "Healthy" else verdict.state,
+            health="Degraded" if judgement.degraded and judgement.healthy else verdict.state,
             gate=GateStatus(epoch=state.epoch, active=state.active),
         )
         status = {"Healthy": "True", "Failed": "False", "Starting": "Unknown"}[verdict.state]
         self._notices.condition("Healthy", status, verdict.state, verdict.reason)
+        if judgement.settled and self._notices.status.reason("Recovering") not in ("", "Recovered", "HealthyAgain"):
+            self._notices.condition("Recovering", "False", "HealthyAgain", f"{state.active} is healthy again.")
+
+    def none_active(self, candidates: Candidates) -> None:
+        """Report that the gate is closed and no recovery is in progress."""
+        health: Health = "Starting" if candidates.running else "Unknown"
+        self._notices.set(active="", health=health, gate=GateStatus(epoch=self._gate.state.epoch))
 
     def housekeeping(self) -> None:
         """What changes seldom, once the policy and the settings are known."""

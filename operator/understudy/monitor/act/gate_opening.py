@@ -1,0 +1,56 @@
+"""Opens the gate for the first pod, or requests a pod if none runs."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+
+import aiohttp
+
+from understudy.failover.abandoned import ended
+from understudy.failover.interfaces import Gate, Instance, Instances, Superseded
+from understudy.kube.client import ApiError
+from understudy.monitor.notices import Notices
+
+_logger = logging.getLogger(__name__)
+
+ASK_AGAIN = 2.0
+"""Seconds until a pod is requested again, if none runs."""
+
+
+class GateOpening:
+    """Opens the gate of one workload while it is closed. Times are Unix seconds."""
+
+    def __init__(self, fleet: Instances, gate: Gate, notices: Notices) -> None:
+        self._fleet, self._gate, self._notices = fleet, gate, notices
+        self._next_asked = 0.0
+
+    async def open(self, first: Instance) -> bool:
+        """Open the gate for a pod; return whether it was opened."""
+        # A recovery that closed the gate and did not succeed is not continued, but the other pods that failed still count as failed.
+        left = self._gate.state.recovery
+        if left is not None:
+            failed = [pod for pod in left.failed if pod.uid != first.uid]
+            left = ended(left).model_copy(update={"failed": failed})
+        try:
+            await self._gate.commit(first, left)
+        except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("opening the gate for %s: %s", first.name, error)
+            await asyncio.sleep(1)
+            return False
+        _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
+        self._notices.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
+        return True
+
+    async def request_pod(self, now: float) -> None:
+        """Have the workload's own controller run a pod. It may have been scaled to none while a pod of a shared pool was active, and
+        nobody else scales it up while the gate is closed.
+        """
+        if now < self._next_asked <= now + ASK_AGAIN:  # later than that if the clock was set back
+            return
+        self._next_asked = now + ASK_AGAIN
+        try:
+            async with asyncio.timeout(ASK_AGAIN):
+                await self._fleet.replace([])
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("no pod runs, and requesting one failed: %r", error)

@@ -1,0 +1,71 @@
+"""Whether the robot's own readers already follow the standby that the gate lets through beside the active instance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from understudy.api.base import seconds
+from understudy.api.kinds.robot_workload import Reflex
+from understudy.failover.interfaces import Gate
+from understudy.failover.progress import PodIdentity
+from understudy.failover.reflex import TakenOver, switched
+from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.health_observer import Sight
+
+LOOK = 0.005
+"""Seconds between looks while the active pod is silent."""
+
+LOOK_FOR = 0.5
+"""Seconds after the deadline during which the monitor looks that often. A pod that is silent for longer may be at rest."""
+
+
+class ReflexTakeover:
+    """The reflex takeovers of one workload; there are none if the workload has no reflex. Times are Unix seconds."""
+
+    def __init__(self, view: View, gate: Gate, sight: Sight) -> None:
+        self._view, self._gate, self._sight = view, gate, sight
+
+    @property
+    def reflex(self) -> Reflex | None:
+        """The reflex of the workload's spec."""
+        spec = self._view.spec
+        return spec.gate.reflex if spec is not None else None
+
+    @property
+    def topics(self) -> Sequence[str]:
+        """The topics of the workload's outputs."""
+        spec = self._view.spec
+        return [output.topic for output in spec.outputs if output.topic] if spec is not None else []
+
+    @property
+    def deadline(self) -> float:
+        """Seconds of silence after which the robot's readers take the standby's messages; 0 if there is no reflex."""
+        reflex = self.reflex
+        return seconds(reflex.deadline) if reflex is not None else 0.0
+
+    def look(self, now: float) -> TakenOver | None:
+        """Return the takeover if the standby that the gate lets through drives the robot now."""
+        state = self._gate.state
+        if not state.admitted or state.closed or not (deadline := self.deadline):
+            return None
+        if self._sight.ambiguous(state.active) or self._sight.ambiguous(state.admitted):
+            return None
+        for topic in self.topics:
+            found = switched(
+                self._sight.arrivals(topic, state.active),
+                self._sight.arrivals(topic, state.admitted),
+                deadline=deadline,
+                now=now,
+            )
+            if found is not None:
+                return TakenOver(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)
+        return None
+
+    def next_look(self, now: float) -> float | None:
+        """Return when to look again, so that a takeover is noticed at once; None if the next tick is early enough."""
+        state = self._gate.state
+        if not state.admitted or not (deadline := self.deadline):
+            return None
+        lasts = [found[-1] for topic in self.topics if (found := self._sight.arrivals(topic, state.active))]
+        due = [last + deadline for last in lasts if now < last + deadline + LOOK_FOR]
+        return max(min(due), now + LOOK) if due else None
