@@ -64,7 +64,7 @@ class _Judge:
         from understudy.failover.interfaces import Instance
         from understudy.monitor.act.state_keeping import StateKeeping
         from understudy.monitor.notices import Notices
-        from understudy.monitor.observe.health_observer import Sight
+        from understudy.monitor.observe.health_observer import HealthObserver
         from understudy.monitor.report.black_box import BlackBox
         from understudy.monitor.report.recording_archive import Archive
         from understudy.process import cpu_scheduling
@@ -85,7 +85,7 @@ class _Judge:
             {"template": {}, "outputs": list(outputs), "failurePolicyRef": {"name": "bench"}}
         )
         self.instances = [Instance("active", "1", ip=ip), Instance("standby", "2", ip="192.0.2.11")]
-        self.sight = Sight()
+        self.sight = HealthObserver()
         self._folder = tempfile.TemporaryDirectory()
         self.keeping = StateKeeping(self.sight.graph, Shelf(Path(self._folder.name)), _Nobody(), Notices())
         self._view: Any = SimpleNamespace(policy=self.policy, workload="bench", namespace="bench")

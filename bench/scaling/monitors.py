@@ -20,9 +20,9 @@ import aiohttp
 
 from bench.roles import answer, end_with_parent, tell
 from bench.scaling.fleets import POOL, Robot
-from bench.scaling.senses import Application, Probes, Sidecars, Sight
+from bench.scaling.senses import AgentConnections, Application, HealthObserver, Probes
 from bench.scaling.watches import Borrowed, Drain
-from tests.unit.interleavings.blanks import BlackBox, Keeping, Readership
+from tests.unit.interleavings.blanks import BlackBox, Keeping, RobotReaders
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.failover.journal import Journal
@@ -37,12 +37,12 @@ from understudy.kube.watched_collection import Reflector
 from understudy.monitor import loop
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.senses import Senses
@@ -102,7 +102,7 @@ class Monitor:
         self.application = Application()
         self.wakeups, self.current = PodWakeups(), CurrentRecovery()
         self.monitor_loop: MonitorLoop | None = None
-        self.fleet: Fleet | None = None
+        self.fleet: PodControl | None = None
         self.gate: GateControl | None = None
         self.notices: Recording | None = None
 
@@ -110,22 +110,25 @@ class Monitor:
         """As ``understudy.monitor.process`` puts it together; ``watching`` is set once its copies are there."""
         client, namespace = self._client, self.robot.namespace
         async with asyncio.TaskGroup() as group:
-            view = View(client, namespace, self.robot.name, self.wakeups)
+            view = ClusterView(client, namespace, self.robot.name, self.wakeups)
             view.waiting_gates = [Borrowed(self._waiting, client, NETWORK_POLICIES, namespace, labels=names.WAITS_FOR)]
             await view.run(group)
             crash_points = CrashPoints(self._state)
             self.notices = Recording(PublishedStatus.adopt(view.object))
             self.notices.robot = self.robot.key
-            self.fleet = Fleet(client, view, crash_points, self.notices)
+            self.fleet = PodControl(client, view, crash_points, self.notices)
             probes = Probes(self.application)
             self.gate = probes.gate = GateControl(client, view, self.fleet, probes, crash_points, self.notices)
             recorder = Recorder(client, "understudy-monitor", "bench")
             roles = InstanceRoles(view, self.gate, self.current)
-            sidecars, sight = cast(Any, Sidecars(self.application)), cast(Any, Sight(self.application))
-            readers = cast(Any, Readership())
+            agents, observer = (
+                cast(Any, AgentConnections(self.application)),
+                cast(Any, HealthObserver(self.application)),
+            )
+            readers = cast(Any, RobotReaders())
             parts = Parts(
                 cluster=Cluster(view, self.fleet, self.gate),
-                senses=Senses(sight, sidecars, cast(Any, probes), readers, roles, self.wakeups),
+                senses=Senses(observer, agents, cast(Any, probes), readers, roles, self.wakeups),
                 keeping=cast(Any, Keeping()),
                 journal=RecoveryJournal(Journal(self._state / "recovery.json"), crash_points),
                 black_box=cast(Any, BlackBox()),
@@ -166,7 +169,7 @@ class Monitor:
         begun = time.time()
         strategy = UninitializedFallback(POOL)
         progress = Progress.begin("claim", last_healthy=begun, detected=begun)
-        means = self.monitor_loop.decide.repertoire.means()
+        means = self.monitor_loop.decide.options.means()
         found: Instance | None = None
         error = "no pod was free"
         while found is None and time.time() < begun + CLAIM_WITHIN:

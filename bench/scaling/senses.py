@@ -42,7 +42,7 @@ class Application:
         self.healthy_since.setdefault(uid, time.time() + after)
 
 
-class Sight:
+class HealthObserver:
     """What arrives at the gated readers of one robot."""
 
     graph = None
@@ -124,7 +124,7 @@ class Probes(Proof):
         return time.time() if through else None
 
 
-class Sidecars:
+class AgentConnections:
     """The agents of a workload's instances: those of its own controller start by themselves, claimed ones when they are told to."""
 
     def __init__(self, application: Application) -> None:

@@ -19,7 +19,7 @@ from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Means
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.pool_waiting import Line
+from understudy.monitor.act.pool_waiting import PoolQueue
 from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.act.recovery_runner import ENDS
 from understudy.monitor.act.stage import ActStage
@@ -63,14 +63,14 @@ class MonitorLoop:
     def __init__(self, parts: Parts) -> None:
         cluster, senses, notices = parts.cluster, parts.senses, parts.notices
         self._view, self._pods, self._gate = cluster.view, cluster.pods, cluster.gate
-        self._senses, self._sight, self._journal = senses, senses.sight, parts.journal
+        self._senses, self._observer, self._journal = senses, senses.observer, parts.journal
         self._notices, self._black_box = notices, parts.black_box
         means = Means(
             gate=cluster.gate,
             instances=cluster.pods,
-            agents=senses.sidecars,
-            outputs=senses.sight.outputs(cluster.pods, cluster.gate),
-            queue=Line(cluster.view, notices),
+            agents=senses.agents,
+            outputs=senses.observer.outputs(cluster.pods, cluster.gate),
+            queue=PoolQueue(cluster.view, notices),
             clock=time.time,
             save=parts.journal.save,
             workload_uid="",
@@ -78,9 +78,9 @@ class MonitorLoop:
         )
         self.observe = ObserveStage(cluster.view, senses, notices)
         self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, notices)
-        self.decide = DecideStage(cluster.view, senses.sidecars, means, self.judge, self.observe.dependencies, notices)
+        self.decide = DecideStage(cluster.view, senses.agents, means, self.judge, self.observe.dependencies, notices)
         self.act = ActStage(cluster, senses, parts.keeping, parts.journal, self.decide, notices)
-        self.report = ReportStage(cluster.view, cluster.gate, senses.sight, self.decide, self.act, notices)
+        self.report = ReportStage(cluster.view, cluster.gate, senses.observer, self.decide, self.act, notices)
         self._next_slow = 0.0
         self._new_until = -math.inf
         """Until when (monotonic seconds) an understudy may be there whose agent is not connected yet."""
@@ -124,12 +124,12 @@ class MonitorLoop:
         """Observe: what has arrived, and how the workloads are that this one depends on."""
         dependencies, active = self.observe.dependencies, self._gate.state.active
         self.decide.limits.retries.look(self.decide.limits.spending.resumed, now)
-        self._sight.follow(policy, self._view.spec)
+        self._observer.follow(policy, self._view.spec)
         self.act.follow_safety(policy)
         dependencies.follow(self._view.settings)
         dependencies.look(now)
-        self._sight.drain(self._pods.of_workload(), active)
-        self.act.keeping.take(policy.state, self._sight.addresses, active)
+        self._observer.drain(self._pods.of_workload(), active)
+        self.act.keeping.take(policy.state, self._observer.addresses, active)
 
     async def look(self, policy: FailurePolicySpec, now: float) -> Resolution:
         """Judge and decide once. ``now`` is in Unix seconds."""
@@ -160,7 +160,7 @@ class MonitorLoop:
 
     async def _while_closed(self, decision: Decision, candidates: Candidates, now: float) -> None:
         """Open the gate for the first pod, or request one."""
-        self.report.saying.none_active(candidates)
+        self.report.status_conditions.none_active(candidates)
         if decision.reason == "NoPodRunning":
             await self.act.opening.request_pod(now)
         elif isinstance(decision, Activate) and await self.act.opening.open(candidates.first):
@@ -173,10 +173,10 @@ class MonitorLoop:
         interrupted = interrupted_recovery.interrupted(journal, gate, self._notices.status, abandoned)
         if interrupted is not None:
             _logger.warning("finishing recovery %s, which an earlier monitor began", interrupted.id)
-            await self._senses.sidecars.settle(self._pods.of_workload(), SETTLE)
+            await self._senses.agents.settle(self._pods.of_workload(), SETTLE)
             if interrupted.switchover is None:
                 await self.carry_out(interrupted)
-            elif interrupted.result != "Running" or switchover.committed(interrupted, self.decide.repertoire.means()):
+            elif interrupted.result != "Running" or switchover.committed(interrupted, self.decide.options.means()):
                 self.conclude(await self.act.switchovers.carry_out(Prepared(interrupted)))
         elif (done := interrupted_recovery.concluded(gate, self._notices.status)) is not None:
             self.decide.limits.retries.note(done)
@@ -225,7 +225,7 @@ class MonitorLoop:
         """Have a new monitor hear of the understudies before it chooses: a warm one without a connection yet is no reason to restart."""
         if (left := self._new_until - time.monotonic()) > 0:
             others = [i for i in self._pods.of_workload() if i.uid not in failed]
-            await self._senses.sidecars.settle(others, left)
+            await self._senses.agents.settle(others, left)
 
     # -- report, and what every stage remembers ---------------------------------------------------------------------
 
@@ -251,7 +251,7 @@ class MonitorLoop:
         """Do the work that continues while a recovery is deferred."""
         if (policy := self._view.policy) is not None:
             self.act.follow_safety(policy)
-        self._sight.drain(self._pods.of_workload(), "")
+        self._observer.drain(self._pods.of_workload(), "")
         self._housekeeping()
 
     def _housekeeping(self) -> None:
@@ -260,7 +260,7 @@ class MonitorLoop:
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return
-        self.report.saying.housekeeping()
+        self.report.status_conditions.housekeeping()
         self.decide.limits.spending.say(time.time())
         paused = self.decide.limits.pauses.on is not None
         self.act.care_for_standbys(policy, paused=paused)

@@ -23,34 +23,34 @@ from understudy.kube.events import Recorder
 from understudy.kube.gates import registry
 from understudy.kube.kubeconfig import default_access
 from understudy.kube.warm_connections import keep_warm
-from understudy.monitor.act.action_proxy_link import TaskLink
+from understudy.monitor.act.action_proxy_link import ActionProxyLink
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.permits import Permits
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.observe.instance_roles import InstanceRoles
-from understudy.monitor.observe.resource_meter import Meter
-from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.observe.resource_meter import ResourceMeter
+from understudy.monitor.observe.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report import monitor_metrics
 from understudy.monitor.report.black_box import BlackBox
-from understudy.monitor.report.diagnostics_publisher import Telling
-from understudy.monitor.report.live_tree_pages import Showing
-from understudy.monitor.report.recording_archive import Archive
+from understudy.monitor.report.diagnostics_publisher import DiagnosticsPublisher
+from understudy.monitor.report.live_tree_pages import LiveTreePages
+from understudy.monitor.report.recording_archive import RecordingArchive
 from understudy.monitor.report.status_writer import StatusWriter
 from understudy.process import cpu_scheduling, json_logs
 from understudy.process.http_pages import Page, serve
-from understudy.state.state_store import Shelf
+from understudy.state.state_store import StateStore
 
 _logger = logging.getLogger(__name__)
 
@@ -87,7 +87,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         client.listener = monitor_metrics.TRAFFIC
         wakeups = Wakeups()
         gate_kind = registry.KINDS[os.environ.get(names.GATE_KIND_VARIABLE, registry.DEFAULT.kind)]
-        view = View(client, namespace, workload, wakeups, gate_kind)
+        view = ClusterView(client, namespace, workload, wakeups, gate_kind)
         pages: dict[str, Page] = {
             "/healthz": lambda: (200, "ok\n"),
             "/ready": lambda: (200, "ok\n") if alive["ready"] else (503, "starting\n"),
@@ -98,7 +98,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         await view.run(group)
         crash_points = CrashPoints(state)
         notices = Notices(PublishedStatus.adopt(view.object))
-        fleet = Fleet(client, view, crash_points, notices)
+        fleet = PodControl(client, view, crash_points, notices)
         gate = GateControl(client, view, fleet, proof, crash_points, notices)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         writer = StatusWriter(client, view, recorder, notices)
@@ -106,29 +106,29 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
         cluster, current = Cluster(view, fleet, gate), CurrentRecovery()
         roles = InstanceRoles(view, gate, current)
-        sidecars = Sidecars(client, view, address, crash_points, roles, wakeups)
-        meter = Meter(client, namespace, workload)
-        sight = Sight(meter)
-        black_box = BlackBox(view, sight, notices, Archive(state / "kept" / "recordings"))
+        agents = AgentConnections(client, view, address, crash_points, roles, wakeups)
+        meter = ResourceMeter(client, namespace, workload)
+        observer = HealthObserver(meter)
+        black_box = BlackBox(view, observer, notices, RecordingArchive(state / "kept" / "recordings"))
         await serve(black_box.pages, names.RECORDINGS_PORT, host="127.0.0.1")
-        readership = Readership(view, sight, notices, address)
+        readership = RobotReaders(view, observer, notices, address)
         parts = Parts(
             cluster=cluster,
-            senses=Senses(sight, sidecars, proof, readership, roles, wakeups),
-            keeping=StateKeeping(sight.graph, Shelf(state / "kept"), sidecars, notices),
+            senses=Senses(observer, agents, proof, readership, roles, wakeups),
+            keeping=StateKeeping(observer.graph, StateStore(state / "kept"), agents, notices),
             journal=RecoveryJournal(Journal(state / "recovery.json"), crash_points),
             black_box=black_box,
             notices=notices,
         )
-        telling = Telling(view, sight, notices, lambda: parts.keeping.taken)
-        showing = Showing(view, sight, notices, lambda: telling.problems)
+        telling = DiagnosticsPublisher(view, observer, notices, lambda: parts.keeping.taken)
+        showing = LiveTreePages(view, observer, notices, lambda: telling.problems)
         pages |= {"/": showing.page, "/tree": showing.tree}
         monitor_loop = MonitorLoop(parts)
         looks = monitor_loop.observe.looks
         REGISTRY.register(
-            monitor_metrics.ObservationMetrics(lambda: sight.heard, lambda: (looks.count, looks.overruns))
+            monitor_metrics.ObservationMetrics(lambda: observer.heard, lambda: (looks.count, looks.overruns))
         )
-        permits = Permits(cluster, sidecars, sight.graph, current, wakeups, notices)
+        permits = Permits(cluster, agents, observer.graph, current, wakeups, notices)
         group.create_task(keep_warm(client))
         group.create_task(permits.run())
         group.create_task(writer.run())
@@ -137,7 +137,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(black_box.run())
         group.create_task(readership.run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
-        group.create_task(TaskLink(socket, view, fleet, gate, sidecars, notices).run())
+        group.create_task(ActionProxyLink(socket, view, fleet, gate, agents, notices).run())
         alive["ready"] = time.time()
         # What is there now stays: looking through all of it for garbage took up to 10 ms, in the midst of a recovery too.
         gc.collect()

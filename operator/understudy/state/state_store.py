@@ -31,7 +31,7 @@ _HEADER = struct.Struct(">4s32sI")
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 
 
-class Shelf:
+class StateStore:
     """A directory of kept state."""
 
     def __init__(self, directory: Path) -> None:

@@ -20,7 +20,7 @@ from understudy.api.protocol.kept_state import LARGEST, KeptSample, KeptState, N
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone, AgentLink
 from understudy.monitor.crash_points import CrashPoints
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.wakeups import Wakeups
 
 pytestmark = pytest.mark.ros
@@ -29,10 +29,10 @@ CONFIGURE = {"set_lifecycle": {"node": "/localizer", "state": "inactive"}}
 INSTANCE = Instance("robot-1", "uid-1", ip="127.0.0.1", running=True)
 
 
-def sidecars(link: AgentLink | None, tmp_path: Any) -> Sidecars:
+def sidecars(link: AgentLink | None, tmp_path: Any) -> AgentConnections:
     """The monitor's side, with one agent."""
     none: Any = None
-    made = Sidecars(none, none, "127.0.0.1", CrashPoints(tmp_path), none, Wakeups())
+    made = AgentConnections(none, none, "127.0.0.1", CrashPoints(tmp_path), none, Wakeups())
     if link is not None:
         made._links[INSTANCE.uid] = link
     return made

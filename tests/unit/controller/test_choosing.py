@@ -28,7 +28,7 @@ from understudy.controller.observed import pool_reader
 from understudy.controller.plan import Plan
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.status import policy_status, pool_status
 from understudy.kube.client import PODS, POLICIES, POOLS, WORKLOADS, Object
@@ -240,8 +240,8 @@ async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_fo
 def test_a_change_of_any_pool_may_mean_another_order() -> None:
     store = stored(auto(), workload("w"))
     held = held_pod("s-1", of=spare())
-    for sight in (Sight(POOLS, None, hot()), Sight(PODS, None, held)):
-        assert change_index.Key("robotworkloads", "fleet", "w") in change_index.keys(sight, store)
+    for change in (ObservedChange(POOLS, None, hot()), ObservedChange(PODS, None, held)):
+        assert change_index.Key("robotworkloads", "fleet", "w") in change_index.keys(change, store)
 
 
 def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
@@ -251,7 +251,7 @@ def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
         workload("w", status={"strategies": "Executing (hot)"}),
     )
     for old, new, expected in ((before, after, {"hot", "warm", "spare"}), (before, before, set())):
-        found = change_index.keys(Sight(WORKLOADS, old, new), store)
+        found = change_index.keys(ObservedChange(WORKLOADS, old, new), store)
         assert {key.name for key in found if key.plural == "fallbackpools"} == expected
 
 

@@ -15,7 +15,7 @@ from understudy.controller.observed.observation import Observed
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.status import workload_status
 from understudy.kube.client import POLICIES, WORKLOADS, Client, Object
@@ -166,7 +166,7 @@ def keys(old: Object | None, new: Object | None, *there: Object) -> set[str]:
     store = Store()
     for one in there:
         store.put(WORKLOADS, one)
-    found = change_index.keys(Sight(WORKLOADS, old, new), store)
+    found = change_index.keys(ObservedChange(WORKLOADS, old, new), store)
     return {key.name for key in found if key.plural == Key(WORKLOADS.plural, "", "").plural}
 
 

@@ -12,7 +12,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec, in_force
 from understudy.controller.observed import policy_reader
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.runtime import resync
 from understudy.controller.status import policy_status
 from understudy.kube.client import CONFIG_MAPS, POLICIES, WORKLOADS, Object
@@ -114,9 +114,11 @@ def test_a_change_concerns_the_policies_that_refer_to_it_and_whom_they_protect()
     store.put(POLICIES, policy("Restart", name="other"))
     store.put(WORKLOADS, workload())
     (config_map,) = trees(health_yaml=GOOD).values()
-    found = change_index.keys(Sight(CONFIG_MAPS, None, config_map), store)
+    found = change_index.keys(ObservedChange(CONFIG_MAPS, None, config_map), store)
     assert found == {Key(POLICIES.plural, NAMESPACE, "policy"), Key(WORKLOADS.plural, NAMESPACE, "w")}
-    assert not change_index.keys(Sight(CONFIG_MAPS, None, {"metadata": {**config_map["metadata"], "name": "x"}}), store)
+    assert not change_index.keys(
+        ObservedChange(CONFIG_MAPS, None, {"metadata": {**config_map["metadata"], "name": "x"}}), store
+    )
 
 
 def test_only_what_is_lent_is_kept() -> None:

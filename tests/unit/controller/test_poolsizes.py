@@ -16,7 +16,7 @@ from understudy.controller.pods.pool_size import Seen
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.kube.client import POLICIES, POOLS, WORKLOADS, Object
 
@@ -269,9 +269,14 @@ class TestWhoTakesFromIt:
             store.put(POOLS, pool)
         before, after = robot("w"), robot("w", *failed(1))
         key = Key(POOLS.plural, "fleet", "spare")
-        assert change_index.keys(Sight(WORKLOADS, before, after), store) == {Key(WORKLOADS.plural, "fleet", "w"), key}
+        assert change_index.keys(ObservedChange(WORKLOADS, before, after), store) == {
+            Key(WORKLOADS.plural, "fleet", "w"),
+            key,
+        }
         same = before | {"status": before["status"] | {"health": "Healthy"}}
-        assert change_index.keys(Sight(WORKLOADS, before, same), store) == {Key(WORKLOADS.plural, "fleet", "w")}
+        assert change_index.keys(ObservedChange(WORKLOADS, before, same), store) == {
+            Key(WORKLOADS.plural, "fleet", "w")
+        }
 
 
 def test_counting_a_fleet_takes_little() -> None:

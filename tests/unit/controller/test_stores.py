@@ -1,4 +1,4 @@
-"""Late, repeated and missing sights of the cluster."""
+"""Late, repeated and missing changes of the cluster."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.runtime.resync import kept
 from understudy.kube.client import (
     CONFIG_MAPS,
@@ -71,8 +71,8 @@ def test_a_list_finds_what_a_watch_has_missed() -> None:
     store = Store()
     store.put(PODS, at(pod("a"), 5))
     store.put(PODS, at(pod("b"), 5))
-    sights = store.replace(PODS, [at(pod("b", ready=False), 7), at(pod("c"), 8)], 10, None)
-    assert sorted(s.resource.plural + (s.new or s.old or {})["metadata"]["name"] for s in sights) == [
+    changes = store.replace(PODS, [at(pod("b", ready=False), 7), at(pod("c"), 8)], 10, None)
+    assert sorted(s.resource.plural + (s.new or s.old or {})["metadata"]["name"] for s in changes) == [
         "podsa",
         "podsb",
         "podsc",
@@ -147,24 +147,24 @@ class TestAffected:
             store.put(resource, item)
         return store
 
-    def keys(self, sight: Sight) -> set[tuple[str, str]]:
-        return {(key.plural, key.name) for key in change_index.keys(sight, self.store())}
+    def keys(self, change: ObservedChange) -> set[tuple[str, str]]:
+        return {(key.plural, key.name) for key in change_index.keys(change, self.store())}
 
     def test_an_instance_means_its_workload(self) -> None:
-        assert self.keys(Sight(PODS, None, source_pod("w-a"))) == {("robotworkloads", "w")}
+        assert self.keys(ObservedChange(PODS, None, source_pod("w-a"))) == {("robotworkloads", "w")}
 
     def test_a_standby_means_its_workload_and_its_pool(self) -> None:
-        found = self.keys(Sight(PODS, None, standby_pod("w-s", of=workload())))
+        found = self.keys(ObservedChange(PODS, None, standby_pod("w-s", of=workload())))
         assert found == {("robotworkloads", "w"), ("fallbackpools", "hot")}
 
     def test_a_held_pod_means_its_pool_and_the_workloads_whose_policy_names_it(self) -> None:
-        found = self.keys(Sight(PODS, None, held_pod("spare-a", of=spare())))
+        found = self.keys(ObservedChange(PODS, None, held_pod("spare-a", of=spare())))
         assert found == {("fallbackpools", "spare"), ("robotworkloads", "w")}
 
     def test_of_many_held_pods_one_means_its_pool_alone(self) -> None:
         """Or a fleet's workloads would all be looked at with each claim, and with each step of a pod that comes up."""
         store, pool = self.store(), spare()
-        first = Sight(PODS, None, held_pod("spare-a", of=pool))
+        first = ObservedChange(PODS, None, held_pod("spare-a", of=pool))
         for others, known in ((0, True), (1, False)):
             if others:
                 store.put(PODS, held_pod("spare-b", of=pool))
@@ -180,7 +180,7 @@ class TestAffected:
             store = self.store()
             store.put(POOLS, at(pool, 11))
             store.put(PODS, other)
-            found = change_index.keys(Sight(PODS, None, held_pod("spare-a", of=spare())), store)
+            found = change_index.keys(ObservedChange(PODS, None, held_pod("spare-a", of=spare())), store)
             assert Key("robotworkloads", "fleet", "w") in found
 
     @pytest.mark.parametrize("others", [0, 1])
@@ -200,7 +200,7 @@ class TestAffected:
             return labelled(*given)
 
         monkeypatch.setattr(store, "labelled", looking)
-        found = change_index.of(Sight(PODS, before, claimed), store)
+        found = change_index.of(ObservedChange(PODS, before, claimed), store)
         assert len(looks) == 1
         assert found.is_claim is bool(others)
         assert (Key("robotworkloads", "fleet", "w") in found.keys) is not bool(others)
@@ -209,23 +209,23 @@ class TestAffected:
     def test_a_claim_means_pool_and_workload(self) -> None:
         before = held_pod("spare-a", of=spare())
         after = at(pod("spare-a", labels={names.WORKLOAD: "v", names.POOL: "spare"}), 9)
-        found = self.keys(Sight(PODS, before, after))
+        found = self.keys(ObservedChange(PODS, before, after))
         assert {("fallbackpools", "spare"), ("robotworkloads", "v")} <= found
 
     def test_a_policys_new_spec_means_its_workloads(self) -> None:
-        assert self.keys(Sight(POLICIES, None, policy("hot"))) == {
+        assert self.keys(ObservedChange(POLICIES, None, policy("hot"))) == {
             ("failurepolicies", "policy"),
             ("robotworkloads", "w"),
         }
 
     def test_a_status_means_nothing_to_others(self) -> None:
         old, new = workload("w"), workload("w", status={"health": "Healthy"})
-        assert self.keys(Sight(WORKLOADS, old, new)) == {("robotworkloads", "w")}
+        assert self.keys(ObservedChange(WORKLOADS, old, new)) == {("robotworkloads", "w")}
 
     def test_what_a_workload_owns_means_the_workload(self) -> None:
         from tests.unit.controller.world import gate
 
-        found = self.keys(Sight(NETWORK_POLICIES, None, gate(workload())))
+        found = self.keys(ObservedChange(NETWORK_POLICIES, None, gate(workload())))
         assert ("robotworkloads", "w") in found
 
     def test_a_pod_of_a_referred_deployment_is_known_before_it_has_labels(self) -> None:
@@ -270,13 +270,13 @@ def test_what_was_observed_is_not_expected_any_more_though_its_answer_was_lost()
 
 
 def test_whoever_brings_a_change_it_is_noticed_once() -> None:
-    store, noticed = Store(), list[Sight]()
+    store, noticed = Store(), list[ObservedChange]()
     store.noticed = noticed.append
     store.put(PODS, at(pod("a"), 5))  # the answer to a write of ours
     store.put(PODS, at(pod("a"), 5))  # the watch
     store.replace(PODS, [at(pod("a"), 5)], 6, None)
     store.remove(PODS, at(pod("a"), 7))
-    assert [(sight.old is None, sight.new is None) for sight in noticed] == [(True, False), (False, True)]
+    assert [(change.old is None, change.new is None) for change in noticed] == [(True, False), (False, True)]
 
 
 def test_a_list_by_label_says_nothing_of_an_object_that_lost_the_label() -> None:

@@ -10,7 +10,7 @@ from understudy.api.conditions import Condition
 from understudy.api.kinds.failure_policy import StormGuard
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.status import policy_status, storm_detection, workload_status
 from understudy.failover.progress import Progress, rfc3339
 from understudy.kube.client import NETWORK_POLICIES, WORKLOADS, Object
@@ -122,15 +122,17 @@ def test_a_policy_with_a_guard_is_looked_at_when_a_workloads_health_is_another_a
     store.put(change_index.POLICIES, policy)
     key = Key("failurepolicies", world.NAMESPACE, "policy")
     well, failed = robot(0), robot(0, "Failed")
-    assert key not in change_index.keys(Sight(WORKLOADS, well, failed), store)
+    assert key not in change_index.keys(ObservedChange(WORKLOADS, well, failed), store)
     guarded = world.policy("Restart")
     guarded["spec"]["limits"] = {"stormGuard": {"percent": 40}}
     guarded["metadata"]["resourceVersion"] = "999"
     store.put(change_index.POLICIES, guarded)
-    assert key in change_index.keys(Sight(WORKLOADS, well, failed), store)
-    assert key not in change_index.keys(Sight(WORKLOADS, failed, failed), store)
+    assert key in change_index.keys(ObservedChange(WORKLOADS, well, failed), store)
+    assert key not in change_index.keys(ObservedChange(WORKLOADS, failed, failed), store)
     store.put(WORKLOADS, well)
     first = gate(well, Progress.begin("crashed", last_healthy=NOW - 1, detected=NOW))
-    assert key in change_index.keys(Sight(NETWORK_POLICIES, gate(well, None), first), store), "its gate tells first"
+    assert key in change_index.keys(ObservedChange(NETWORK_POLICIES, gate(well, None), first), store), (
+        "its gate tells first"
+    )
     opened = {**first, "spec": {"podSelector": {}}}
-    assert key not in change_index.keys(Sight(NETWORK_POLICIES, first, opened), store), "of the same recovery"
+    assert key not in change_index.keys(ObservedChange(NETWORK_POLICIES, first, opened), store), "of the same recovery"

@@ -33,7 +33,7 @@ from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import Rollouts
@@ -194,8 +194,8 @@ def test_of_a_pool_that_waits_for_what_holds_it_the_token_stays_and_is_nobody_s(
 
 
 def test_a_token_that_came_or_went_has_its_pool_looked_at() -> None:
-    for sight in (Sight(SECRETS, secret(), None), Sight(SECRETS, None, secret())):
-        assert change_index.keys(sight, Store()) == {Key(POOLS.plural, NAMESPACE, "spare")}
+    for change in (ObservedChange(SECRETS, secret(), None), ObservedChange(SECRETS, None, secret())):
+        assert change_index.keys(change, Store()) == {Key(POOLS.plural, NAMESPACE, "spare")}
 
 
 @pytest.mark.parametrize(

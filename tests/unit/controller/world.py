@@ -10,7 +10,7 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.desired import workload_objects
-from understudy.controller.desired.workload_plan import Understanding, understand
+from understudy.controller.desired.workload_plan import WorkloadPlan, understand
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.observation import Observed
 from understudy.controller.observed.workload_reference import Referred
@@ -279,7 +279,7 @@ class World:
             going=self.going,
         )
 
-    def understood(self) -> Understanding:
+    def understood(self) -> WorkloadPlan:
         return understand(self.observed(), IMAGES)
 
     def plan(self) -> Plan:

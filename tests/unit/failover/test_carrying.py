@@ -16,7 +16,7 @@ from understudy.failover.progress import Progress
 from understudy.kinematics.poses import Pose
 from understudy.state.pose_propagation import Carrier
 from understudy.state.state_capture import Key, Version
-from understudy.state.state_store import Shelf
+from understudy.state.state_store import StateStore
 
 ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped"
 START = 1_700_000_000.0
@@ -172,8 +172,8 @@ def test_time_that_was_not_watched_is_told(carrier: Carrier) -> None:
 
 def restarted(carrier: Carrier, folder: Path, state: State | None = None) -> Carrier:
     """What an earlier monitor's carrier is in the next one."""
-    Shelf(folder).save(carrier.packed(time.time()))
-    found: Mapping[Key, list[Version]] = Shelf(folder).load()
+    StateStore(folder).save(carrier.packed(time.time()))
+    found: Mapping[Key, list[Version]] = StateStore(folder).load()
     later = Carrier()
     later.follow(state or policy())
     later.adopt(found)

@@ -10,7 +10,7 @@ import pytest
 
 from understudy.state import state_store as module
 from understudy.state.state_capture import Key, Version
-from understudy.state.state_store import LARGE, Shelf
+from understudy.state.state_store import LARGE, StateStore
 
 POSE, MAP, NODE = Key("Topic", "/amcl_pose"), Key("Topic", "/map"), Key("Lifecycle", "/amcl")
 CHART = os.urandom(LARGE + 5)
@@ -28,16 +28,16 @@ def versions() -> dict[Key, list[Version]]:
 
 def test_what_was_saved_is_found_again(tmp_path: Path) -> None:
     kept = versions()
-    Shelf(tmp_path / "state").save(kept)
-    assert Shelf(tmp_path / "state").load() == kept
+    StateStore(tmp_path / "state").save(kept)
+    assert StateStore(tmp_path / "state").load() == kept
 
 
 def test_an_empty_shelf_has_nothing(tmp_path: Path) -> None:
-    assert Shelf(tmp_path / "none").load() == {}
+    assert StateStore(tmp_path / "none").load() == {}
 
 
 def test_large_messages_are_written_once_and_go_when_they_are_not_kept_any_more(tmp_path: Path) -> None:
-    shelf, kept = Shelf(tmp_path), versions()
+    shelf, kept = StateStore(tmp_path), versions()
     shelf.save(kept)
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.message")}
     assert len(before) == 2
@@ -49,10 +49,10 @@ def test_large_messages_are_written_once_and_go_when_they_are_not_kept_any_more(
 
 def test_a_new_process_knows_the_large_messages_that_are_there(tmp_path: Path) -> None:
     kept = versions()
-    Shelf(tmp_path).save(kept)
+    StateStore(tmp_path).save(kept)
     stray = tmp_path / f"{'0' * 64}.message"
     stray.write_bytes(b"of an index that was never written")
-    later = Shelf(tmp_path)
+    later = StateStore(tmp_path)
     assert later.load() == kept
     later.save({MAP: kept[MAP][1:]})
     assert [path.stat().st_size for path in tmp_path.glob("*.message")] == [LARGE]
@@ -60,36 +60,36 @@ def test_a_new_process_knows_the_large_messages_that_are_there(tmp_path: Path) -
 
 @pytest.mark.parametrize("place", [0, 10, 40, 200, -1])
 def test_a_damaged_file_counts_as_none(tmp_path: Path, place: int) -> None:
-    Shelf(tmp_path).save(versions())
+    StateStore(tmp_path).save(versions())
     raw = bytearray((tmp_path / "kept").read_bytes())
     raw[place] ^= 0xFF
     (tmp_path / "kept").write_bytes(raw)
-    assert Shelf(tmp_path).load() == {}
+    assert StateStore(tmp_path).load() == {}
 
 
 @pytest.mark.parametrize("length", [0, 3, 39, 60, 500])
 def test_a_torn_file_counts_as_none(tmp_path: Path, length: int) -> None:
-    Shelf(tmp_path).save(versions())
+    StateStore(tmp_path).save(versions())
     os.truncate(tmp_path / "kept", length)
-    assert Shelf(tmp_path).load() == {}
+    assert StateStore(tmp_path).load() == {}
 
 
 def test_only_the_damaged_message_is_left_out(tmp_path: Path) -> None:
     kept = versions()
-    Shelf(tmp_path).save(kept)
+    StateStore(tmp_path).save(kept)
     for path in tmp_path.glob("*.message"):
         if path.stat().st_size == LARGE:
             path.write_bytes(b"torn")
         else:
             assert path.read_bytes() == CHART
-    assert Shelf(tmp_path).load() == kept | {MAP: kept[MAP][:1]}
+    assert StateStore(tmp_path).load() == kept | {MAP: kept[MAP][:1]}
 
 
 def test_a_process_that_is_killed_while_it_saves_leaves_the_last_state(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = versions()
-    Shelf(tmp_path).save(kept)
+    StateStore(tmp_path).save(kept)
 
     def killed(source: Path, target: Path) -> None:
         raise KeyboardInterrupt
@@ -98,26 +98,26 @@ def test_a_process_that_is_killed_while_it_saves_leaves_the_last_state(
         with monkeypatch.context() as patch:
             patch.setattr(module.os, "replace", killed)
             with pytest.raises(KeyboardInterrupt):
-                Shelf(tmp_path).save({POSE: kept[POSE][:1], MAP: [Version(1.0, 1.0, os.urandom(2 * LARGE))]})
-        assert Shelf(tmp_path).load() == kept
+                StateStore(tmp_path).save({POSE: kept[POSE][:1], MAP: [Version(1.0, 1.0, os.urandom(2 * LARGE))]})
+        assert StateStore(tmp_path).load() == kept
         assert not list(tmp_path.glob("*.new"))
 
 
 def test_times_follow_the_clock_where_it_was_set_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = versions()
-    Shelf(tmp_path).save(kept)
+    StateStore(tmp_path).save(kept)
     real = time.time
     monkeypatch.setattr(module.time, "time", lambda: real() + 3600)
-    found = Shelf(tmp_path).load()
+    found = StateStore(tmp_path).load()
     assert [v.taken_at for v in found[POSE]] == pytest.approx([v.taken_at + 3600 for v in kept[POSE]], abs=1)
 
 
 def test_on_another_node_times_are_taken_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = versions()
-    Shelf(tmp_path).save(kept)
+    StateStore(tmp_path).save(kept)
     other = tmp_path / "boot"
     other.write_text("another\n")
     monkeypatch.setattr(module, "_BOOT", other)
     real = time.time
     monkeypatch.setattr(module.time, "time", lambda: real() + 3600)
-    assert Shelf(tmp_path).load() == kept
+    assert StateStore(tmp_path).load() == kept

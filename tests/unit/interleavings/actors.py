@@ -12,18 +12,18 @@ from typing import Any, cast
 import aiohttp
 
 from tests.unit.interleavings.apiserver import ApiServer
-from tests.unit.interleavings.blanks import BlackBox, Keeping, Readership
+from tests.unit.interleavings.blanks import BlackBox, Keeping, RobotReaders
 from tests.unit.interleavings.network import Network, SimulatedClient
 from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Killed, Process
-from tests.unit.interleavings.senses import Probes, Sidecars, Sight
+from tests.unit.interleavings.senses import AgentConnections, HealthObserver, Probes
 from understudy.api import names
 from understudy.controller.plan import Images
 from understudy.controller.pods.pool_pods import Fresh
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import Sight as Seen
+from understudy.controller.reconcile.object_store import HealthObserver as Seen
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
@@ -38,12 +38,12 @@ from understudy.kube.gates.base import GateRecord
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 from understudy.monitor.act.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.senses import Senses
@@ -110,15 +110,15 @@ class Monitor:
         self.fuse = Fuse(process, kill)
         self.wakeups = Wakeups()
         self.current = CurrentRecovery()
-        self._view: View | None = None
+        self._view: ClusterView | None = None
         self.notices: Notices | None = None
-        self.sidecars = self._make_sidecars(initializes=initializes)
+        self.agents = self._make_sidecars(initializes=initializes)
 
-    def _make_sidecars(self, *, initializes: bool) -> Sidecars:
-        return Sidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
+    def _make_sidecars(self, *, initializes: bool) -> AgentConnections:
+        return AgentConnections(self._robots, self.workload, self.fuse.step, initializes=initializes)
 
-    def _make_sight(self) -> Sight:
-        return Sight(self._robots, self.workload, self._look_at_gate)
+    def _make_sight(self) -> HealthObserver:
+        return HealthObserver(self._robots, self.workload, self._look_at_gate)
 
     def _make_probes(self) -> Probes:
         return Probes(self._robots, self.workload)
@@ -131,17 +131,17 @@ class Monitor:
         """As ``understudy.monitor.process`` puts it together."""
         client = self._network.client(self.process)
         async with asyncio.TaskGroup() as group:
-            view = self._view = View(client, NAMESPACE, self.workload, self.wakeups)
+            view = self._view = ClusterView(client, NAMESPACE, self.workload, self.wakeups)
             await view.run(group)
             notices = self.notices = Notices(PublishedStatus.adopt(view.object))
-            fleet = Fleet(client, view, self.fuse, notices)
+            fleet = PodControl(client, view, self.fuse, notices)
             probes = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse, notices)
             roles = InstanceRoles(view, gate, self.current)
-            sidecars, sight = cast(Any, self.sidecars), cast(Any, self._make_sight())
+            agents, observer = cast(Any, self.agents), cast(Any, self._make_sight())
             parts = Parts(
                 cluster=Cluster(view, fleet, gate),
-                senses=Senses(sight, sidecars, probes, cast(Any, Readership()), roles, self.wakeups),
+                senses=Senses(observer, agents, probes, cast(Any, RobotReaders()), roles, self.wakeups),
                 keeping=cast(Any, Keeping()),
                 journal=RecoveryJournal(Journal(self._journal), self.fuse),
                 black_box=cast(Any, BlackBox()),
@@ -237,8 +237,8 @@ class OperatorProcess:
         """Resources whose watch says nothing any more, without an error."""
         self._told_to_end = network.loop.create_future()
 
-    def _enqueue(self, sight: Seen) -> None:
-        for key in sorted(change_index.keys(sight, self._store)):  # a set's order differs from run to run
+    def _enqueue(self, observer: Seen) -> None:
+        for key in sorted(change_index.keys(observer, self._store)):  # a set's order differs from run to run
             self._operator._add(key)
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:

@@ -18,7 +18,7 @@ class BlackBox:
     end = begin
 
 
-class Readership:
+class RobotReaders:
     """Every reader of the robot is behind the gate."""
 
     ungated = ""

@@ -100,7 +100,7 @@ class Reflexive(Simulation):
             process, self.network, self.mine, workload, journal, self.kill, self._broken, initializes=False
         )
         invariants = cast(ReflexInvariants, self.invariants)
-        cast(ReflexSidecars, made.sidecars).shut_out = functools.partial(invariants.shut_out, workload)
+        cast(ReflexSidecars, made.agents).shut_out = functools.partial(invariants.shut_out, workload)
         return made
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:

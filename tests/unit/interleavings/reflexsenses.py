@@ -13,7 +13,7 @@ from tests.unit.interleavings.ownership import PERIOD, Reader
 from tests.unit.interleavings.reflexrobots import ReflexRobots
 from tests.unit.interleavings.robots import Robots, Running
 from tests.unit.interleavings.scheduling import Process
-from tests.unit.interleavings.senses import GAP, Outputs, Probes, Sidecars, Sight
+from tests.unit.interleavings.senses import GAP, AgentConnections, HealthObserver, Outputs, Probes
 from understudy.agent.control_channel import Peer
 from understudy.api.protocol.agent_messages import SILENCE, AgentStatus
 from understudy.failover.interfaces import Instance
@@ -23,7 +23,7 @@ from understudy.monitor.loop import Parts
 from understudy.monitor.observe.agent_connections import ANSWER_LATE
 
 
-class ReflexSight(Sight):
+class ReflexSight(HealthObserver):
     """What a monitor's reader takes."""
 
     def __init__(self, robots: ReflexRobots, workload: str, looked: Callable[[], None], reader: Reader) -> None:
@@ -84,7 +84,7 @@ class ReflexProbes(Probes):
         return super().last(uid) if self._reached(uid) else None
 
 
-class ReflexSidecars(Sidecars):
+class ReflexSidecars(AgentConnections):
     """Agents that say how strong their instances are, and are told who may let them go on."""
 
     def __init__(self, *given: Any, **more: Any) -> None:
@@ -148,10 +148,10 @@ class ReflexMonitor(Monitor):
         self.reader = robots.watch(process, workload)
         super().__init__(process, network, robots, workload, *rest, **more)
 
-    def _make_sidecars(self, *, initializes: bool) -> Sidecars:
+    def _make_sidecars(self, *, initializes: bool) -> AgentConnections:
         return ReflexSidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
 
-    def _make_sight(self) -> Sight:
+    def _make_sight(self) -> HealthObserver:
         return ReflexSight(cast(ReflexRobots, self._robots), self.workload, self._look_at_gate, self.reader)
 
     def _make_probes(self) -> Probes:
@@ -159,14 +159,14 @@ class ReflexMonitor(Monitor):
 
     def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
         graph: Any = SimpleNamespace(subscribers=lambda topic: ())  # the robot is known by its address
-        permits = Permits(parts.cluster, parts.senses.sidecars, graph, self.current, self.wakeups, parts.notices)
+        permits = Permits(parts.cluster, parts.senses.agents, graph, self.current, self.wakeups, parts.notices)
 
         def believed(uid: str) -> bool:
             state, recovering = parts.cluster.gate.state, self.current.progress
             lost = recovering is not None and recovering.taken_over is not None and recovering.has_failed(uid)
             return uid in (state.active_uid, state.admitted_uid) and not lost
 
-        cast(ReflexSidecars, self.sidecars).believed = believed
+        cast(ReflexSidecars, self.agents).believed = believed
 
         group.create_task(permits.run())
 

@@ -23,7 +23,7 @@ GRACE = 5.0
 TOPIC = "/cmd_vel"
 
 
-class Sight:
+class HealthObserver:
     """What arrives at the gated readers of one robot."""
 
     graph = None
@@ -123,7 +123,7 @@ class Probes(Proof):
         return self._robots.now if found is not None and found.routed_at is not None else None
 
 
-class Sidecars:
+class AgentConnections:
     """The agents of a workload's instances."""
 
     def __init__(self, robots: Robots, workload: str, step: Callable[[str], None], *, initializes: bool) -> None:

@@ -289,7 +289,7 @@ class Simulation:
         process = self.loop.process(f"monitor-{next(self._incarnations)} of {workload}")
         file = self._folder / f"{self.outcome.seed}-{workload}-{journal}.json"
         monitor = self._make_monitor(process, workload, file)
-        monitor.sidecars.started = lambda instance: self.invariants.started(
+        monitor.agents.started = lambda instance: self.invariants.started(
             workload, instance.uid, (NAMESPACE, instance.name)
         )
         self.monitors.append(monitor)

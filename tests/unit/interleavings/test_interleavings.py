@@ -27,7 +27,7 @@ from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
 from understudy.kube.leader_election import Lease
 from understudy.monitor.act.abandonment import Abandonment
-from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.act.garbage_collection import GarbageCollection
 from understudy.monitor.report.status_writer import StatusWriter
 
 REPOSITORY = Path(__file__).parents[3]
@@ -150,7 +150,7 @@ def test_forgotten_expectations_are_found() -> None:
 def test_a_claim_whose_lost_answer_is_taken_for_a_refusal_is_found() -> None:
     with (
         mock.patch.object(claims, "_unanswered", return_value=False),
-        mock.patch.object(Leftovers, "housekeeping"),
+        mock.patch.object(GarbageCollection, "housekeeping"),
     ):
         assert found("nobody deletes it", SHARED, "all_fail", weather=3.0)
 

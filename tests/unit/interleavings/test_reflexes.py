@@ -26,7 +26,7 @@ from understudy.failover.interfaces import Instance
 from understudy.kube.client import Client, Object
 from understudy.kube.gates.network_policy import GATE
 from understudy.monitor.act import permits
-from understudy.monitor.act.reflex_guard import Reflexes
+from understudy.monitor.act.reflex_guard import ReflexGuard
 
 FIRST, RUNS, CHUNK = 1_100_000, 80, 16
 """Seeds that scripts/bench doesn't run by itself."""
@@ -167,11 +167,11 @@ def test_an_instance_that_is_cut_off_and_not_held_is_found() -> None:
 
 
 def test_a_standby_that_is_stronger_than_who_drives_is_found() -> None:
-    def strength(self: Reflexes, instance: Instance) -> tuple[int, int]:
+    def strength(self: ReflexGuard, instance: Instance) -> tuple[int, int]:
         at = STRONGEST if instance.uid == self._gate.state.active_uid else 0
         return at, at
 
-    with mock.patch.object(Reflexes, "_strength", strength):
+    with mock.patch.object(ReflexGuard, "_strength", strength):
         assert found("which is no stronger", ALONE, "understudy_fails", "one_fails", "all_fail", within=200)
 
 

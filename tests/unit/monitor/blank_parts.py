@@ -29,7 +29,7 @@ async def meanwhile() -> AsyncIterator[None]:
     yield
 
 
-def sight(**more: Any) -> Any:
+def observer(**more: Any) -> Any:
     """What is seen of a robot of which nothing is heard."""
     blind = dict.fromkeys(("drain", "follow", "outputs", "last_from", "last_well"), nothing)
     return SimpleNamespace(**({"graph": None, "coming": None} | blind | more))
@@ -40,12 +40,12 @@ def blank_parts(*, view: Any, pods: Any = None, gate: Any = None, **replaced: An
     pods = pods or SimpleNamespace(of_workload=list, find=nothing)
     gate = gate or SimpleNamespace(state=GateState(), exists=True, left_by=nothing)
     roles = InstanceRoles(view, gate, CurrentRecovery())
-    sidecars: Any = SimpleNamespace(status=nothing, follow=nothing)
+    agents: Any = SimpleNamespace(status=nothing, follow=nothing)
     journal: Any = SimpleNamespace(save=nothing, clear=nothing, given_up=list, give_up=nothing)
     crash_points: Any = SimpleNamespace(step=nothing)
     senses = Senses(
-        replaced.pop("sight", None) or sight(),
-        replaced.pop("sidecars", sidecars),
+        replaced.pop("observer", None) or observer(),
+        replaced.pop("agents", agents),
         replaced.pop("probes", SimpleNamespace()),
         replaced.pop("readership", SimpleNamespace(ungated="")),
         roles,

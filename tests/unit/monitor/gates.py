@@ -15,7 +15,7 @@ from understudy.kube.gates.base import Proof
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 
 class Packets(Proof):
@@ -28,7 +28,7 @@ class Packets(Proof):
         return self._last.get(uid)
 
 
-async def gate(client: MemoryClient, found: View, tmp_path: Path, active: Instance | None = None) -> GateControl:
+async def gate(client: MemoryClient, found: ClusterView, tmp_path: Path, active: Instance | None = None) -> GateControl:
     """One at epoch 4, which says that it is open for a pod where one is given."""
     annotations = {names.EPOCH: "4"}
     if active is not None:

@@ -11,7 +11,7 @@ from typing import IO
 import pytest
 
 from understudy.api.kinds.recording_spec import Recording
-from understudy.monitor.report.recording_archive import Archive, TooBig
+from understudy.monitor.report.recording_archive import RecordingArchive, TooBig
 
 
 def recording(number: int) -> Recording:
@@ -31,7 +31,9 @@ def of(size: int) -> Callable[[IO[bytes]], int]:
     return write
 
 
-def keep(archive: Archive, number: int, size: int = 1000, *, most: int = 5, most_bytes: int = 100_000) -> Recording:
+def keep(
+    archive: RecordingArchive, number: int, size: int = 1000, *, most: int = 5, most_bytes: int = 100_000
+) -> Recording:
     return archive.keep(recording(number), of(size), most=most, most_bytes=most_bytes)
 
 
@@ -40,33 +42,33 @@ def names(folder: Path) -> list[str]:
 
 
 def test_a_recording_is_told_of_with_its_size_and_checksum(tmp_path: Path) -> None:
-    archive = Archive(tmp_path / "recordings")
+    archive = RecordingArchive(tmp_path / "recordings")
     assert not archive.recordings
     assert not (tmp_path / "recordings").exists(), "nothing is made before something fails"
     kept = keep(archive, 1)
     assert (kept.messages, kept.size, kept.sha256) == (10, 1000, hashlib.sha256(b"x" * 1000).hexdigest())
     assert archive.path(kept).read_bytes() == b"x" * 1000
-    assert Archive(tmp_path / "recordings").recordings == archive.recordings == [kept]
+    assert RecordingArchive(tmp_path / "recordings").recordings == archive.recordings == [kept]
 
 
 def test_the_oldest_goes_first_by_number(tmp_path: Path) -> None:
-    archive = Archive(tmp_path)
+    archive = RecordingArchive(tmp_path)
     for number in range(1, 6):
         keep(archive, number, most=3)
     assert [one.number for one in archive.recordings] == [5, 4, 3]
     assert names(tmp_path) == ["id3.json", "id3.mcap", "id4.json", "id4.mcap", "id5.json", "id5.mcap"]
-    assert [one.number for one in Archive(tmp_path).recordings] == [5, 4, 3]
+    assert [one.number for one in RecordingArchive(tmp_path).recordings] == [5, 4, 3]
 
 
 def test_the_oldest_goes_first_by_size(tmp_path: Path) -> None:
-    archive = Archive(tmp_path)
+    archive = RecordingArchive(tmp_path)
     for number, size in enumerate((4000, 3000, 2000, 5000), 1):
         keep(archive, number, size, most_bytes=9000)
     assert [one.number for one in archive.recordings] == [4, 3]
 
 
 def test_one_that_is_more_than_all_may_be_costs_no_other(tmp_path: Path) -> None:
-    archive = Archive(tmp_path)
+    archive = RecordingArchive(tmp_path)
     keep(archive, 1)
     with pytest.raises(TooBig, match=r"it has 9000 bytes, and blackBox.maxSize is 5000"):
         keep(archive, 2, 9000, most_bytes=5000)
@@ -75,7 +77,7 @@ def test_one_that_is_more_than_all_may_be_costs_no_other(tmp_path: Path) -> None
 
 
 def test_a_full_disk_leaves_nothing_behind_and_the_others_as_they_were(tmp_path: Path) -> None:
-    archive = Archive(tmp_path)
+    archive = RecordingArchive(tmp_path)
     keep(archive, 1, most=1)
 
     def full(file: IO[bytes]) -> int:
@@ -92,24 +94,24 @@ def test_a_full_disk_leaves_nothing_behind_and_the_others_as_they_were(tmp_path:
 
 def test_a_folder_that_cant_be_made(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    archive = Archive(tmp_path / "file" / "recordings")
+    archive = RecordingArchive(tmp_path / "file" / "recordings")
     assert not archive.recordings
     with pytest.raises(OSError, match="Not a directory"):
         keep(archive, 1)
 
 
 def test_what_a_killed_monitor_had_begun_is_removed(tmp_path: Path) -> None:
-    keep(Archive(tmp_path), 1)
+    keep(RecordingArchive(tmp_path), 1)
     (tmp_path / "id2.mcap.new").write_bytes(b"half")
     (tmp_path / "id3.json").write_text(recording(3).model_dump_json())  # it was killed between the two
     (tmp_path / "id4.json").write_text("{")
     (tmp_path / "id4.mcap").write_bytes(b"?")
-    assert [one.number for one in Archive(tmp_path).recordings] == [1]
+    assert [one.number for one in RecordingArchive(tmp_path).recordings] == [1]
     assert names(tmp_path) == ["id1.json", "id1.mcap"]
 
 
 def test_no_recording_lies_elsewhere_whatever_its_id(tmp_path: Path) -> None:
-    archive = Archive(tmp_path / "recordings")
+    archive = RecordingArchive(tmp_path / "recordings")
     evil = recording(1).model_copy(update={"id": "../../evil"})
     archive.keep(evil, of(100), most=1, most_bytes=1000)
     assert names(tmp_path) == ["recordings"]

@@ -50,7 +50,7 @@ async def recorded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     keep_to_itself(monkeypatch)
     monkeypatch.setattr(module, "AFTER", 0.3)
     monitored = Monitored(tmp_path / "recordings")
-    node = monitored.sight.graph.node
+    node = monitored.observer.graph.node
     node.destroy_publisher(monitored.publisher)
     monitored.publisher = node.create_publisher(Twist, "/cmd_vel", LATCHED)
     running = asyncio.create_task(monitored.box.run())
@@ -61,7 +61,7 @@ async def recorded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     await monitored.driven(5)
     await monitored.recorded()
     running.cancel()
-    monitored.sight.graph.close()
+    monitored.observer.graph.close()
     return monitored.archive.path(monitored.archive.recordings[0])
 
 

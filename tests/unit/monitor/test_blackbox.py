@@ -27,10 +27,10 @@ from understudy.api.kinds.robot_workload import GateStatus, RobotWorkloadSpec
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.report import black_box as module
 from understudy.monitor.report.black_box import BlackBox
-from understudy.monitor.report.recording_archive import Archive
+from understudy.monitor.report.recording_archive import RecordingArchive
 from understudy.process.http_pages import serve
 
 pytestmark = pytest.mark.ros
@@ -76,17 +76,17 @@ class Monitored:
     """A monitor's black box, a real node that commands beside it, and what the monitor's loop does with both."""
 
     def __init__(self, folder: Path) -> None:
-        self.sight, self.cluster = Sight(), Cluster()
+        self.observer, self.cluster = HealthObserver(), Cluster()
         self.said = RecordedNotices(PublishedStatus(health="Healthy", active="a", gate=GateStatus(epoch=3)))
         pods = SimpleNamespace(items={"a": {"metadata": {"name": "a"}}})
         self.view: Any = SimpleNamespace(
             namespace="fleet", workload="robot-1", policy=policy(BOX), pods=pods, client=self.cluster
         )
-        self.archive = Archive(folder)
-        self.box = BlackBox(self.view, self.sight, self.said, self.archive)
-        self.publisher = self.sight.graph.node.create_publisher(Twist, "/cmd_vel", 10)
+        self.archive = RecordingArchive(folder)
+        self.box = BlackBox(self.view, self.observer, self.said, self.archive)
+        self.publisher = self.observer.graph.node.create_publisher(Twist, "/cmd_vel", 10)
         self.sent: list[bytes] = []
-        self.sight.follow(self.view.policy, SPEC)
+        self.observer.follow(self.view.policy, SPEC)
 
     def drive(self, speed: float) -> None:
         message = Twist()
@@ -98,8 +98,8 @@ class Monitored:
         """As the monitor's loop does."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            self.sight.drain([], "")
-            self.sight.verdict(now=time.time(), since=time.time())
+            self.observer.drain([], "")
+            self.observer.verdict(now=time.time(), since=time.time())
             await asyncio.sleep(0.02)
 
     async def driven(self, count: int = 20) -> None:
@@ -113,7 +113,7 @@ class Monitored:
 
     @property
     def received(self) -> int:
-        record = self.sight.observations.topic("/cmd_vel")
+        record = self.observer.observations.topic("/cmd_vel")
         return record.count if record is not None else 0
 
     def fail(self, **more: Any) -> Progress:
@@ -149,7 +149,7 @@ def made(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Monitored]
     monkeypatch.setattr(module, "AFTER", 0.3)
     monitored = Monitored(tmp_path / "recordings")
     yield monitored
-    monitored.sight.graph.close()
+    monitored.observer.graph.close()
 
 
 @pytest.fixture

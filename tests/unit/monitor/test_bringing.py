@@ -185,12 +185,12 @@ class Fleet:
 
 @pytest.fixture
 def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    found = SimpleNamespace(fleet=Fleet(), sidecars=Sidecars(), notices=RecordedNotices(), clock=1000.0)
+    found = SimpleNamespace(fleet=Fleet(), agents=Sidecars(), notices=RecordedNotices(), clock=1000.0)
     found.notices.set(health="Healthy")
     found.roles = InstanceRoles(None, None, CurrentRecovery())  # type: ignore[arg-type]
-    found.bringing = Bringing(found.fleet, found.sidecars, found.roles, found.notices)  # type: ignore[arg-type]
+    found.bringing = Bringing(found.fleet, found.agents, found.roles, found.notices)  # type: ignore[arg-type]
     monkeypatch.setattr(standby_lifecycle, "time", SimpleNamespace(monotonic=lambda: found.clock))
-    found.sidecars.brought["uid-1"] = "up:x:0"
+    found.agents.brought["uid-1"] = "up:x:0"
 
     async def look(*instances: Instance, **more: Any) -> None:
         found.bringing.housekeeping(
@@ -212,12 +212,12 @@ async def test_each_instance_is_brought_there_once(world: SimpleNamespace) -> No
     await world.look()
     assert world.notices.conditions["BroughtUp"][:2] == ("Unknown", "UnderWay")
     await world.look()
-    assert world.sidecars.ran == [("w-3", "initialization")]
+    assert world.agents.ran == [("w-3", "initialization")]
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
 async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespace) -> None:
-    world.sidecars.fails = "initialization.set_lifecycle: node /nav did not configure"
+    world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     await world.look()
     await world.look()
     assert world.notices.conditions["BroughtUp"] == (
@@ -226,10 +226,10 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
         "w-3: initialization.set_lifecycle: node /nav did not configure. Correct spec.initialization of FallbackPool warm, "
         "or what it waits for there; it is tried again.",
     )
-    assert len(world.sidecars.ran) == 1
+    assert len(world.agents.ran) == 1
     world.clock += standby_lifecycle.RETRY_FIRST
     await world.look()
-    assert len(world.sidecars.ran) == 2
+    assert len(world.agents.ran) == 2
     assert world.notices.reasons == ["NotBroughtUp"]
 
 
@@ -237,12 +237,12 @@ OTHER = Procedure(yaml={"wait_for": {"node": "/nav"}}, within="7s")
 
 
 async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corrects(world: SimpleNamespace) -> None:
-    world.sidecars.ready["uid-3"] = False
-    world.sidecars.fails = "initialization.set_lifecycle: node /nav did not configure"
+    world.agents.ready["uid-3"] = False
+    world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     for _ in range(4):  # the wait for the next try grows
         await world.look()
         world.clock += standby_lifecycle.RETRY_MOST
-    world.sidecars.fails = ""
+    world.agents.fails = ""
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
     assert "did not configure" not in world.notices.conditions["BroughtUp"][2]
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
@@ -250,23 +250,23 @@ async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corr
 
 
 async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corrected(world: SimpleNamespace) -> None:
-    world.sidecars.endless = 3600.0
+    world.agents.endless = 3600.0
     endless = WARM.model_copy(update={"initialization": INIT.model_copy(update={"within": "1h"})})
     await world.look(pool=endless)
     await world.look(pool=endless)
-    assert len(world.sidecars.ran) == 1
+    assert len(world.agents.ran) == 1
     await world.look()
     await world.look()
-    assert len(world.sidecars.ran) == 2
+    assert len(world.agents.ran) == 2
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
 async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_procedure(world: SimpleNamespace) -> None:
     await world.look()
     await world.look()
-    world.sidecars.ready["uid-3"] = False
+    world.agents.ready["uid-3"] = False
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
-    assert world.sidecars.ran == [("w-3", "initialization")]
+    assert world.agents.ran == [("w-3", "initialization")]
     assert world.roles.was_ready(STANDBY)
 
 
@@ -287,9 +287,9 @@ def test_what_was_brought_elsewhere_or_was_started_again_since_is_initialized(be
 
 
 async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(world: SimpleNamespace) -> None:
-    world.sidecars.brought["uid-3"] = "init:other:0"
+    world.agents.brought["uid-3"] = "init:other:0"
     await world.look()
-    assert world.sidecars.ran == []
+    assert world.agents.ran == []
     status, _, message = world.notices.conditions["BroughtUp"]
     assert status == "True"
     assert "w-3 as an earlier procedure left it: delete the pod" in message
@@ -298,7 +298,7 @@ async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(wor
 async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: SimpleNamespace) -> None:
     await world.look()
     await world.look()
-    world.sidecars.ready["uid-3"] = False
+    world.agents.ready["uid-3"] = False
     await world.look()
     world.clock += standby_lifecycle.LOST_FOR - 0.1
     await world.look()
@@ -313,12 +313,12 @@ async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_report
 
 async def test_a_standby_that_comes_back_stays(world: SimpleNamespace) -> None:
     await world.look()
-    world.sidecars.ready["uid-3"] = False
+    world.agents.ready["uid-3"] = False
     await world.look()
-    world.sidecars.ready["uid-3"] = True
+    world.agents.ready["uid-3"] = True
     world.clock += standby_lifecycle.LOST_FOR
     await world.look()
-    world.sidecars.ready["uid-3"] = False
+    world.agents.ready["uid-3"] = False
     await world.look()
     assert world.fleet.retired == []
 
@@ -326,7 +326,7 @@ async def test_a_standby_that_comes_back_stays(world: SimpleNamespace) -> None:
 async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(world: SimpleNamespace) -> None:
     """The reason may be the robot, whose sensors are silent for all of them."""
     await world.look()
-    world.sidecars.ready["uid-3"] = False
+    world.agents.ready["uid-3"] = False
     world.notices.set(health="Failed")
     for _ in range(3):
         await world.look()
@@ -335,7 +335,7 @@ async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(worl
 
 
 async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: SimpleNamespace) -> None:
-    world.sidecars.ready["uid-3"] = False
+    world.agents.ready["uid-3"] = False
     for _ in range(3):
         await world.look()
         world.clock += standby_lifecycle.LOST_FOR
@@ -392,7 +392,7 @@ async def test_a_procedure_that_can_not_be_read_fails_with_its_place() -> None:
     )
     assert procedure is not None
     with pytest.raises(NotVerified) as failure:
-        await agent_connections.Sidecars.run(
+        await agent_connections.AgentConnections.run(
             SimpleNamespace(), STANDBY, procedure, within=1.0, state=KeptState(), brought=""
         )  # type: ignore[arg-type]
     assert str(failure.value) == (

@@ -12,9 +12,9 @@ from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor.decide.budget_spending import Spending
+from understudy.monitor.decide.budget_spending import BudgetSpending
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 BUDGET = {"recoveries": 2, "within": "10m"}
 
@@ -31,7 +31,7 @@ class World:
         self.item: dict[str, Any] = {"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}}
         self.view = SimpleNamespace(policy=policy(budget=BUDGET), object=self.item, namespace="fleet", workload="w")
         self.notices = RecordedNotices(PublishedStatus.adopt({"status": status or {}}))
-        self.spending = Spending(cast(View, self.view), self.notices)
+        self.spending = BudgetSpending(cast(ClusterView, self.view), self.notices)
 
     def recover(
         self, at: float, result: Literal["Verified", "NotVerified", "NotAvailable"] = "Verified", **more: Any

@@ -24,7 +24,7 @@ from understudy.api.kinds.state_spec import RestoredState, State
 from understudy.api.protocol.kept_state import Motion
 from understudy.monitor.act import state_keeping as module
 from understudy.ros.runtime.graph_node import Graph
-from understudy.state.state_store import Shelf
+from understudy.state.state_store import StateStore
 
 pytestmark = pytest.mark.ros
 
@@ -172,7 +172,7 @@ async def test_it_outlasts_the_monitor(monitor: Monitor, robot: Robot, graph: Gr
         later.keeping._odometry.close()
         return found is not None and found.then == wanted.then
 
-    await monitor.until(lambda: Shelf(tmp_path).load() and persisted())
+    await monitor.until(lambda: StateStore(tmp_path).load() and persisted())
 
 
 async def test_a_pose_that_can_not_be_carried_is_told(

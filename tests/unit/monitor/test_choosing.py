@@ -13,7 +13,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import Object
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 
@@ -23,7 +23,7 @@ def followed(policy: Object) -> list[Choice]:
     made.own(cluster.gate(made.workload))
     made.held_policies = {"spare": {"metadata": {"annotations": {names.TEMPLATE_HASH: "h"}}}}
     settings = cluster.applied(made.plan(), "configmaps")[names.settings("w")]
-    view = View(None, cluster.NAMESPACE, "w", Wakeups())  # type: ignore[arg-type]
+    view = ClusterView(None, cluster.NAMESPACE, "w", Wakeups())  # type: ignore[arg-type]
     view.workloads = SimpleNamespace(revision=1, items={"w": made.workload})  # type: ignore[assignment]
     view.policies = SimpleNamespace(items={"policy": policy})  # type: ignore[assignment]
     view.settings_maps = SimpleNamespace(revision=1, items={names.settings("w"): settings})  # type: ignore[assignment]

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.notices import RecordedNotices
 from tests.unit.kube.memory import MemoryClient
-from tests.unit.monitor.blank_parts import blank_parts, sight
+from tests.unit.monitor.blank_parts import blank_parts, observer
 from tests.unit.monitor.gates import gate
 from tests.unit.monitor.test_waiting import view
 from understudy.api import names
@@ -374,7 +374,7 @@ class Held:
 
 def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None = None) -> MonitorLoop:
     verdict = Verdict(cast(Any, state), "no /plan for 500 ms", "plan", NOW)
-    seen = sight(
+    seen = observer(
         verdict=lambda now, since: verdict,
         wellness=lambda now, since: verdict,
         deadline=lambda now, since: None,
@@ -383,7 +383,7 @@ def supervising(dependencies: Held, state: str = "Failed", pod: Instance | None 
         view=SimpleNamespace(policy=POLICY, settings=settings(), spec=spec(), object=None),
         pods=SimpleNamespace(find=lambda uid: pod),
         gate=SimpleNamespace(state=GateState(epoch=3, active="planning-1", active_uid="uid-1"), exists=True),
-        sight=seen,
+        observer=seen,
         notices=RecordedNotices(),
     )
     watching = MonitorLoop(parts)

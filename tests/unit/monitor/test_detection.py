@@ -11,19 +11,19 @@ import pytest
 
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.failover.interfaces import GateState, Instance
-from understudy.monitor.judge.failure_detection import Detector
+from understudy.monitor.judge.failure_detection import FailureDetector
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import load_monitoring
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 
 
-def detector(*instances: Instance, last_output: float | None = None) -> Detector:
+def detector(*instances: Instance, last_output: float | None = None) -> FailureDetector:
     fleet: Any = SimpleNamespace(of_workload=lambda: instances)
     gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"))
-    sight: Any = SimpleNamespace(last_from=lambda pod: last_output, last_well=lambda pod: last_output)
-    sidecars: Any = SimpleNamespace()
-    return Detector(fleet, gate, sidecars, sight)
+    observer: Any = SimpleNamespace(last_from=lambda pod: last_output, last_well=lambda pod: last_output)
+    agents: Any = SimpleNamespace()
+    return FailureDetector(fleet, gate, agents, observer)
 
 
 def test_a_pod_that_is_evicted_from_a_lost_node_is_not_lost_while_it_lives() -> None:
@@ -61,11 +61,11 @@ def test_what_fails_after_the_clock_was_set_back_is_noticed_in_the_usual_time() 
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})
     tree, record = load_monitoring(monitoring), TopicRecord()
     judging = detector()
-    sight: Any = SimpleNamespace(
+    observer: Any = SimpleNamespace(
         verdict=lambda now, since: tree.evaluate(RecordedObservations({"/cmd_vel": record}), now=now, since=since)
     )
-    judging._sight = sight
-    judging._sidecars = cast(Any, SimpleNamespace(status=lambda _: None))
+    judging._observer = observer
+    judging._agents = cast(Any, SimpleNamespace(status=lambda _: None))
     before = judging.since
     tree.begin(before)
     record.add(before + 5)

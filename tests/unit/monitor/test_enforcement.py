@@ -13,7 +13,7 @@ from tests.support.notices import RecordedNotices
 from tests.unit.monitor.gates import Packets
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge import gate_enforcement
-from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT, Enforcement, judge
+from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT, GateEnforcement, judge
 from understudy.monitor.notices import Notices
 
 NOW = 1000.0
@@ -96,7 +96,7 @@ def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once
     told = RecordedNotices()
     clock = [NOW]
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
-    enforced = Enforcement(gate, probes, told, Readers())
+    enforced = GateEnforcement(gate, probes, told, Readers())
     enforced.look(NOW)
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
     assert (found[1], told.conditions) == ("Settling", {})
@@ -122,7 +122,7 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
     monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
     told = RecordedNotices()
     readers = Readers()
-    enforced = Enforcement(gate, probes, told, readers)
+    enforced = GateEnforcement(gate, probes, told, readers)
     enforced.look(NOW)
     clock[0] = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
@@ -141,7 +141,7 @@ def test_after_the_clock_was_set_back_it_is_judged_as_before(monkeypatch: pytest
     probes = Packets(last)
     clock = [NOW + 3600.0]
     monkeypatch.setattr(time, "time", lambda: clock[0])
-    enforced = Enforcement(gate, probes, Notices(), Readers())
+    enforced = GateEnforcement(gate, probes, Notices(), Readers())
     enforced.look(NOW + 3600)
     clock[0] = NOW
     enforced.look(NOW)

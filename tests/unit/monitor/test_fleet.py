@@ -12,7 +12,7 @@ from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import ApiError
-from understudy.monitor.act.pod_control import Fleet, instance_of
+from understudy.monitor.act.pod_control import PodControl, instance_of
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
 
@@ -96,10 +96,10 @@ class Controller(MemoryClient):
         self.done.append(what[method]())
 
 
-def fleet(client: Controller, steps: Path) -> Fleet:
+def fleet(client: Controller, steps: Path) -> PodControl:
     settings = SimpleNamespace(source_kind="ReplicaSet", source_name="w", pools=())
     view: Any = SimpleNamespace(settings=settings, namespace="fleet", pods_revision=(0, 0), all_pods=lambda: [])
-    return Fleet(client, view, CrashPoints(steps), Notices())
+    return PodControl(client, view, CrashPoints(steps), Notices())
 
 
 @pytest.mark.parametrize(

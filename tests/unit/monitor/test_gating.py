@@ -14,7 +14,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 FAILED = Instance(name="w-1", uid="u1")
@@ -29,7 +29,7 @@ def recovery(failed: Instance = FAILED) -> Progress:
 
 
 async def by_another(
-    client: MemoryClient, found: View, pod: Instance | None, *, noticed: bool = True, kept: bool = False
+    client: MemoryClient, found: ClusterView, pod: Instance | None, *, noticed: bool = True, kept: bool = False
 ) -> None:
     """Another writer commits, such as a second monitor or who fences by hand; this monitor's watch brings it, or hasn't yet.
 
@@ -49,11 +49,13 @@ def client() -> MemoryClient:
 
 
 @pytest.fixture
-def found(client: MemoryClient) -> View:
-    return View(client, "fleet", "w", Wakeups())
+def found(client: MemoryClient) -> ClusterView:
+    return ClusterView(client, "fleet", "w", Wakeups())
 
 
-async def test_a_recovery_commits_over_its_own_closing(client: MemoryClient, found: View, tmp_path: Path) -> None:
+async def test_a_recovery_commits_over_its_own_closing(
+    client: MemoryClient, found: ClusterView, tmp_path: Path
+) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await gate.commit(None, progress)
     await gate.commit(STANDBY, progress)
@@ -64,7 +66,7 @@ async def test_a_recovery_commits_over_its_own_closing(client: MemoryClient, fou
 @pytest.mark.parametrize("noticed", [True, False])
 @pytest.mark.parametrize("other", [THIRD, None])
 async def test_what_somebody_else_committed_since_is_not_undone(
-    client: MemoryClient, found: View, tmp_path: Path, other: Instance | None, noticed: bool, kept: bool
+    client: MemoryClient, found: ClusterView, tmp_path: Path, other: Instance | None, noticed: bool, kept: bool
 ) -> None:
     """Else a pod that drives would be shut out with nobody to delete it, or one that a person has fenced be let through."""
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
@@ -76,7 +78,7 @@ async def test_what_somebody_else_committed_since_is_not_undone(
 
 
 async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
-    client: MemoryClient, found: View, tmp_path: Path
+    client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await by_another(client, found, THIRD)
@@ -87,7 +89,7 @@ async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
 
 @pytest.mark.parametrize("what", ["target", "former", "taken_over"])
 async def test_a_recovery_that_is_taken_up_goes_on_with_the_pod_it_is_about(
-    client: MemoryClient, found: View, tmp_path: Path, what: str
+    client: MemoryClient, found: ClusterView, tmp_path: Path, what: str
 ) -> None:
     progress = recovery().model_copy(update={what: PodIdentity(name=STANDBY.name, uid=STANDBY.uid)})
     gate = await open_gate(client, found, tmp_path, STANDBY)
@@ -96,7 +98,7 @@ async def test_a_recovery_that_is_taken_up_goes_on_with_the_pod_it_is_about(
 
 
 async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
-    client: MemoryClient, found: View, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     real = GATE.commit
@@ -114,7 +116,7 @@ async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
 
 
 async def test_who_opens_the_gate_after_a_recovery_came_to_nothing_does_so_over_anything(
-    client: MemoryClient, found: View, tmp_path: Path
+    client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await gate.commit(None, progress)

@@ -33,10 +33,10 @@ from understudy.monitor.act import abandonment
 from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.gate_control import GateControl
 from understudy.monitor.act.recovery_journal import RecoveryJournal
-from understudy.monitor.act.recovery_runner import Recoveries
+from understudy.monitor.act.recovery_runner import RecoveryRunner
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe import interrupted_recovery
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.wakeups import Wakeups
 
@@ -71,7 +71,7 @@ class Does(Strategy):
 class Monitor:
     """What one monitor has for its recoveries: a client, a view and a gate of its own, and a folder that outlasts it."""
 
-    def __init__(self, client: MemoryClient, view: View, gate: GateControl, folder: Path) -> None:
+    def __init__(self, client: MemoryClient, view: ClusterView, gate: GateControl, folder: Path) -> None:
         self.client, self.view, self.gate = client, view, gate
         self.journal = Journal(folder / "recovery.json")
         self.recoveries: list[Recovery] = []
@@ -83,11 +83,11 @@ class Monitor:
     async def recover(self, *steps: Instance | Exception | None, progress: Progress | None = None) -> Progress:
         """Carry a recovery out, which an error ends."""
         recovery = progress or begun()
-        repertoire: Any = SimpleNamespace(choices=lambda: [Choice(Does(steps), 5.0)], means=self._means)
+        options: Any = SimpleNamespace(choices=lambda: [Choice(Does(steps), 5.0)], means=self._means)
         view: Any = SimpleNamespace(spec=None)
         keeping: Any = Keeping()
         policy: Any = None
-        recoveries = Recoveries(view, repertoire, keeping, CurrentRecovery(), self.abandonment, self.notices)
+        recoveries = RecoveryRunner(view, options, keeping, CurrentRecovery(), self.abandonment, self.notices)
         self.ended.append((await recoveries.carry_out(recovery, policy)).kind)
         return recovery
 
@@ -108,8 +108,8 @@ class Monitor:
     async def look(self) -> None:
         """As in the housekeeping, and wait for what that has begun."""
         self.abandonment.look()
-        if self.abandonment._saying is not None:
-            await self.abandonment._saying
+        if self.abandonment._status_conditions is not None:
+            await self.abandonment._status_conditions
 
     def interrupted(self) -> Progress | None:
         """What a monitor that starts now would go on with."""
@@ -142,13 +142,13 @@ def client() -> MemoryClient:
 
 @pytest.fixture
 async def monitor(client: MemoryClient, tmp_path: Path) -> Monitor:
-    view = View(client, "fleet", "w", Wakeups())
+    view = ClusterView(client, "fleet", "w", Wakeups())
     return Monitor(client, view, await open_gate(client, view, tmp_path, FAILED), tmp_path)
 
 
 async def successor(before: Monitor, folder: Path) -> Monitor:
     """The next monitor of the same workload, which knows what the API server says and what is in a folder."""
-    view = View(before.client, "fleet", "w", Wakeups())
+    view = ClusterView(before.client, "fleet", "w", Wakeups())
     view.gates.put(await before.client.get(NETWORK_POLICIES, "fleet", "w-gate"))
     fleet: Any = before.gate._fleet
     nobody: Any = None

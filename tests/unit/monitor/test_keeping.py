@@ -29,14 +29,14 @@ from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone
 from understudy.monitor.act import state_keeping as module
-from understudy.monitor.act.recovery_runner import Recoveries
+from understudy.monitor.act.recovery_runner import RecoveryRunner
 from understudy.monitor.act.standby_supervision import receivers
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.loop import MonitorLoop
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state import state_capture as pure
-from understudy.state.state_store import Shelf
+from understudy.state.state_store import StateStore
 
 pytestmark = pytest.mark.ros
 
@@ -88,7 +88,7 @@ class Monitor:
 
     def __init__(self, graph: Graph, folder: Path) -> None:
         self.agents, self.told = Agents(), RecordedNotices()
-        self.keeping = StateKeeping(graph, Shelf(folder), self.agents, self.told)  # type: ignore[arg-type]
+        self.keeping = StateKeeping(graph, StateStore(folder), self.agents, self.told)  # type: ignore[arg-type]
         self.state, self.health, self.active = STATE, "Healthy", ACTIVE
         self.waiting: list[tuple[Instance, float]] = []
 
@@ -174,7 +174,7 @@ async def test_it_outlasts_the_monitor(
     await monitor.until(lambda: monitor.x() == 1.0)
     await monitor.until(lambda: (tmp_path / "kept").exists())
     await monitor.until(
-        lambda: Shelf(tmp_path).load() == {k: list(v) for k, v in monitor.keeping._keeper.versions().items()}
+        lambda: StateStore(tmp_path).load() == {k: list(v) for k, v in monitor.keeping._keeper.versions().items()}
     )
     onset = time.time()
     later = Monitor(graph, tmp_path)
@@ -188,19 +188,19 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path
 ) -> None:
     say(1.0)
-    await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and Shelf(tmp_path).load())
+    await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and StateStore(tmp_path).load())
     onset = time.time()
     later = Monitor(graph, tmp_path)
     view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(uid="u"), spec=None, retired=False)
     supervisor = MonitorLoop(blank_parts(view=view, notices=later.told, keeping=later.keeping))
     found: list[KeptState] = []
 
-    async def recovered(self: Recoveries, *_: object) -> None:
+    async def recovered(self: RecoveryRunner, *_: object) -> None:
         found.append(later.keeping.select(onset))
         raise Superseded("that is all")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Recoveries, "_recovered", recovered)
+        patch.setattr(RecoveryRunner, "_recovered", recovered)
         patch.setattr(strategy_options, "choices", lambda *_: [])
         begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[])
         await supervisor.carry_out(begun)

@@ -185,8 +185,8 @@ def monitored(agents: Agents, cluster: Cluster, events: list[str], *, reflex: bo
     )
     graph: Any = SimpleNamespace(subscribers=lambda topic: [robot])
     notices: Any = SimpleNamespace(event=lambda kind, reason, text: events.append(f"{reason}: {text}"))
-    current, wakeups, sidecars = CurrentRecovery(), Wakeups(), cast(Any, agents)
-    return World(objects, current, wakeups, Permits(objects, sidecars, graph, current, wakeups, notices))
+    current, wakeups, agents = CurrentRecovery(), Wakeups(), cast(Any, agents)
+    return World(objects, current, wakeups, Permits(objects, agents, graph, current, wakeups, notices))
 
 
 async def eventually(check: Callable[[], object]) -> None:

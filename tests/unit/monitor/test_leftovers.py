@@ -10,7 +10,7 @@ import aiohttp
 
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.monitor.act.garbage_collection import FAILED_FOR, LEFT_FOR, Leftovers
+from understudy.monitor.act.garbage_collection import FAILED_FOR, LEFT_FOR, GarbageCollection
 
 DRIVES = Instance(name="spare-1", uid="uid-1", pool="spare", running=True, claim="uid-w/1")
 LEFT = replace(DRIVES, name="spare-2", uid="uid-2", claim="uid-w/2")
@@ -45,9 +45,9 @@ class Cluster:
 
 
 async def look(
-    cluster: Any, *instances: Instance, seconds: float = LEFT_FOR, leftovers: Leftovers | None = None
+    cluster: Any, *instances: Instance, seconds: float = LEFT_FOR, garbage: GarbageCollection | None = None
 ) -> None:
-    found = leftovers or Leftovers(cluster, cluster, cluster)
+    found = garbage or GarbageCollection(cluster, cluster, cluster)
     found.housekeeping(instances, 100.0)
     found.housekeeping(instances, 100.0 + seconds)
     for _ in range(5):
@@ -82,12 +82,12 @@ async def test_what_was_seen_of_the_gate_may_be_old() -> None:
 
 async def test_without_an_answer_it_is_tried_again() -> None:
     cluster: Any = Cluster()
-    leftovers = Leftovers(cluster, cluster, cluster)
+    garbage = GarbageCollection(cluster, cluster, cluster)
     cluster.away = True
-    await look(cluster, DRIVES, LEFT, leftovers=leftovers)
+    await look(cluster, DRIVES, LEFT, garbage=garbage)
     assert not cluster.deleted
     cluster.away = False
-    await look(cluster, DRIVES, LEFT, leftovers=leftovers)
+    await look(cluster, DRIVES, LEFT, garbage=garbage)
     assert cluster.deleted == ["spare-2"]
 
 
@@ -105,21 +105,21 @@ async def test_a_failed_pod_whose_deletion_failed_is_deleted_soon() -> None:
 
 async def test_one_that_has_failed_and_drives_again_is_left_alone() -> None:
     cluster: Any = Cluster()
-    leftovers = Leftovers(cluster, cluster, cluster)
+    garbage = GarbageCollection(cluster, cluster, cluster)
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-1", "uid-3"))
-    await look(cluster, DRIVES, leftovers=leftovers)
+    await look(cluster, DRIVES, garbage=garbage)
     cluster.state = GateState(epoch=4, active="w-1", active_uid="uid-3")
-    await look(cluster, STANDBY, seconds=FAILED_FOR, leftovers=leftovers)
+    await look(cluster, STANDBY, seconds=FAILED_FOR, garbage=garbage)
     cluster.state = GateState(epoch=5, active="spare-1", active_uid="uid-1")
-    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, leftovers=leftovers)
+    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, garbage=garbage)
     assert not cluster.deleted, "what it is now is judged anew"
 
 
 async def test_a_failed_pod_is_remembered_over_the_next_recovery() -> None:
     cluster: Any = Cluster()
-    leftovers = Leftovers(cluster, cluster, cluster)
+    garbage = GarbageCollection(cluster, cluster, cluster)
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-3"))
-    assert [pod.uid for pod in leftovers.failed()] == ["uid-3"], "the next recovery tells of it, and deletes it"
+    assert [pod.uid for pod in garbage.failed()] == ["uid-3"], "the next recovery tells of it, and deletes it"
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-4"))
-    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, leftovers=leftovers)
+    await look(cluster, DRIVES, STANDBY, seconds=FAILED_FOR, garbage=garbage)
     assert cluster.deleted == ["w-1"]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.support.notices import RecordedNotices
-from tests.unit.monitor.blank_parts import blank_parts, nothing, sight
+from tests.unit.monitor.blank_parts import blank_parts, nothing, observer
 from understudy.api.conditions import condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.pause_spec import Pause
@@ -24,12 +24,12 @@ from understudy.failover.progress import Progress
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.judge import degradation_level
-from understudy.monitor.judge.degradation_level import AGAIN, LOOK, Levels
+from understudy.monitor.judge.degradation_level import AGAIN, LOOK, DegradationLevel
 from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.notices import BecameDegraded, PublishedStatus
-from understudy.monitor.observe.storm_condition import Storms
+from understudy.monitor.observe.storm_condition import StormCondition
 from understudy.trees.core.health_tree import Verdict
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
@@ -65,8 +65,8 @@ class World:
     busy: Busy | None = None
 
     def __post_init__(self) -> None:
-        sight: Any = SimpleNamespace(wellness=self._wellness, busy=lambda now, since: self.busy)
-        self.levels = Levels(sight, self.notices)
+        observer: Any = SimpleNamespace(wellness=self._wellness, busy=lambda now, since: self.busy)
+        self.levels = DegradationLevel(observer, self.notices)
 
     def adopt(self, active: str) -> None:
         """Begin as a monitor whose predecessor reported this instance as active and degraded."""
@@ -208,7 +208,7 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
     health: Verdict, well: Verdict, level: str
 ) -> None:
     notices, kept = RecordedNotices(), []
-    seen = sight(
+    seen = observer(
         verdict=lambda now, since: health,
         wellness=lambda now, since: well,
         deadline=lambda now, since: None,
@@ -218,7 +218,7 @@ async def test_the_level_of_a_workload_and_that_it_neither_causes_nor_delays_a_f
         view=SimpleNamespace(policy=at_once, settings=SimpleNamespace(drain=None), spec=None, object=None),
         pods=SimpleNamespace(find=lambda uid: ACTIVE),
         gate=SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True),
-        sight=seen,
+        observer=seen,
         notices=notices,
         keeping=SimpleNamespace(judge=lambda state, now: kept.append(state), select=nothing),
     )
@@ -347,9 +347,9 @@ def deciding(
     strategy = SimpleNamespace(standing=False, **first)
     monkeypatch.setattr(strategy_options, "choices", lambda *_: [SimpleNamespace(strategy=strategy)])
     monkeypatch.setattr(Limits, "in_force", lambda self, now: limits)
-    monkeypatch.setattr(Storms, "on", lambda self, now: limits.storm)
-    monkeypatch.setattr(Levels, "due", property(lambda self: due))
-    monkeypatch.setattr(Levels, "wait", lambda self, kind, words: waits.append(words))
+    monkeypatch.setattr(StormCondition, "on", lambda self, now: limits.storm)
+    monkeypatch.setattr(DegradationLevel, "due", property(lambda self: due))
+    monkeypatch.setattr(DegradationLevel, "wait", lambda self, kind, words: waits.append(words))
     view = SimpleNamespace(policy=HANDED, settings=SimpleNamespace(uid="uid-w"), spec=None)
     gate = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"), exists=True)
     return MonitorLoop(blank_parts(view=view, gate=gate))

@@ -24,8 +24,8 @@ from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.kube.client import ApiError
 from understudy.monitor import loop
 from understudy.monitor.act import deferred_recovery as holding
-from understudy.monitor.act.planned_switchover import Switching
-from understudy.monitor.act.recovery_runner import Recoveries
+from understudy.monitor.act.planned_switchover import PlannedSwitchovers
+from understudy.monitor.act.recovery_runner import RecoveryRunner
 from understudy.monitor.act.stage import ActStage
 from understudy.monitor.decide.stage import Resolution
 from understudy.monitor.judge.failure_detection import Failure
@@ -89,7 +89,7 @@ class World:
         monkeypatch.setattr(MonitorLoop, "_housekeeping", lambda self: None)
         monkeypatch.setattr(ActStage, "get_ready", lambda self, policy: None)
         monkeypatch.setattr(ActStage, "follow_safety", lambda self, policy: None)
-        monkeypatch.setattr(Recoveries, "carry_out", self._carry_out)
+        monkeypatch.setattr(RecoveryRunner, "carry_out", self._carry_out)
         self.carried_out: list[Progress] = []
 
     async def _carry_out(self, progress: Progress, policy: FailurePolicySpec) -> None:
@@ -305,10 +305,10 @@ async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_
     standby = Instance(name="w-2", uid="uid-2", ip="10.0.0.2", running=True, ready=True)
     watching, now = world.watching, time.time()
     lost = Resolution(Recover("HealthFailed"), Failure("no /cmd_vel", now - 0.5, now))
-    sidecars, pods = cast(Any, world.parts.senses.sidecars), cast(Any, world.parts.cluster.pods)
-    sidecars.settle, pods.of_workload = settle, lambda: [ACTIVE, standby]
+    agents, pods = cast(Any, world.parts.senses.agents), cast(Any, world.parts.cluster.pods)
+    agents.settle, pods.of_workload = settle, lambda: [ACTIVE, standby]
     monkeypatch.setattr(MonitorLoop, "resume", no_watch)
-    monkeypatch.setattr(Switching, "failed", lambda self, reason: None)
+    monkeypatch.setattr(PlannedSwitchovers, "failed", lambda self, reason: None)
     with pytest.raises(asyncio.CancelledError):
         await watching.run()
     await watching.carry_through(lost)

@@ -14,8 +14,8 @@ from tests.unit.interleavings import simulation
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
-from understudy.monitor.act.deferred_recovery import Deferral
-from understudy.monitor.observe.storm_condition import Storms
+from understudy.monitor.act.deferred_recovery import DeferredRecovery
+from understudy.monitor.observe.storm_condition import StormCondition
 
 BUDGET = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
 GUARD = {"stormGuard": {"percent": 40, "workloads": 2, "within": "5s", "holdFor": "15s"}}
@@ -26,7 +26,7 @@ RUNS = 20
 def test_robots_whose_failures_are_held_are_driven_in_the_end(
     monkeypatch: pytest.MonkeyPatch, limits: Object, first: int
 ) -> None:
-    made, hold, on = world.policy, Deferral._fence, Storms.on
+    made, hold, on = world.policy, DeferredRecovery._fence, StormCondition.on
     held: list[str] = []
 
     def policy(*arguments: Any, **more: Any) -> Object:
@@ -34,12 +34,12 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
         found["spec"]["limits"] = limits
         return found
 
-    async def holding(self: Deferral, progress: Progress) -> int:
+    async def holding(self: DeferredRecovery, progress: Progress) -> int:
         epoch = await hold(self, progress)
         held.append(progress.reason)
         return epoch
 
-    def storm(self: Storms, now: float) -> InForce | None:
+    def storm(self: StormCondition, now: float) -> InForce | None:
         if (said := on(self, now)) is not None:
             held.append(said.words)
         return said
@@ -47,8 +47,8 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
     monkeypatch.setattr(world, "policy", policy)
     # What other tests of this process have prepared has another policy, and the other way round.
     monkeypatch.setattr(simulation, "_prepared", functools.cache(simulation._prepared.__wrapped__))
-    monkeypatch.setattr(Deferral, "_fence", holding)
-    monkeypatch.setattr(Storms, "on", storm)
+    monkeypatch.setattr(DeferredRecovery, "_fence", holding)
+    monkeypatch.setattr(StormCondition, "on", storm)
     for seed in range(first, first + RUNS):
         outcome = simulation.run(seed)
         assert not outcome.faults, str(outcome)

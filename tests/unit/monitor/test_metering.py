@@ -13,7 +13,7 @@ from aiohttp import web
 from understudy.api import names
 from understudy.kube.client import Access, Client
 from understudy.monitor.observe import resource_meter
-from understudy.monitor.observe.resource_meter import Meter
+from understudy.monitor.observe.resource_meter import ResourceMeter
 
 
 class MetricsApi:
@@ -62,10 +62,10 @@ async def api() -> AsyncIterator[tuple[MetricsApi, str]]:
 
 
 @pytest.fixture
-async def meter(api: tuple[MetricsApi, str], monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Meter]:
+async def meter(api: tuple[MetricsApi, str], monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[ResourceMeter]:
     monkeypatch.setattr(resource_meter, "PERIOD", 0.02)
     async with Client(Access(server=api[1], context=ssl.create_default_context())) as client:
-        made = Meter(client, "fleet", "w")
+        made = ResourceMeter(client, "fleet", "w")
         task = asyncio.create_task(made.run())
         yield made
         task.cancel()
@@ -77,7 +77,7 @@ async def until(holds: Callable[[], object]) -> None:
             await asyncio.sleep(0.01)
 
 
-async def test_it_is_what_the_containers_take_together_without_the_agent(api: Any, meter: Meter) -> None:
+async def test_it_is_what_the_containers_take_together_without_the_agent(api: Any, meter: ResourceMeter) -> None:
     served, _ = api
     served.has("w-1", 1, drive=("250m", "100Mi"), arm=("50000000n", "20480Ki"), understudy_agent=("9", "9Gi"))
     served.has("w-2", 1, drive=("7", "7Gi"))
@@ -96,7 +96,7 @@ async def test_it_is_what_the_containers_take_together_without_the_agent(api: An
     assert meter.problems == []
 
 
-async def test_nothing_is_asked_while_nobody_wants_it(api: Any, meter: Meter) -> None:
+async def test_nothing_is_asked_while_nobody_wants_it(api: Any, meter: ResourceMeter) -> None:
     served, _ = api
     await asyncio.sleep(0.1)
     assert served.requests == []
@@ -117,7 +117,9 @@ async def test_nothing_is_asked_while_nobody_wants_it(api: Any, meter: Meter) ->
         ((503, "the server is currently unable to handle the request"), "is currently unable to handle"),
     ],
 )
-async def test_why_there_are_none_is_said(api: Any, meter: Meter, refusal: tuple[int, str], expected: str) -> None:
+async def test_why_there_are_none_is_said(
+    api: Any, meter: ResourceMeter, refusal: tuple[int, str], expected: str
+) -> None:
     served, _ = api
     served.refusal = refusal
     meter.want("w-1")
@@ -136,7 +138,7 @@ async def test_why_there_are_none_is_said(api: Any, meter: Meter, refusal: tuple
 
 
 async def test_figures_that_are_never_made_anew_become_worthless(
-    api: Any, meter: Meter, monkeypatch: pytest.MonkeyPatch
+    api: Any, meter: ResourceMeter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served, _ = api
     served.has("w-1", 1, drive=("1", "1Mi"))
@@ -152,7 +154,7 @@ async def test_figures_that_are_never_made_anew_become_worthless(
 
 
 @pytest.mark.parametrize("items", [None, [7], [{"metadata": {"name": "w-1"}}]])
-async def test_an_answer_of_another_form_ends_nothing(api: Any, meter: Meter, items: Any) -> None:
+async def test_an_answer_of_another_form_ends_nothing(api: Any, meter: ResourceMeter, items: Any) -> None:
     served, _ = api
     served.items = items
     meter.want("w-1")

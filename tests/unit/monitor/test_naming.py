@@ -23,7 +23,7 @@ from understudy.kube.client import (
     Resource,
 )
 from understudy.monitor.observe import cluster_view as viewing
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 Watch = tuple[str, str | None, str | None]
@@ -103,7 +103,7 @@ def give_pools(server: Server, *pools: Readiness) -> None:
     server.put(CONFIG_MAPS, names.settings("w"), {"data": {"settings.json": settings.model_dump_json(by_alias=True)}})
 
 
-def gap(view: View) -> str | None:
+def gap(view: ClusterView) -> str | None:
     """By which one knows the policies of these tests apart."""
     return view.policy.monitoring.yaml["topic"]["gap"] if view.policy and view.policy.monitoring.yaml else None
 
@@ -126,7 +126,7 @@ def server() -> Server:
 
 
 @contextlib.asynccontextmanager
-async def viewed(server: Server) -> AsyncIterator[View]:
+async def viewed(server: Server) -> AsyncIterator[ClusterView]:
     """A monitor's copies, until the end of the block."""
 
     class Over(Exception):
@@ -135,7 +135,7 @@ async def viewed(server: Server) -> AsyncIterator[View]:
     with contextlib.suppress(Over):
         try:
             async with asyncio.TaskGroup() as group:
-                view = View(server, "fleet", "w", Wakeups())
+                view = ClusterView(server, "fleet", "w", Wakeups())
                 await view.run(group)
                 await settled()
                 yield view

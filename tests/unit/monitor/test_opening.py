@@ -60,9 +60,9 @@ class Closed:
     def __init__(self, fleet: Asked, gate: ClosedGate, paused: Pause | None = None) -> None:
         spec = SimpleNamespace(pause=paused, failure_policy_ref=None)
         view = SimpleNamespace(policy=POLICY, settings=None, spec=spec, object=None, namespace="n", workload="w")
-        sidecars = SimpleNamespace(is_ready=lambda _: (True, ""))
+        agents = SimpleNamespace(is_ready=lambda _: (True, ""))
         self._gate = gate
-        self._loop = MonitorLoop(blank_parts(view=view, pods=fleet, gate=gate, sidecars=sidecars))
+        self._loop = MonitorLoop(blank_parts(view=view, pods=fleet, gate=gate, agents=agents))
 
     async def look(self, now: float) -> bool:
         """Look once; whether the gate was opened."""

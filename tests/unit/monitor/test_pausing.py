@@ -10,9 +10,9 @@ import pytest
 from tests.support.notices import RecordedNotices
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
-from understudy.monitor.decide.pause_state import Pauses
+from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 UNTIL = "1970-01-01T00:20:00Z"
 END = 1200.0
@@ -25,7 +25,7 @@ class World:
     def __init__(self, pause: Pause | None = None, status: dict[str, Any] | None = None) -> None:
         self.view = SimpleNamespace(spec=SimpleNamespace(pause=pause), namespace="fleet", workload="w", object={})
         self.notices = RecordedNotices(PublishedStatus.adopt({"status": status or {}}))
-        self.pauses = Pauses(cast(View, self.view), self.notices)
+        self.pauses = PauseState(cast(ClusterView, self.view), self.notices)
 
     @property
     def events(self) -> list[tuple[str, str]]:

@@ -18,7 +18,7 @@ from understudy.api.conditions import condition
 from understudy.api.kinds.robot_workload import Output
 from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe import robot_readers
-from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.observe.robot_readers import RobotReaders
 from understudy.ros.runtime.graph_node import Endpoint
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
@@ -60,14 +60,14 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     made.close()
 
 
-def looking(server: Any, told: RecordedNotices, outputs: list[Output]) -> Readership:
+def looking(server: Any, told: RecordedNotices, outputs: list[Output]) -> RobotReaders:
     spec = SimpleNamespace(outputs=outputs, gate=SimpleNamespace(robots=[]))
     view: Any = SimpleNamespace(spec=spec, retired=False, workload="robot-17")
-    sight: Any = SimpleNamespace(graph=server, addresses={})
-    return Readership(view, sight, told, "127.0.0.1")
+    observer: Any = SimpleNamespace(graph=server, addresses={})
+    return RobotReaders(view, observer, told, "127.0.0.1")
 
 
-def looks(one: Readership, times: int) -> None:
+def looks(one: RobotReaders, times: int) -> None:
     async def look() -> None:
         for _ in range(times):
             await one.look()

@@ -14,7 +14,7 @@ from understudy.api.kinds.robot_workload import Output, Reflex
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.reflex_guard import TOO_STRONG_FOR, Reflexes
+from understudy.monitor.act.reflex_guard import TOO_STRONG_FOR, ReflexGuard
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.judge.reflex_takeover import LOOK, ReflexTakeover
 from understudy.monitor.observe.senses import Senses
@@ -56,20 +56,20 @@ class World:
                 retire=self._retire,
             ),
             "gate": _Gate(self),
-            "sidecars": SimpleNamespace(
+            "agents": SimpleNamespace(
                 is_ready=lambda i: (i.name not in self.unready, "no /cmd_vel for 500 ms"),
                 status=lambda i: AgentStatus(strength=self.strengths.get(i.name)),
             ),
-            "sight": SimpleNamespace(
+            "observer": SimpleNamespace(
                 arrivals=lambda topic, pod: self.arrivals.get(pod, []), ambiguous=lambda pod: pod in self.twins
             ),
             "probes": Packets(self.probes),
             "notices": SimpleNamespace(condition=self._condition, event=lambda *_: None),
         }
         cluster = Cluster(parts["view"], parts["fleet"], parts["gate"])
-        senses = Senses(parts["sight"], parts["sidecars"], parts["probes"], *[cast(Any, None)] * 3)
-        self.takeover = ReflexTakeover(parts["view"], parts["gate"], parts["sight"])
-        self.reflexes = Reflexes(cluster, senses, self.takeover, parts["notices"])
+        senses = Senses(parts["observer"], parts["agents"], parts["probes"], *[cast(Any, None)] * 3)
+        self.takeover = ReflexTakeover(parts["view"], parts["gate"], parts["observer"])
+        self.reflexes = ReflexGuard(cluster, senses, self.takeover, parts["notices"])
 
     def add(self, name: str, strength: int | None) -> None:
         self.pods[name] = Instance(name=name, uid=f"uid-{name}", running=True, pool="" if name == "w-1" else "hot")

@@ -10,13 +10,13 @@ import pytest
 from tests.support.notices import RecordedNotices
 from understudy.failover.interfaces import GateState
 from understudy.monitor.judge.stage import Judgement
-from understudy.monitor.report.status_conditions import Saying
+from understudy.monitor.report.status_conditions import StatusConditions
 from understudy.trees.core.health_tree import Verdict
 
 
 def said(
     notices: RecordedNotices, *, problems: tuple[str, ...] = (), unsafe: tuple[str, ...] = (), waiting: str = ""
-) -> Saying:
+) -> StatusConditions:
     parts: list[Any] = [
         SimpleNamespace(object={"metadata": {"generation": 7}}),
         SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1")),
@@ -25,7 +25,7 @@ def said(
         SimpleNamespace(usable=lambda: "Executing"),
         notices,
     ]
-    return Saying(*parts)
+    return StatusConditions(*parts)
 
 
 @pytest.mark.parametrize(

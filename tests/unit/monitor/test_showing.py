@@ -19,7 +19,7 @@ from tests.unit.trees.world import START, World
 from understudy.api.conditions import condition
 from understudy.api.kinds.robot_workload import GateStatus
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.report.live_tree_pages import Showing
+from understudy.monitor.report.live_tree_pages import LiveTreePages
 from understudy.process.http_pages import Answer, serve
 from understudy.trees.core.snapshots import snapshot
 
@@ -33,7 +33,7 @@ TREE: dict[str, Any] = {
 }  # fmt: skip
 
 
-def showing(now: float, **more: Any) -> Showing:
+def showing(now: float, **more: Any) -> LiveTreePages:
     world = World(TREE)
     world.hear("/scan", 1.0).hear("/scan", 1.4).battery(1.0, 0.8)
     world.at(1.4)
@@ -41,7 +41,7 @@ def showing(now: float, **more: Any) -> Showing:
     policy = SimpleNamespace(failure_policy_ref=SimpleNamespace(name="navigation"))
     view: Any = SimpleNamespace(workload="robot-1-drive", namespace="fleet", spec=policy)
     taken = snapshot(world.tree, world.observed(), START + now)
-    sight: Any = SimpleNamespace(snapshot=lambda: taken, problems=[EVIL], waiting=[])
+    observer: Any = SimpleNamespace(snapshot=lambda: taken, problems=[EVIL], waiting=[])
     said = condition("GateEnforced", True, "Enforced", "Two probes of it were seen.")
     published = PublishedStatus(
         health="Failed",
@@ -51,7 +51,7 @@ def showing(now: float, **more: Any) -> Showing:
         count=2,
         by_type={said.type: said},
     )
-    return Showing(view, sight, Notices(replace(published, **more)))
+    return LiveTreePages(view, observer, Notices(replace(published, **more)))
 
 
 def test_a_tool_is_told_all_of_it() -> None:

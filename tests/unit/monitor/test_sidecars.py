@@ -20,7 +20,7 @@ from understudy.failover.interfaces import Instance
 from understudy.kube.client import SECRETS
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe import agent_connections as module
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.wakeups import Wakeups
 
 INSTANCE = Instance("w-1", "uid-1", ip="127.0.0.1", running=True, has_agent=True)
@@ -85,18 +85,18 @@ async def test_a_secret_that_was_made_anew_is_read_again_when_an_agent_refuses_i
     client = MemoryClient()
     view: Any = SimpleNamespace(workload="w", namespace="fleet", policy=None, spec=None, settings=None)
     roles: Any = None
-    sidecars = Sidecars(client, view, "127.0.0.1", CrashPoints(tmp_path), roles, Wakeups())
+    agents = AgentConnections(client, view, "127.0.0.1", CrashPoints(tmp_path), roles, Wakeups())
     await keep(client, b"first")
-    sidecars.follow([INSTANCE])
+    agents.follow([INSTANCE])
     await eventually(lambda: agent.refused >= 2)
     assert reads(client) == 1, "not with each refusal"
     client.failing = lambda method, name: TimeoutError() if method == "GET" else None
     await eventually(lambda: reads(client) == 2)
     client.failing = lambda method, name: None
-    assert await sidecars.token(INSTANCE) == b"first", "what was known stays, where it can't be read"
+    assert await agents.token(INSTANCE) == b"first", "what was known stays, where it can't be read"
     await keep(client, b"second")
     async with asyncio.timeout(15):
-        while sidecars.status(INSTANCE) is None:
+        while agents.status(INSTANCE) is None:
             await asyncio.sleep(0.01)
-    assert await sidecars.token(INSTANCE) == b"second"
-    sidecars.follow([])
+    assert await agents.token(INSTANCE) == b"second"
+    agents.follow([])

@@ -15,7 +15,7 @@ from tests.support.notices import RecordedNotices
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.monitor.judge import situation_tracking as situations
-from understudy.monitor.judge.situation_tracking import HEARING, LOOK, Situations
+from understudy.monitor.judge.situation_tracking import HEARING, LOOK, SituationTracking
 from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.context_detection import Seen, Situating
 from understudy.monitor.report import monitor_metrics
@@ -130,7 +130,7 @@ def made(monkeypatch: pytest.MonkeyPatch, status: PublishedStatus | None = None)
             found.asked += 1
             return found.situations_of()
 
-    found.situations = Situations(Sight(), found.notices)  # type: ignore[arg-type]
+    found.situations = SituationTracking(Sight(), found.notices)  # type: ignore[arg-type]
     monkeypatch.setattr(situations.time, "monotonic", lambda: found.now)
     return found
 

@@ -69,9 +69,9 @@ def test_without_a_standby_that_is_ready_a_failure_waits_and_that_is_told_once(
 def test_a_standby_that_is_ready_takes_over_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     world, now = Storm(monkeypatch, UninitializedFallback("spare"), Ready("hot")), time.time()
     assert world.recovered(failure(now), now) is not None
-    assert world.watching.decide.repertoire.holds(Ready("hot")) is None
-    assert MESSAGE in (world.watching.decide.repertoire.holds(UninitializedFallback("spare")) or "")
-    assert world.watching.decide.repertoire.holds(Restart()) is not None
+    assert world.watching.decide.options.holds(Ready("hot")) is None
+    assert MESSAGE in (world.watching.decide.options.holds(UninitializedFallback("spare")) or "")
+    assert world.watching.decide.options.holds(Restart()) is not None
 
 
 def test_it_waits_no_longer_than_it_is_to_though_nobody_says_that_it_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,4 +95,4 @@ def test_where_nothing_is_said_nothing_waits(monkeypatch: pytest.MonkeyPatch, ab
     if absent == "policy":
         world.view.policies.items.clear()
     assert world.recovered(failure(now), now) is not None
-    assert world.watching.decide.repertoire.holds(Restart()) is None
+    assert world.watching.decide.options.holds(Restart()) is None

@@ -25,7 +25,7 @@ from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act import planned_switchover
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.planned_switchover import Switching
+from understudy.monitor.act.planned_switchover import PlannedSwitchovers
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
@@ -56,7 +56,7 @@ class Scene:
         self.view = SimpleNamespace(object={"metadata": {}}, settings=SimpleNamespace(drain=None), spec=None)
         self.left: list[str] = []
         self.strategies = strategies or (ExecutingFallback("hot"),)
-        self.switching = Switching(
+        self.switching = PlannedSwitchovers(
             Cluster(cast(Any, self.view), cast(Any, SimpleNamespace(find=self._find)), cast(Any, self)),
             cast(Any, self),
             cast(Any, Keeping()),

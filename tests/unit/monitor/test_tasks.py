@@ -16,7 +16,7 @@ from understudy.action_proxy.monitor_socket import MonitorSocket
 from understudy.api.kinds.robot_workload import Health, RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.interfaces import GateState, Instance
-from understudy.monitor.act.action_proxy_link import CONDITION, TaskLink, executing, judged, reachable, settled
+from understudy.monitor.act.action_proxy_link import CONDITION, ActionProxyLink, executing, judged, reachable, settled
 
 GATE = GateState(epoch=3, active="w-1", active_uid="1")
 ACTIVE = Instance("w-1", "1", ip="10.0.0.1", running=True)
@@ -97,7 +97,7 @@ def socket(tmp_path: Path) -> Path:
 
 
 def link(socket: Path, seen: View, world: World) -> asyncio.Task[None]:
-    return asyncio.create_task(TaskLink(socket, seen, world, world, world, world.notices).run())  # type: ignore[arg-type]
+    return asyncio.create_task(ActionProxyLink(socket, seen, world, world, world, world.notices).run())  # type: ignore[arg-type]
 
 
 async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_late(socket: Path) -> None:

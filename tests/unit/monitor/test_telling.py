@@ -18,7 +18,7 @@ from tests.unit.monitor.test_diagnoses import TREE
 from tests.unit.ros.processes import Processes
 from understudy.api.kinds.robot_workload import GateStatus, MonitorSettings
 from understudy.monitor.notices import Notices
-from understudy.monitor.report.diagnostics_publisher import Telling, namespace_of
+from understudy.monitor.report.diagnostics_publisher import DiagnosticsPublisher, namespace_of
 from understudy.ros.actions import snapshot_streams
 
 pytestmark = pytest.mark.ros
@@ -48,9 +48,9 @@ class Monitor:
         self.spec = SimpleNamespace(monitor=MonitorSettings(), failure_policy_ref=SimpleNamespace(name="navigation"))
         item = {"status": {"standby": "Executing (1/1)"}}
         view: Any = SimpleNamespace(spec=self.spec, object=item, namespace="fleet", workload="robot-1-drive")
-        sight: Any = SimpleNamespace(graph=graph, snapshot=lambda: TREE)
+        observer: Any = SimpleNamespace(graph=graph, snapshot=lambda: TREE)
         self.notices = Notices()
-        self.telling = Telling(view, sight, self.notices)
+        self.telling = DiagnosticsPublisher(view, observer, self.notices)
 
     def ask(self, **settings: bool) -> None:
         """Change the workload's spec, as a user does."""

@@ -15,7 +15,7 @@ from understudy.failover.limits.backoff import MOST as BACKOFF_MOST
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act.recovery_messages import describe, unverified
 from understudy.monitor.decide import retry_backoff
-from understudy.monitor.decide.retry_backoff import Retries
+from understudy.monitor.decide.retry_backoff import RetryBackoff
 from understudy.monitor.judge.failure_detection import Failure
 
 FAILURE = "no /cmd_vel for 500 ms"
@@ -43,7 +43,7 @@ class World:
     def __init__(self, **more: Any) -> None:
         self.view: Any = SimpleNamespace(policy=policy(**more), settings={"pools": 1}, spec={"bringUp": 1})
         self.told = RecordedNotices()
-        self.retries = Retries(self.view, self.told)
+        self.retries = RetryBackoff(self.view, self.told)
         self.retries.look(None, NOW)
 
     def first(self, onset: float) -> int | None:

@@ -10,7 +10,7 @@ import pytest
 
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
@@ -18,28 +18,30 @@ BROKEN = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}}
 
 
 @pytest.fixture
-def view() -> View:
-    found = View(None, "n", "w", Wakeups())  # type: ignore[arg-type]
+def view() -> ClusterView:
+    found = ClusterView(None, "n", "w", Wakeups())  # type: ignore[arg-type]
     found.workloads = SimpleNamespace(revision=0, items={})  # type: ignore[assignment]
     found.policies = SimpleNamespace(items={})  # type: ignore[assignment]
     return found
 
 
-def give_workload(view: View, **more: Any) -> None:
+def give_workload(view: ClusterView, **more: Any) -> None:
     outputs = [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]
     spec = {"template": {"spec": {}}, "outputs": outputs, "failurePolicyRef": {"name": "p"}, **more}
     view.workloads.items["w"] = {"metadata": {"name": "w"}, "spec": spec}  # type: ignore[index]
     view.workloads.revision += 1  # type: ignore[misc]
 
 
-def give_policy(view: View, version: str, **strategy: Any) -> None:
+def give_policy(view: ClusterView, version: str, **strategy: Any) -> None:
     tree = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
     spec = {"monitoring": {"yaml": tree}, "strategies": [{"type": "Restart", **strategy}]}
     view.policies.items["p"] = {"metadata": {"name": "p", "uid": "u", "resourceVersion": version}, "spec": spec}  # type: ignore[index]
 
 
 @pytest.mark.parametrize("broken", [{"bringUp": BROKEN}, {"outputs": "none"}])
-def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(view: View, broken: dict[str, Any]) -> None:
+def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(
+    view: ClusterView, broken: dict[str, Any]
+) -> None:
     give_workload(view, bringUp=GOOD)
     before = view.spec
     assert before is not None
@@ -53,7 +55,7 @@ def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(view: View
     assert view.spec is None
 
 
-def test_a_pause_counts_also_where_the_rest_of_a_spec_can_not_be_followed(view: View) -> None:
+def test_a_pause_counts_also_where_the_rest_of_a_spec_can_not_be_followed(view: ClusterView) -> None:
     give_workload(view, bringUp=GOOD)
     assert view.spec is not None
     give_workload(view, bringUp=BROKEN, pause={"reason": "a new gripper", "owner": "ann"})
@@ -62,7 +64,7 @@ def test_a_pause_counts_also_where_the_rest_of_a_spec_can_not_be_followed(view: 
     assert view.spec.bring_up.yaml == GOOD["yaml"]
 
 
-def test_settings_that_somebody_deletes_stay_in_force_until_the_operator_gives_them_again(view: View) -> None:
+def test_settings_that_somebody_deletes_stay_in_force_until_the_operator_gives_them_again(view: ClusterView) -> None:
     settings = WorkloadSettings(workload="w", namespace="n", uid="u", source_kind="ReplicaSet", source_name="w")
     item = {"data": {"settings.json": settings.model_dump_json(by_alias=True)}}
     view.settings_maps = SimpleNamespace(revision=0, items={})  # type: ignore[assignment]
@@ -75,7 +77,7 @@ def test_settings_that_somebody_deletes_stay_in_force_until_the_operator_gives_t
     assert view.settings == settings, "without them nothing can be recovered"
 
 
-def test_a_recovery_that_does_not_load_leaves_the_last_policy_in_force(view: View) -> None:
+def test_a_recovery_that_does_not_load_leaves_the_last_policy_in_force(view: ClusterView) -> None:
     give_workload(view)
     give_policy(view, "1", recovery=GOOD)
     before = view.policy
@@ -86,13 +88,13 @@ def test_a_recovery_that_does_not_load_leaves_the_last_policy_in_force(view: Vie
     assert view.policy.strategies[0].recovery is None, "corrected"
 
 
-def test_a_new_monitor_watches_by_a_policy_with_a_recovery_that_does_not_load(view: View) -> None:
+def test_a_new_monitor_watches_by_a_policy_with_a_recovery_that_does_not_load(view: ClusterView) -> None:
     give_workload(view)
     give_policy(view, "1", recovery=BROKEN)
     assert view.policy is not None
 
 
-def test_a_tree_in_a_config_map_is_followed_as_the_operator_read_it(view: View) -> None:
+def test_a_tree_in_a_config_map_is_followed_as_the_operator_read_it(view: ClusterView) -> None:
     give_workload(view)
     give_policy(view, "1")
     before = view.policy
@@ -107,7 +109,7 @@ def test_a_tree_in_a_config_map_is_followed_as_the_operator_read_it(view: View) 
     assert view.policy.monitoring.tree == tree
 
 
-def test_a_bring_up_in_another_language_is_loaded_as_well(view: View) -> None:
+def test_a_bring_up_in_another_language_is_loaded_as_well(view: ClusterView) -> None:
     text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/nav", lifecycle_state!active)\n'
     give_workload(view, bringUp={"osc": text})
     before = view.spec
@@ -119,12 +121,12 @@ def test_a_bring_up_in_another_language_is_loaded_as_well(view: View) -> None:
 AUTO = {"strategies": [{"type": "Auto"}], "requirements": {"availability": "High"}}
 
 
-def give_auto(view: View, version: str) -> None:
+def give_auto(view: ClusterView, version: str) -> None:
     give_policy(view, version)
     view.policies.items["p"]["spec"] |= AUTO
 
 
-def give_settings(view: View, *pools: str) -> None:
+def give_settings(view: ClusterView, *pools: str) -> None:
     """What the operator chose: a fallback from each of these pools, and a restart."""
     chosen = [*({"type": "Fallback", "poolRef": {"name": pool}} for pool in pools), {"type": "Restart"}]
     said = {"workload": "w", "namespace": "n", "uid": "u", "sourceKind": "ReplicaSet", "sourceName": "w"}
@@ -134,12 +136,12 @@ def give_settings(view: View, *pools: str) -> None:
     view.settings_maps = SimpleNamespace(revision=revision, items={names.settings("w"): item})  # type: ignore[assignment]
 
 
-def pools(view: View) -> list[str]:
+def pools(view: ClusterView) -> list[str]:
     assert view.policy is not None
     return [one.pool_ref.name for one in view.policy.strategies if one.pool_ref is not None]
 
 
-def test_strategies_that_are_left_to_be_chosen_are_those_that_the_operator_chose(view: View) -> None:
+def test_strategies_that_are_left_to_be_chosen_are_those_that_the_operator_chose(view: ClusterView) -> None:
     give_workload(view)
     give_auto(view, "1")
     assert view.policy is None, "nothing was chosen yet, and nothing was in force before"
@@ -154,7 +156,7 @@ def test_strategies_that_are_left_to_be_chosen_are_those_that_the_operator_chose
     assert pools(view) == ["spare"]
 
 
-def test_until_others_are_chosen_the_last_strategies_are_in_force(view: View) -> None:
+def test_until_others_are_chosen_the_last_strategies_are_in_force(view: ClusterView) -> None:
     give_workload(view)
     give_policy(view, "1", verifyWithin="9s")
     before = view.policy

@@ -21,9 +21,9 @@ from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
-from understudy.monitor.act.pool_waiting import Line
+from understudy.monitor.act.pool_waiting import PoolQueue
 from understudy.monitor.act.recovery_messages import describe
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 NOW = time.time()
@@ -39,8 +39,8 @@ def waits(me: Waiter) -> Progress:
     return progress
 
 
-def view(client: MemoryClient, workload: str) -> View:
-    return View(client, "fleet", workload, Wakeups())
+def view(client: MemoryClient, workload: str) -> ClusterView:
+    return ClusterView(client, "fleet", workload, Wakeups())
 
 
 async def test_a_gate_says_for_which_pool_its_workload_waits_until_it_waits_no_longer(tmp_path: Path) -> None:
@@ -111,13 +111,13 @@ async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate
         noted("d-gate", place("d"), **{names.RECOVERY: "{"}),
     ):
         found.waiting_gates[0].put(item)
-    line = Line(found, RecordedNotices())
+    line = PoolQueue(found, RecordedNotices())
     assert [(w.workload, w.priority) for w in line.others("spare")] == [("a", 7)]
 
 
 async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
     notices, me = RecordedNotices(), place("w", priority=5)
-    line = Line(view(MemoryClient(), "w"), notices)
+    line = PoolQueue(view(MemoryClient(), "w"), notices)
     notices.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
     line.waits(me, 1, 3)
     said = notices.status.find("Recovering")
@@ -172,6 +172,6 @@ def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_it
     spec = RobotWorkloadSpec.model_validate(
         {"template": {}, "outputs": [{"topic": "/cmd_vel", "type": "a/msg/B"}], "failurePolicyRef": {"name": "p"}}
     )
-    assert Line(SimpleNamespace(workload="w", spec=spec), RecordedNotices()).priority == 0  # type: ignore[arg-type]
+    assert PoolQueue(SimpleNamespace(workload="w", spec=spec), RecordedNotices()).priority == 0  # type: ignore[arg-type]
     given = spec.model_copy(update={"pool_priority": 100})
-    assert Line(SimpleNamespace(workload="w", spec=given), RecordedNotices()).priority == 100  # type: ignore[arg-type]
+    assert PoolQueue(SimpleNamespace(workload="w", spec=given), RecordedNotices()).priority == 100  # type: ignore[arg-type]

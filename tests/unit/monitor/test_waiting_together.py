@@ -28,11 +28,11 @@ from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import Fleet
-from understudy.monitor.act.pool_waiting import REASON, Line
+from understudy.monitor.act.pod_control import PodControl
+from understudy.monitor.act.pool_waiting import REASON, PoolQueue
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 POOL = "spare"
@@ -154,7 +154,7 @@ class Monitor:
     def __init__(self, cluster: Cluster, workload: str, priority: int, state: Path) -> None:
         self.cluster, self.workload = cluster, workload
         self.heard = 0.0
-        self.view = View(cluster, "fleet", workload, Wakeups())
+        self.view = ClusterView(cluster, "fleet", workload, Wakeups())
         self.settings = WorkloadSettings(
             workload=workload,
             namespace="fleet",
@@ -176,7 +176,7 @@ class Monitor:
         self.view.workloads.put({"metadata": {"name": workload, "resourceVersion": "1"}, "spec": spec})
         self.notices = Notices()
         steps = CrashPoints(state)
-        self.fleet = Fleet(cluster, self.view, steps, self.notices)
+        self.fleet = PodControl(cluster, self.view, steps, self.notices)
         self.gate = GateControl(cluster, self.view, self.fleet, self, steps, self.notices)  # type: ignore[arg-type]
         cluster.monitors.append(self)
 
@@ -212,7 +212,7 @@ class Monitor:
             instances=self.fleet,
             agents=self,  # type: ignore[arg-type]
             outputs=self,  # type: ignore[arg-type]
-            queue=Line(self.view, self.notices),
+            queue=PoolQueue(self.view, self.notices),
             clock=time.time,
             save=lambda progress: None,
             workload_uid=self.settings.uid,

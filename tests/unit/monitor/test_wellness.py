@@ -116,7 +116,7 @@ def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while
     from rclpy.qos import qos_profile_action_status_default
     from std_msgs.msg import String
 
-    from understudy.monitor.observe.health_observer import Sight
+    from understudy.monitor.observe.health_observer import HealthObserver
     from understudy.ros.runtime.graph_node import Graph
 
     given = FailurePolicySpec.model_validate(
@@ -129,9 +129,9 @@ def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while
             },
         }
     )
-    sight, robot = Sight(), Graph("robot")
+    observer, robot = HealthObserver(), Graph("robot")
     try:
-        sight.follow(given, workload("/go"))
+        observer.follow(given, workload("/go"))
         beat = robot.node.create_publisher(String, "/beat", 10)
         status = robot.node.create_publisher(GoalStatusArray, STATUS, qos_profile_action_status_default)
         begun = time.time()
@@ -141,7 +141,7 @@ def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while
             while True:
                 if beating:
                     beat.publish(String(data="x"))
-                sight.drain([], "")
+                observer.drain([], "")
                 if holds():
                     return
                 assert time.monotonic() < end, f"30 s were not enough for {what}"
@@ -149,10 +149,10 @@ def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while
 
         def states() -> tuple[str, str]:
             now = time.time()
-            return sight.verdict(now=now, since=begun).state, sight.wellness(now=now, since=begun).state
+            return observer.verdict(now=now, since=begun).state, observer.wellness(now=now, since=begun).state
 
         def is_busy() -> bool:
-            return sight.busy(now=time.time(), since=begun) is not None
+            return observer.busy(now=time.time(), since=begun) is not None
 
         until(lambda: states() == ("Healthy", "Healthy"), "it to be well", beating=True)
         until(lambda: states() == ("Healthy", "Failed"), "it to be short of that", beating=False)
@@ -163,5 +163,5 @@ def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while
         status.publish(GoalStatusArray(status_list=[GoalStatus(status=GoalStatus.STATUS_SUCCEEDED)]))
         until(lambda: not is_busy(), "its end to be known", beating=False)
     finally:
-        sight.graph.close()
+        observer.graph.close()
         robot.close()

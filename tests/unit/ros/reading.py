@@ -14,7 +14,7 @@ from typing import Any
 from understudy.api.kinds.robot_workload import Output
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe import robot_readers
-from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.observe.robot_readers import RobotReaders
 from understudy.ros.runtime.graph_node import Graph
 
 
@@ -39,7 +39,7 @@ def main(given: dict[str, Any]) -> None:
     sight: Any = SimpleNamespace(graph=graph, addresses=given["instances"])
     told = Printed()
     print("ready", flush=True)
-    asyncio.run(Readership(view, sight, told, given["address"]).run())
+    asyncio.run(RobotReaders(view, sight, told, given["address"]).run())
     del own
 
 

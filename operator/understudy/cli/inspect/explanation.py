@@ -23,7 +23,7 @@ from understudy.cli.common.wording import age, listed, wrapped
 from understudy.cli.inspect import limit_text
 from understudy.cli.inspect.cluster_observation import Around
 from understudy.controller.desired import effective_policy, standby_pods
-from understudy.controller.desired.workload_plan import Understanding, understand
+from understudy.controller.desired.workload_plan import WorkloadPlan, understand
 from understudy.controller.observed import (
     dependency_graph,
     kube_objects,
@@ -54,7 +54,7 @@ class Known:
     """All input of the explanation: the status, and the present objects of the cluster."""
 
     observed: Observed
-    understanding: Understanding
+    understanding: WorkloadPlan
     status: RobotWorkloadStatus
     said: Robot
     """The summary of the status and the gate."""

@@ -8,14 +8,14 @@ from collections.abc import Mapping
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.controller.desired import action_proxy_container, effective_policy, node_drain
-from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import dependency_graph, kube_objects, pool_reader
 from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import instance_pod, pool_pods
 from understudy.kube.client import Object
 
 
-def config_map(observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> Object:
+def config_map(observed: Observed, understanding: WorkloadPlan, environment: Mapping[str, str]) -> Object:
     """Return the ConfigMap with the monitor's settings."""
     assert understanding.spec is not None
     workload = observed.workload
@@ -52,7 +52,7 @@ def config_map(observed: Observed, understanding: Understanding, environment: Ma
     }
 
 
-def choices(observed: Observed, understanding: Understanding) -> list[PoolChoice]:
+def choices(observed: Observed, understanding: WorkloadPlan) -> list[PoolChoice]:
     """Return the pools that the strategies name and that serve the workload, those in force first.
 
     While the policy is missing or invalid, these are the last known pools.
@@ -90,7 +90,7 @@ def choices(observed: Observed, understanding: Understanding) -> list[PoolChoice
     return found
 
 
-def source(observed: Observed, understanding: Understanding) -> tuple[str, str]:
+def source(observed: Observed, understanding: WorkloadPlan) -> tuple[str, str]:
     """Return kind and name of the controller that creates the workload's own pods."""
     assert understanding.spec is not None
     reference = understanding.spec.workload_ref

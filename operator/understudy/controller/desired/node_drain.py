@@ -15,7 +15,7 @@ from understudy.api.base import seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.switchover_spec import Drain
 from understudy.controller.desired import effective_policy
-from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import kube_objects, leaving_nodes
 from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import pool_evictions
@@ -46,7 +46,7 @@ class Hold:
     """End of the delay, in Unix seconds; None while no node is drained."""
 
 
-def hold(observed: Observed, understanding: Understanding) -> Hold:
+def hold(observed: Observed, understanding: WorkloadPlan) -> Hold:
     """Return whether evictions of the active instance are delayed for an understudy, and the reason if not."""
     assert understanding.spec is not None
     active, asked = observed.active, understanding.spec.draining
@@ -77,7 +77,7 @@ def hold(observed: Observed, understanding: Understanding) -> Hold:
     return Hold("Held", "", holds=True, until=until)
 
 
-def _falls_back(observed: Observed, understanding: Understanding) -> bool:
+def _falls_back(observed: Observed, understanding: WorkloadPlan) -> bool:
     """Whether its policy has a pool that serves it. While the policy is missing or invalid, whether it had one."""
     if understanding.policy_problem is not None:
         return bool(observed.told_pools)
@@ -95,7 +95,7 @@ def budget(workload: str, active: Object) -> Object:
     return pool_evictions.keeping(names.in_control(workload), 1, chosen)
 
 
-def conditions(observed: Observed, understanding: Understanding) -> list[Condition]:
+def conditions(observed: Observed, understanding: WorkloadPlan) -> list[Condition]:
     """Return the condition Draining; empty unless the node is drained."""
     active, drain = observed.active, seen(observed)
     if understanding.spec is None or drain is None or active is None:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from understudy.api import names
 from understudy.controller.desired import effective_policy
-from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import (
     committed_recovery,
     degraded_measures,
@@ -44,7 +44,7 @@ def own_stands_by(observed: Observed) -> bool:
     return stand_ins.may_stand_in(observed.workload, observed.policy)
 
 
-def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str, fresh: Fresh) -> None:
+def keep(made: Plan, observed: Observed, understanding: WorkloadPlan, pool: str, fresh: Fresh) -> None:
     """Keep as many standbys of a pool as the workload should have, with the current template."""
     workload, gate, built = observed.workload, observed.gate, understanding.builts[pool]
     owner = kube_objects.owner("RobotWorkload", workload)
@@ -86,7 +86,7 @@ def keep(made: Plan, observed: Observed, understanding: Understanding, pool: str
 
 
 def _renewed(
-    observed: Observed, understanding: Understanding, pool: str, mine: Sequence[Object], want: int
+    observed: Observed, understanding: WorkloadPlan, pool: str, mine: Sequence[Object], want: int
 ) -> tuple[int, list[Object]]:
     """Return the number of extra standbys during a replacement, and the workload's own pods that can be deleted.
 
@@ -143,7 +143,7 @@ def _spared(observed: Observed, pool: str) -> int:
     return int(not any(kube_objects.ready(pod) for pod in observed.pods if stand_ins.is_own(pod)))
 
 
-def _first_kept(observed: Observed, understanding: Understanding, displaced: str) -> str:
+def _first_kept(observed: Observed, understanding: WorkloadPlan, displaced: str) -> str:
     """Return the pool whose standbys decide when a pod that stands in for none is deleted.
 
     It is the first pool that keeps standbys. It is empty if there is none, or if the displaced pool keeps some.
@@ -181,7 +181,7 @@ def scale(made: Plan, observed: Observed) -> None:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
 
 
-def awaited(observed: Observed, understanding: Understanding) -> str | None:
+def awaited(observed: Observed, understanding: WorkloadPlan) -> str | None:
     """Return why the ReplicaSet does not receive the current template yet, or None.
 
     A restart must not fail because of a template that cannot start. So if there are standbys, one of the new template

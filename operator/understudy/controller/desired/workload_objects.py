@@ -19,7 +19,7 @@ from understudy.controller.desired import (
     node_drain,
     standby_pods,
 )
-from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import dependency_graph, kube_objects, ownership, policy_reader, workload_reference
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan
@@ -47,7 +47,7 @@ SWEPT = (DEPLOYMENTS, SERVICES)
 """Resources of which a workload's unneeded objects are deleted (the discovery server)."""
 
 
-def plan(observed: Observed, understanding: Understanding, images: Images, fresh: Fresh) -> Plan:
+def plan(observed: Observed, understanding: WorkloadPlan, images: Images, fresh: Fresh) -> Plan:
     """Return the writes for a workload."""
     made = Plan()
     workload, spec = observed.workload, understanding.spec
@@ -132,7 +132,7 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
         made.writes.append(Patch(kind.resource, gate, repair))
 
 
-def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
+def _hold(made: Plan, observed: Observed, understanding: WorkloadPlan) -> None:
     """Maintain the budget of the active instance.
 
     During a recovery, when none is active, it stays unchanged and selects nothing.
@@ -153,7 +153,7 @@ def _hold(made: Plan, observed: Observed, understanding: Understanding) -> None:
         made.later(max(0.0, found.until - observed.now))
 
 
-def _configure(made: Plan, observed: Observed, understanding: Understanding, environment: Mapping[str, str]) -> None:
+def _configure(made: Plan, observed: Observed, understanding: WorkloadPlan, environment: Mapping[str, str]) -> None:
     assert understanding.spec is not None
     name = kube_objects.name(observed.workload)
     spec = understanding.spec
@@ -167,7 +167,7 @@ def _configure(made: Plan, observed: Observed, understanding: Understanding, env
 
 
 def _monitor(
-    made: Plan, observed: Observed, understanding: Understanding, images: Images, environment: Mapping[str, str]
+    made: Plan, observed: Observed, understanding: WorkloadPlan, images: Images, environment: Mapping[str, str]
 ) -> None:
     spec = understanding.spec
     assert spec is not None
@@ -203,7 +203,7 @@ def _monitor(
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
 
-def _commanded(observed: Observed, understanding: Understanding) -> list[str]:
+def _commanded(observed: Observed, understanding: WorkloadPlan) -> list[str]:
     """Return the shared pools whose agents the monitor commands.
 
     These are the pools of its strategies, and those of pods that it has or may have. A claimed pod stays when its pool

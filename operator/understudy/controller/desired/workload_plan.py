@@ -23,7 +23,7 @@ from understudy.trees.languages.procedure_notations import composed
 
 
 @dataclass(frozen=True)
-class Understanding:
+class WorkloadPlan:
     """The result of evaluating a workload's spec."""
 
     spec: RobotWorkloadSpec | None = None
@@ -39,21 +39,21 @@ class Understanding:
     """Built pod templates: of the workload's own ReplicaSet ("") and of the standbys of each pool."""
 
 
-def understand(observed: Observed, images: Images) -> Understanding:
+def understand(observed: Observed, images: Images) -> WorkloadPlan:
     """Evaluate a workload's spec, before the API server validates its template."""
     workload = observed.workload
     name, namespace = kube_objects.name(workload), workload["metadata"]["namespace"]
     try:
         spec = RobotWorkloadSpec.model_validate(workload.get("spec") or {})
     except ValidationError as error:
-        return Understanding(problem=Problem("SpecInvalid", policy_reader.invalid(error)))
+        return WorkloadPlan(problem=Problem("SpecInvalid", policy_reader.invalid(error)))
     policy = _policy_problem(observed, spec)
     trees = ((f"spec.dependsOn[{index}].procedure", one.procedure) for index, one in enumerate(spec.depends_on))
     if words := policy_reader.procedures_problem(("spec.bringUp", spec.bring_up), *trees):
-        return Understanding(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
+        return WorkloadPlan(spec=spec, problem=Problem("TreeInvalid", words), policy_problem=policy)
 
-    def refuse(problem: Problem) -> Understanding:
-        return Understanding(spec=spec, problem=problem, policy_problem=policy)
+    def refuse(problem: Problem) -> WorkloadPlan:
+        return WorkloadPlan(spec=spec, problem=problem, policy_problem=policy)
 
     try:
         ros_environment.config_maps(name, {}, spec.outputs)
@@ -75,7 +75,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
     service = observed.owned.get(("services", names.discovery(name)))
     address = discovery_server.address(service)
     if spec.ros.discovery.mode == "Managed" and address is None:
-        return Understanding(spec=spec, policy_problem=policy, template=template)
+        return WorkloadPlan(spec=spec, policy_problem=policy, template=template)
     environment = MIDDLEWARE.environment(spec.ros, address)
     own_images = replace(images, monitor=spec.monitor.image or images.monitor)
     profiles = action_proxy_container.instance_profiles(spec)
@@ -97,10 +97,10 @@ def understand(observed: Observed, images: Images) -> Understanding:
     builts = {pool: build(pool) for pool in observed.standby_pools}
     if spec.template is not None:
         builts[""] = build("")
-    return Understanding(spec, None, policy, template, environment, profiles, builts)
+    return WorkloadPlan(spec, None, policy, template, environment, profiles, builts)
 
 
-def probe_template(observed: Observed, understanding: Understanding) -> Object | None:
+def probe_template(observed: Observed, understanding: WorkloadPlan) -> Object | None:
     """Return a pod with which the API server can validate the template; None if no template was built."""
     if not understanding.builts:
         return None

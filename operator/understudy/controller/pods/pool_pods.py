@@ -68,7 +68,7 @@ class Observed:
 
 
 @dataclass(frozen=True)
-class Understanding:
+class PoolPlan:
     """The result of evaluating a pool's spec."""
 
     spec: FallbackPoolSpec | None = None
@@ -100,29 +100,29 @@ def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
     return in_order(found, pool, now)
 
 
-def understand(observed: Observed, images: Images) -> Understanding:
+def understand(observed: Observed, images: Images) -> PoolPlan:
     """Evaluate a pool's spec, before the API server validates its template."""
     pool = observed.pool
     refused = pool_reader.problem(pool)
     if refused is not None and refused.reason == "SpecInvalid":
-        return Understanding(problem=refused)
+        return PoolPlan(problem=refused)
     spec = pool_reader.spec(pool)
     sized = pool_size.sized(pool, spec, observed.asking, observed.now)
     if refused is not None:
-        return Understanding(spec, refused, sized=sized)
+        return PoolPlan(spec, refused, sized=sized)
     if spec.readiness != "Uninitialized":
-        return Understanding(spec)
+        return PoolPlan(spec)
     template, path, image = spec.template, "spec.template", images
     if spec.template_from is not None:
         source = spec.template_from.workload
         path = f"RobotWorkload {source}: spec.template"
         template = dict(observed.source) if observed.source is not None else None
         if template is None:
-            return Understanding(spec, _no_source(source, observed), sized=sized)
+            return PoolPlan(spec, _no_source(source, observed), sized=sized)
         own = ((observed.workloads[source].get("spec") or {}).get("monitor") or {}).get("image")
         image = replace(images, monitor=own or images.monitor)
     if found := instance_pod.problem(template or {}, held=True, path=path):
-        return Understanding(spec, Problem("TemplateInvalid", found), sized=sized)
+        return PoolPlan(spec, Problem("TemplateInvalid", found), sized=sized)
     requirements = selectors.requirements(observed.source_selector or {})
     recipe = instance_pod.Recipe(
         workload="",
@@ -134,7 +134,7 @@ def understand(observed: Observed, images: Images) -> Understanding:
         warm_paths=spec.warm_paths,
         stripped=frozenset(requirement["key"] for requirement in requirements),
     )
-    return Understanding(spec, built=instance_pod.build(template or {}, recipe), sized=sized)
+    return PoolPlan(spec, built=instance_pod.build(template or {}, recipe), sized=sized)
 
 
 def _no_source(source: str, observed: Observed) -> Problem:
@@ -156,7 +156,7 @@ class Fresh:
     token: Callable[[], str] = field(repr=False)
 
 
-def plan(observed: Observed, understanding: Understanding, fresh: Fresh) -> Plan:
+def plan(observed: Observed, understanding: PoolPlan, fresh: Fresh) -> Plan:
     """Return the writes for a pool. Claimed pods are never among them.
 
     If the spec is not accepted, no pods are created or deleted.

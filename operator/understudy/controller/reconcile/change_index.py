@@ -19,7 +19,7 @@ from understudy.controller.observed import (
     stand_ins,
 )
 from understudy.controller.pods import pool_pods
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.status import storm_detection
 from understudy.kube.apply import controller_of
 from understudy.kube.client import (
@@ -62,76 +62,76 @@ class Affected(NamedTuple):
     """
 
 
-def of(sight: Sight, store: Store) -> Affected:
+def of(change: ObservedChange, store: Store) -> Affected:
     """Return the effect of a change. The store already contains the change."""
-    plenty = _plenty(sight, store)
-    return Affected(set(_keys(sight, store, plenty)), _is_claim(sight, plenty))
+    plenty = _plenty(change, store)
+    return Affected(set(_keys(change, store, plenty)), _is_claim(change, plenty))
 
 
-def keys(sight: Sight, store: Store) -> set[Key]:
+def keys(change: ObservedChange, store: Store) -> set[Key]:
     """Return only the keys of :func:`of`."""
-    return of(sight, store).keys
+    return of(change, store).keys
 
 
-def _keys(sight: Sight, store: Store, plenty: Collection[str]) -> Iterator[Key]:
-    found = sight.new or sight.old
+def _keys(change: ObservedChange, store: Store, plenty: Collection[str]) -> Iterator[Key]:
+    found = change.new or change.old
     assert found is not None
     namespace = found["metadata"].get("namespace", "")
-    plural = sight.resource.plural
+    plural = change.resource.plural
     if plural == NODES.plural:
-        yield from _after_node(sight, store)
+        yield from _after_node(change, store)
         return
     if plural == DISRUPTION_BUDGETS.plural:
-        yield from _after_budget(sight, store, namespace)
+        yield from _after_budget(change, store, namespace)
         return
-    for item in (sight.old, sight.new):
+    for item in (change.old, change.new):
         owner = controller_of(item) if item is not None else None
         if owner is not None and owner.get("apiVersion") == API_VERSION and owner.get("kind") in _PLURALS:
             yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
     if plural in (WORKLOADS.plural, POLICIES.plural, POOLS.plural):
         yield Key(plural, namespace, kube_objects.name(found))
-        if _spec_changed(sight):
-            yield from _after_spec(sight, store, namespace)
+        if _spec_changed(change):
+            yield from _after_spec(change, store, namespace)
         elif plural == WORKLOADS.plural:
-            if _chosen_anew(sight):
+            if _chosen_anew(change):
                 for name in store.in_namespace(POOLS, namespace):  # the number of its standbys in each pool
                     yield Key(POOLS.plural, namespace, name)
-            elif _recovered_anew(sight):
+            elif _recovered_anew(change):
                 yield from _sized(store, namespace)
-            yield from _after_health(sight, store, namespace)
+            yield from _after_health(change, store, namespace)
     elif plural == PODS.plural:
-        yield from _after_pod(sight, store, namespace, plenty)
-    elif sight.resource in registry.FENCING_RESOURCES:
+        yield from _after_pod(change, store, namespace, plenty)
+    elif change.resource in registry.FENCING_RESOURCES:
         yield from _after_policy(found, store, namespace)
-        yield from _after_commit(sight, store, namespace)
+        yield from _after_commit(change, store, namespace)
     elif plural == CONFIG_MAPS.plural:
         yield from _after_trees(found, store, namespace)
     elif plural == SECRETS.plural and (pool := kube_objects.labels(found).get(names.POOL)):
         yield Key(POOLS.plural, namespace, pool)
 
 
-def _is_claim(sight: Sight, plenty: Collection[str]) -> bool:
-    if sight.resource.plural != PODS.plural or sight.old is None or sight.new is None:
+def _is_claim(change: ObservedChange, plenty: Collection[str]) -> bool:
+    if change.resource.plural != PODS.plural or change.old is None or change.new is None:
         return False
-    before = kube_objects.labels(sight.old)
+    before = kube_objects.labels(change.old)
     return (
-        names.HELD in before and names.CLAIM in kube_objects.notes(sight.new) and before.get(names.POOL, "") in plenty
+        names.HELD in before and names.CLAIM in kube_objects.notes(change.new) and before.get(names.POOL, "") in plenty
     )
 
 
-def _spec_changed(sight: Sight) -> bool:
-    if sight.old is None or sight.new is None:
+def _spec_changed(change: ObservedChange) -> bool:
+    if change.old is None or change.new is None:
         return True
-    old, new = sight.old["metadata"], sight.new["metadata"]
+    old, new = change.old["metadata"], change.new["metadata"]
     return any(old.get(key) != new.get(key) for key in ("uid", "generation", "labels", "deletionTimestamp"))
 
 
-def _chosen_anew(sight: Sight) -> bool:
-    return sight.old is not None and sight.new is not None and chosen(sight.old) != chosen(sight.new)
+def _chosen_anew(change: ObservedChange) -> bool:
+    return change.old is not None and change.new is not None and chosen(change.old) != chosen(change.new)
 
 
-def _recovered_anew(sight: Sight) -> bool:
-    counts = [((item or {}).get("status") or {}).get("recoveryCount") for item in (sight.old, sight.new)]
+def _recovered_anew(change: ObservedChange) -> bool:
+    counts = [((item or {}).get("status") or {}).get("recoveryCount") for item in (change.old, change.new)]
     return counts[0] != counts[1]
 
 
@@ -142,29 +142,33 @@ def _sized(store: Store, namespace: str) -> Iterator[Key]:
             yield Key(POOLS.plural, namespace, name)
 
 
-def _depends_anew(sight: Sight) -> bool:
+def _depends_anew(change: ObservedChange) -> bool:
     """Whether a workload was created or deleted, or its dependencies have changed."""
-    if sight.old is None or sight.new is None or kube_objects.deleted(sight.old) != kube_objects.deleted(sight.new):
+    if change.old is None or change.new is None or kube_objects.deleted(change.old) != kube_objects.deleted(change.new):
         return True
-    return dependency_graph.named(sight.old) != dependency_graph.named(sight.new)
+    return dependency_graph.named(change.old) != dependency_graph.named(change.new)
 
 
-def _after_health(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+def _after_health(change: ObservedChange, store: Store, namespace: str) -> Iterator[Key]:
     """Yield the policy that counts how many of its workloads fail at the same time."""
-    if sight.old is None or sight.new is None or storm_detection.health(sight.old) == storm_detection.health(sight.new):
-        return
-    yield from _guard(sight.new, store, namespace)
-
-
-def _after_commit(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
-    """Yield the workload's policy if a recovery begins. The gate shows that before the workload's status does."""
     if (
-        sight.old is None
-        or sight.new is None
-        or committed_recovery.beside(sight.old) == committed_recovery.beside(sight.new)
+        change.old is None
+        or change.new is None
+        or storm_detection.health(change.old) == storm_detection.health(change.new)
     ):
         return
-    owner = controller_of(sight.new)
+    yield from _guard(change.new, store, namespace)
+
+
+def _after_commit(change: ObservedChange, store: Store, namespace: str) -> Iterator[Key]:
+    """Yield the workload's policy if a recovery begins. The gate shows that before the workload's status does."""
+    if (
+        change.old is None
+        or change.new is None
+        or committed_recovery.beside(change.old) == committed_recovery.beside(change.new)
+    ):
+        return
+    owner = controller_of(change.new)
     workload = store.get(WORKLOADS, namespace, owner["name"]) if owner is not None else None
     if workload is not None:
         yield from _guard(workload, store, namespace)
@@ -177,21 +181,21 @@ def _guard(workload: Object, store: Store, namespace: str) -> Iterator[Key]:
         yield Key(POLICIES.plural, namespace, kube_objects.name(policy))
 
 
-def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
-    found = sight.new or sight.old
+def _after_spec(change: ObservedChange, store: Store, namespace: str) -> Iterator[Key]:
+    found = change.new or change.old
     assert found is not None
-    if sight.resource.plural == WORKLOADS.plural:
-        for item in (sight.old, sight.new):
+    if change.resource.plural == WORKLOADS.plural:
+        for item in (change.old, change.new):
             if item is not None and (policy := used_policy(item)):
                 yield Key(POLICIES.plural, namespace, policy)
         for name in store.in_namespace(POOLS, namespace):
             yield Key(POOLS.plural, namespace, name)
-        anew = _depends_anew(sight)
+        anew = _depends_anew(change)
         for name, other in store.in_namespace(WORKLOADS, namespace).items():
             rival = reference(other) and reference(other) == reference(found)
             if rival or (anew and dependency_graph.named(other)):  # it may depend on this one, or be in a cycle with it
                 yield Key(WORKLOADS.plural, namespace, name)
-    elif sight.resource.plural == POLICIES.plural:
+    elif change.resource.plural == POLICIES.plural:
         yield from users(kube_objects.name(found), store, namespace)
         yield from _sized(store, namespace)  # the workloads that claim from them may have changed
     else:
@@ -201,8 +205,8 @@ def _after_spec(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
             yield Key(WORKLOADS.plural, namespace, name)
 
 
-def _after_pod(sight: Sight, store: Store, namespace: str, plenty: Collection[str]) -> Iterator[Key]:
-    for item in (sight.old, sight.new):
+def _after_pod(change: ObservedChange, store: Store, namespace: str, plenty: Collection[str]) -> Iterator[Key]:
+    for item in (change.old, change.new):
         if item is None:
             continue
         labels = kube_objects.labels(item)
@@ -226,11 +230,11 @@ def _stood_in_for(workload: str, store: Store, namespace: str) -> Iterator[Key]:
         yield Key(POOLS.plural, namespace, pool)
 
 
-def _plenty(sight: Sight, store: Store) -> Collection[str]:
+def _plenty(change: ObservedChange, store: Store) -> Collection[str]:
     """Return the shared pools that hold or held this pod and have enough other claimable pods."""
-    if sight.resource.plural != PODS.plural:
+    if change.resource.plural != PODS.plural:
         return ()
-    known = [item for item in (sight.old, sight.new) if item is not None and names.HELD in kube_objects.labels(item)]
+    known = [item for item in (change.old, change.new) if item is not None and names.HELD in kube_objects.labels(item)]
     # The pool before and after the change is usually the same one, so this asks once per pool.
     held = {kube_objects.labels(item).get(names.POOL, ""): item for item in known}
     return [pool for pool, item in held.items() if _has_plenty(pool, item, store, item["metadata"]["namespace"])]
@@ -269,12 +273,12 @@ def _going(node: Object) -> tuple[bool, bool]:
     return leaving_nodes.is_cordoned(node), leaving_nodes.is_leaving(node)
 
 
-def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
+def _after_node(change: ObservedChange, store: Store) -> Iterator[Key]:
     """Yield the owners of pods that are about to leave a node.
 
     Nodes report all the time. A change matters only if it changes which nodes are cordoned or being drained.
     """
-    known = [item for item in (sight.old, sight.new) if item is not None]
+    known = [item for item in (change.old, change.new) if item is not None]
     if len(known) == 2 and _going(known[0]) == _going(known[1]):
         return
     # This includes pods on other nodes: a node to move to may have appeared or disappeared.
@@ -290,14 +294,14 @@ def _after_node(sight: Sight, store: Store) -> Iterator[Key]:
             yield from _stood_in_for(labels.get(names.WORKLOAD, ""), store, namespace)
 
 
-def _after_budget(sight: Sight, store: Store, namespace: str) -> Iterator[Key]:
+def _after_budget(change: ObservedChange, store: Store, namespace: str) -> Iterator[Key]:
     """Yield the owner of a PodDisruptionBudget of Understudy, or all workloads and pools for any other budget.
 
     Another budget may select any instance, and the waiting pods of any pool.
     """
-    if not _spec_changed(sight):  # its status changes with every pod
+    if not _spec_changed(change):  # its status changes with every pod
         return
-    owner = controller_of(sight.new or sight.old or {"metadata": {}})
+    owner = controller_of(change.new or change.old or {"metadata": {}})
     if owner is not None and owner.get("apiVersion") == API_VERSION:
         yield Key(_PLURALS[owner["kind"]], namespace, owner["name"])
         return

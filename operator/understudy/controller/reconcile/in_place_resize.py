@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.degraded_spec import Resize
 from understudy.api.quantities import amount
-from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import degraded_measures, kube_objects
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Patch, Problem
@@ -38,7 +38,7 @@ class Outcome:
     write: Patch | None = None
 
 
-def outcomes(observed: Observed, understanding: Understanding) -> list[Outcome]:
+def outcomes(observed: Observed, understanding: WorkloadPlan) -> list[Outcome]:
     """Return the progress of the policy's resizes on the active pod; empty while the workload is not degraded."""
     pod, spec = observed.resized, understanding.spec
     if pod is None or spec is None or understanding.policy_problem is not None:

@@ -26,7 +26,7 @@ Index = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Sight:
+class ObservedChange:
     """An observed change."""
 
     resource: Resource
@@ -44,7 +44,7 @@ class Store:
         self._gone: dict[str, tuple[int, float]] = {}
         self._swept = self._changed = clock()
         self._sharing = Sharing(clock=clock)
-        self.noticed: Callable[[Sight], None] = lambda sight: None
+        self.noticed: Callable[[ObservedChange], None] = lambda change: None
         """Called with every change, including those by the operator: a write for one object may affect another."""
 
     @property
@@ -83,7 +83,7 @@ class Store:
         """Return the objects with one of the indexed labels (workload, pool, monitored)."""
         return list(self._index.get(("label", resource.plural, namespace, label, value), {}).values())
 
-    def put(self, resource: Resource, item: Object) -> Sight | None:
+    def put(self, resource: Resource, item: Object) -> ObservedChange | None:
         """Store an observation of an object, and return the change; None if it contains nothing new."""
         metadata = item["metadata"]
         place = (metadata.get("namespace", ""), metadata["name"])
@@ -101,9 +101,9 @@ class Store:
         entry = (resource.plural, *place)
         for key in _keys(resource, new):
             self._index[key][entry] = new
-        return self._notice(Sight(resource, old, new))
+        return self._notice(ObservedChange(resource, old, new))
 
-    def remove(self, resource: Resource, item: Object) -> Sight | None:
+    def remove(self, resource: Resource, item: Object) -> ObservedChange | None:
         """Record that an object is gone, and return the change; None if that was known."""
         metadata = item["metadata"]
         place = (metadata.get("namespace", ""), metadata["name"])
@@ -113,12 +113,12 @@ class Store:
             return None
         del self._items[resource.plural][place]
         self._unindex(resource, place, old)
-        return self._notice(Sight(resource, old, None))
+        return self._notice(ObservedChange(resource, old, None))
 
-    def _notice(self, sight: Sight) -> Sight:
+    def _notice(self, change: ObservedChange) -> ObservedChange:
         self._changed = self._clock()
-        self.noticed(sight)
-        return sight
+        self.noticed(change)
+        return change
 
     def replace(
         self,
@@ -128,7 +128,7 @@ class Store:
         namespace: str | None,
         *,
         covered: Callable[[Object], bool] = lambda item: True,
-    ) -> list[Sight]:
+    ) -> list[ObservedChange]:
         """Store a list of a resource (of one namespace, or of all) as of version ``listed``, and return the changes.
 
         ``covered`` says of a stored object whether such a list would contain it.
@@ -136,13 +136,13 @@ class Store:
         self._sharing.forget()
         found = list(items)
         present = {(i["metadata"].get("namespace", ""), i["metadata"]["name"]) for i in found}
-        sights = [self.put(resource, item) for item in found]
+        changes = [self.put(resource, item) for item in found]
         for place, old in list(self._items[resource.plural].items()):
             if place in present or (namespace is not None and place[0] != namespace):
                 continue
             if version(old) <= listed and covered(old):  # newer ones were created after the list
-                sights.append(self.remove(resource, old))
-        return [sight for sight in sights if sight is not None]
+                changes.append(self.remove(resource, old))
+        return [change for change in changes if change is not None]
 
     def _bury(self, item: Object) -> None:
         now = self._clock()

@@ -12,7 +12,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition
 from understudy.controller.desired import node_drain, workload_objects
-from understudy.controller.desired.workload_plan import Understanding, probe_template, understand
+from understudy.controller.desired.workload_plan import WorkloadPlan, probe_template, understand
 from understudy.controller.observed import dependency_graph, kube_objects, policy_reader
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import UNANSWERED, Images, Problem
@@ -149,7 +149,7 @@ class Reconciler:
                 await self._tell(WORKLOADS, item, workload_status.status(observed, understanding, [problem], resized))
             raise
 
-    async def _build(self, key: Key, observed: Observed, understanding: Understanding) -> float | None:
+    async def _build(self, key: Key, observed: Observed, understanding: WorkloadPlan) -> float | None:
         again = None
         if (pod := probe_template(observed, understanding)) is not None:
             path = "spec.template" if observed.reference is None else "the referred controller's spec.template"
@@ -167,9 +167,7 @@ class Reconciler:
         status = workload_status.status(observed, understanding, problems, in_place_resize.judged(observed, raised))
         return _earliest(plan.again_after, again, turn, await self._tell(WORKLOADS, observed.workload, status))
 
-    async def _resize(
-        self, key: Key, observed: Observed, understanding: Understanding
-    ) -> list[in_place_resize.Outcome]:
+    async def _resize(self, key: Key, observed: Observed, understanding: WorkloadPlan) -> list[in_place_resize.Outcome]:
         """Resize the active pod as requested. A refusal of the API server does not affect the other writes."""
         found = []
         for outcome in in_place_resize.outcomes(observed, understanding):
@@ -192,9 +190,7 @@ class Reconciler:
                 await self._count(key, item, pool_status.status(observed, understanding, [problem]))
             raise  # The queue then tries again, and the status is written if it was postponed.
 
-    async def _keep(
-        self, key: Key, observed: pool_pods.Observed, understanding: pool_pods.Understanding
-    ) -> float | None:
+    async def _keep(self, key: Key, observed: pool_pods.Observed, understanding: pool_pods.PoolPlan) -> float | None:
         item, again = observed.pool, None
         if understanding.built is not None:
             trial = instance_pod.trial(understanding.built, "FallbackPool", item)

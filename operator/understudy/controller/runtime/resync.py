@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.observed import health_tree_sources, kube_objects
-from understudy.controller.reconcile.object_store import Sight, Store, same, slim
+from understudy.controller.reconcile.object_store import ObservedChange, Store, same, slim
 from understudy.controller.reconcile.object_store import version as version_of
 from understudy.kube.apply import controller_of
 from understudy.kube.client import (
@@ -136,21 +136,21 @@ class Lists:
         self._known: dict[tuple[str, str | None], Parts] = {}
         self._patience = 0.0
 
-    async def resync(self, *, gently: bool = False) -> list[Sight]:
+    async def resync(self, *, gently: bool = False) -> list[ObservedChange]:
         """List everything, and return the changes. ``gently`` adds pauses, if nothing waits for the result.
 
         Raises ApiError, aiohttp.ClientError or TimeoutError. Objects that were listed before the error are stored.
         """
-        sights: list[Sight] = []
+        changes: list[ObservedChange] = []
         self._patience = PATIENCE
         for resource, selectors in LISTED:
             for namespace in (self._namespaces if resource != NODES else ()) or (None,):
-                sights += await self._list(resource, namespace, selectors, gently=gently)
-        return sights
+                changes += await self._list(resource, namespace, selectors, gently=gently)
+        return changes
 
     async def _list(
         self, resource: Resource, namespace: str | None, selectors: Sequence[str | None], *, gently: bool
-    ) -> list[Sight]:
+    ) -> list[ObservedChange]:
         place = (resource.plural, namespace)
         known, found = self._known.get(place, {}), Parts()
         # The version of the first list: an object that was created between two lists is newer, and is kept.
@@ -166,9 +166,9 @@ class Lists:
                     begun = time.monotonic()
         assert version is not None, "every list has a part"
         covered = functools.partial(listed, resource)
-        sights = self._store.replace(resource, itertools.chain(*found.values()), version, namespace, covered=covered)
+        changes = self._store.replace(resource, itertools.chain(*found.values()), version, namespace, covered=covered)
         self._known[place] = {digest: self._stored(resource, items) for digest, items in found.items()}
-        return sights
+        return changes
 
     async def _stand_back(self, took: float) -> None:
         """Give way to other clients after a part that took ``took`` seconds."""

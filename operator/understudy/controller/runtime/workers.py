@@ -14,7 +14,7 @@ from understudy.controller.observed import kube_objects
 from understudy.controller.reconcile import change_index, operator_metrics
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.executor import Ending, Stale
-from understudy.controller.reconcile.object_store import Sight, Store
+from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.runtime import resync
 from understudy.controller.runtime.work_queue import Queue
@@ -77,8 +77,8 @@ class Operator:
             for key in change_index.referring(resource, item, self._store):
                 self._add(key)
 
-    def _enqueue(self, sight: Sight) -> None:
-        found = change_index.of(sight, self._store)
+    def _enqueue(self, change: ObservedChange) -> None:
+        found = change_index.of(change, self._store)
         delays = CLAIMED if found.is_claim else {}
         for key in found.keys:
             self._add(key, delays.get(key.plural, SOON))
@@ -103,9 +103,9 @@ class Operator:
 
     async def _list(self, *, report: bool) -> None:
         begun = time.time()
-        for sight in await self._lists.resync(gently=report):
-            if report and sight.resource.plural in resync.WATCHED and _aged(sight, begun):
-                operator_metrics.MISSED.labels(sight.resource.plural).inc()
+        for change in await self._lists.resync(gently=report):
+            if report and change.resource.plural in resync.WATCHED and _aged(change, begun):
+                operator_metrics.MISSED.labels(change.resource.plural).inc()
         for key in change_index.unlisted(self._store):
             self._add(key)
         self._strays()
@@ -187,6 +187,6 @@ class Operator:
         operator_metrics.RECONCILED.labels(key.plural, result).inc()
 
 
-def _aged(sight: Sight, begun: float) -> bool:
+def _aged(change: ObservedChange, begun: float) -> bool:
     """Whether a watch had enough time to report the change: a list may simply have been faster."""
-    return sight.new is None or begun - kube_objects.created(sight.new) > 5
+    return change.new is None or begun - kube_objects.created(change.new) > 5

@@ -61,7 +61,7 @@ def _held(observed: pool_pods.Observed) -> list[Object]:
     ]
 
 
-def status(observed: pool_pods.Observed, understanding: pool_pods.Understanding, problems: Sequence[Problem]) -> Object:
+def status(observed: pool_pods.Observed, understanding: pool_pods.PoolPlan, problems: Sequence[Problem]) -> Object:
     """Return the pool's status, without the times of its conditions."""
     pool, spec = observed.pool, understanding.spec
     generation = kube_objects.generation(pool)

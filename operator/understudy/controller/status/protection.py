@@ -14,7 +14,7 @@ from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.api.kinds.robot_workload import STOCKED_MOST
 from understudy.controller.desired import effective_policy, standby_pods
-from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import degraded_measures, kube_objects, leaving_nodes, pod_diagnosis, pool_reader
 from understudy.controller.observed.observation import WAITING, Observed
 from understudy.controller.pods import pool_pods, pool_size
@@ -43,7 +43,7 @@ class Considered:
     availability: Availability
 
 
-def protected(observed: Observed, understanding: Understanding) -> Condition:
+def protected(observed: Observed, understanding: WorkloadPlan) -> Condition:
     """Return the condition Protected.
 
     It reports whether the policy's first strategy could run at a failure now, and what is missing if not.
@@ -91,7 +91,7 @@ def reported_limits(observed: Observed) -> LimitsInForce:
     return LimitsInForce(pause=reported.get(("Paused", "True")), budget=reported.get(("WithinBudget", "False")))
 
 
-def considered(observed: Observed, understanding: Understanding) -> list[Considered]:
+def considered(observed: Observed, understanding: WorkloadPlan) -> list[Considered]:
     """Return the strategies that count now, in the policy's order; empty while the policy is missing or invalid."""
     there, found = resources(observed, understanding), []
     for strategy in _strategies(observed, understanding):
@@ -103,7 +103,7 @@ def considered(observed: Observed, understanding: Understanding) -> list[Conside
     return found
 
 
-def resources(observed: Observed, understanding: Understanding) -> Resources:
+def resources(observed: Observed, understanding: WorkloadPlan) -> Resources:
     """Return the resources that a workload's strategies need, from the objects around it."""
     named = {s.pool_ref.name for s in _strategies(observed, understanding) if s.pool_ref is not None}
     pools = {name: item for name, item in observed.pools.items() if name in named and not kube_objects.deleted(item)}
@@ -115,7 +115,7 @@ def resources(observed: Observed, understanding: Understanding) -> Resources:
     )
 
 
-def stocked(observed: Observed, understanding: Understanding) -> Object:
+def stocked(observed: Observed, understanding: WorkloadPlan) -> Object:
     """Return the status field with the shared pools from which a pod could be claimed, in order, at most ``STOCKED_MOST``.
 
     The monitor relies on it until it needs a pod, and reads the pool only then.
@@ -129,7 +129,7 @@ def stocked(observed: Observed, understanding: Understanding) -> Object:
     return {"stocked": found[:STOCKED_MOST]} if found else {}
 
 
-def standby(observed: Observed, understanding: Understanding) -> str:
+def standby(observed: Observed, understanding: WorkloadPlan) -> str:
     """Return the printed column Standby.
 
     It has the readiness of the first pool that serves the workload, and its numbers of ready and wanted instances.
@@ -180,7 +180,7 @@ def _outlook(found: Sequence[Considered]) -> str:
     return f"If it failed now, {first.name} would be used{details}."
 
 
-def _strategies(observed: Observed, understanding: Understanding) -> list[Strategy]:
+def _strategies(observed: Observed, understanding: WorkloadPlan) -> list[Strategy]:
     if understanding.spec is None or understanding.policy_problem is not None:
         return []
     policy = observed.policies[understanding.spec.failure_policy_ref.name]
@@ -208,7 +208,7 @@ def _made(observed: Observed, pool: str) -> list[Object]:
     return [pod for pod in found if not kube_objects.is_active(pod, observed.gate)]
 
 
-def _pool(observed: Observed, understanding: Understanding, item: Object) -> Pool:
+def _pool(observed: Observed, understanding: WorkloadPlan, item: Object) -> Pool:
     """Return what a workload could use from a pool."""
     readiness, serves = pool_reader.readiness(item), pool_reader.serves(item, observed.workload)
     name = kube_objects.name(item)
@@ -249,7 +249,7 @@ def _problem(pods: Sequence[Object]) -> Problem | None:
     return Problem(found.reason, found.message) if found is not None else None
 
 
-def _discovery(observed: Observed, understanding: Understanding) -> Problem | None:
+def _discovery(observed: Observed, understanding: WorkloadPlan) -> Problem | None:
     """Return why an instance that starts now could not find its robot. A running instance has found it already."""
     spec = understanding.spec
     if spec is None or spec.ros.discovery.mode != "Managed" or any(map(kube_objects.ready, observed.discovery)):

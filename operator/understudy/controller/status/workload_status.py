@@ -8,7 +8,7 @@ from understudy.advice import order_explanation
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.controller.desired import effective_policy, node_drain, standby_pods
-from understudy.controller.desired.workload_plan import Understanding
+from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import (
     dependency_graph,
     kube_objects,
@@ -47,7 +47,7 @@ CHOSEN = "StrategiesChosen"
 
 
 def status(
-    observed: Observed, understanding: Understanding, problems: Sequence[Problem], resized: Condition | None = None
+    observed: Observed, understanding: WorkloadPlan, problems: Sequence[Problem], resized: Condition | None = None
 ) -> Object:
     """Return the operator's part of a workload's status, without the times of its conditions.
 
@@ -97,7 +97,7 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     return found
 
 
-def _accepted(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Condition:
+def _accepted(observed: Observed, understanding: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
     generation = kube_objects.generation(observed.workload)
     taken = next((p for p in problems if p.reason in ("NameTaken", "TemplateInvalid")), None)
     found = understanding.problem or understanding.policy_problem or taken
@@ -106,7 +106,7 @@ def _accepted(observed: Observed, understanding: Understanding, problems: Sequen
     return condition("Accepted", True, "Accepted", "The spec and the policy are valid.", generation=generation)
 
 
-def _reconciled(observed: Observed, understanding: Understanding, problems: Sequence[Problem]) -> Condition:
+def _reconciled(observed: Observed, understanding: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
     generation = kube_objects.generation(observed.workload)
 
     def no(reason: str, message: str) -> Condition:
@@ -126,7 +126,7 @@ def _reconciled(observed: Observed, understanding: Understanding, problems: Sequ
     return condition("Reconciled", True, "Reconciled", "All objects match the spec.", generation=generation)
 
 
-def _order(observed: Observed, understanding: Understanding) -> Object:
+def _order(observed: Observed, understanding: WorkloadPlan) -> Object:
     """Return the strategies in force, in short form; the last known ones while the policy is missing or invalid."""
     if understanding.spec is None or understanding.policy_problem is not None:
         known = (observed.workload.get("status") or {}).get("strategies")
@@ -147,7 +147,7 @@ def takes_from(strategies: str, pool: str) -> bool:
     return f"({pool})" in strategies
 
 
-def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]:
+def _chosen(observed: Observed, understanding: WorkloadPlan) -> list[Condition]:
     """Return the condition for the selected order, if the policy leaves it open.
 
     While the policy is missing or invalid, the last condition stays.
@@ -166,7 +166,7 @@ def _chosen(observed: Observed, understanding: Understanding) -> list[Condition]
     return [condition(CHOSEN, met, why, told, generation=kube_objects.generation(observed.workload))]
 
 
-def _situation(observed: Observed, understanding: Understanding) -> list[Condition]:
+def _situation(observed: Observed, understanding: WorkloadPlan) -> list[Condition]:
     """Return the condition that reports whether the strategies of the robot's situation are in force.
 
     While the policy is missing or invalid, the last condition stays.

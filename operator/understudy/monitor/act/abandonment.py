@@ -34,7 +34,7 @@ class Abandonment:
         self._left: tuple[str, float] = ("", 0.0)
         """The recovery in the gate's record that is not this monitor's, and since when it has been there while the
         robot was driven (monotonic seconds)."""
-        self._saying: asyncio.Task[None] | None = None
+        self._status_conditions: asyncio.Task[None] | None = None
 
     @property
     def ids(self) -> set[str]:
@@ -61,11 +61,11 @@ class Abandonment:
         once."""
         self._forget_past_ones()
         record = self._gate.record
-        if record is None or (self._saying is not None and not self._saying.done()):
+        if record is None or (self._status_conditions is not None and not self._status_conditions.done()):
             return
         given_up = any(one.stands(record.epoch, record.recovery) for one in self._known)
         if self._is_left(record.recovery) or given_up:
-            self._saying = asyncio.create_task(self._gate.end_recovery(record))
+            self._status_conditions = asyncio.create_task(self._gate.end_recovery(record))
 
     def _is_left(self, text: str) -> bool:
         """Whether another monitor would have recorded it by now: the robot has been driven for so long by an instance that is healthy."""

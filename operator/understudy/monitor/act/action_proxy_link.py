@@ -20,10 +20,10 @@ from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.interfaces import Gate, GateState, Instance
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
@@ -42,16 +42,16 @@ MOST = 1 << 20
 CONDITION = "TasksProxied"
 
 
-class TaskLink:
+class ActionProxyLink:
     """Keeps the proxy informed until cancelled."""
 
     def __init__(
-        self, socket: Path, view: View, fleet: Fleet, gate: Gate, sidecars: Sidecars, notices: Notices
+        self, socket: Path, view: ClusterView, fleet: PodControl, gate: Gate, agents: AgentConnections, notices: Notices
     ) -> None:
         """``socket`` is the path of the proxy's socket."""
         self._socket = socket
         self._view, self._fleet, self._gate = view, fleet, gate
-        self._sidecars, self._notices = sidecars, notices
+        self._agents, self._notices = agents, notices
 
     async def run(self) -> None:
         """Connect, send and listen, again and again."""
@@ -116,7 +116,7 @@ class TaskLink:
         for instance in self._fleet.of_workload():
             if not reachable(instance, state):
                 continue
-            token = await self._sidecars.token(instance)
+            token = await self._agents.token(instance)
             if token is not None:
                 peers.append(
                     {

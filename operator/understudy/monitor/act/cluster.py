@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import Fleet
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.act.pod_control import PodControl
+from understudy.monitor.observe.cluster_view import ClusterView
 
 
 @dataclass(frozen=True)
 class Cluster:
     """The objects of one workload."""
 
-    view: View
-    pods: Fleet
+    view: ClusterView
+    pods: PodControl
     gate: GateControl

@@ -24,7 +24,7 @@ LOOK = 1.0
 """Seconds between two looks whether the recovery may continue."""
 
 
-class Deferral:
+class DeferredRecovery:
     """Defers the recoveries of one workload."""
 
     def __init__(

@@ -18,7 +18,7 @@ from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import ApiError
 from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)
@@ -32,10 +32,10 @@ FAILED_FOR = 2.0
 """Seconds after which a failed pod is deleted again: its first deletion may be seen only then."""
 
 
-class Leftovers:
+class GarbageCollection:
     """Pods of one workload that are not active and have no use."""
 
-    def __init__(self, fleet: Fleet, gate: GateControl, notices: Notices) -> None:
+    def __init__(self, fleet: PodControl, gate: GateControl, notices: Notices) -> None:
         self._fleet, self._gate, self._notices = fleet, gate, notices
         self._since: dict[str, float] = {}
         self._failed: dict[str, PodIdentity] = {}

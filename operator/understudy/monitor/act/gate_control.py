@@ -17,10 +17,10 @@ from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
 from understudy.kube.client import ApiError, Client
 from understudy.kube.gates.base import GateRecord, Proof
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import GateCommitted, Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
@@ -34,7 +34,13 @@ class GateControl:
     """Implements :class:`understudy.failover.interfaces.Gate` for one workload, over its kind of gate."""
 
     def __init__(
-        self, client: Client, view: View, fleet: Fleet, probes: Proof, crash_points: CrashPoints, notices: Notices
+        self,
+        client: Client,
+        view: ClusterView,
+        fleet: PodControl,
+        probes: Proof,
+        crash_points: CrashPoints,
+        notices: Notices,
     ) -> None:
         self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
         self._crash_points, self._kind, self._notices = crash_points, view.gate_kind, notices

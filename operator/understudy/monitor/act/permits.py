@@ -27,7 +27,7 @@ from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.kube.client import PODS, ApiError, Object
 from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.ros.rmw import MIDDLEWARE
@@ -123,14 +123,14 @@ class Permits:
     def __init__(
         self,
         cluster: Cluster,
-        sidecars: Sidecars,
+        agents: AgentConnections,
         graph: Graph,
         current: CurrentRecovery,
         wakeups: Wakeups,
         notices: Notices,
     ) -> None:
         """``graph`` is the robot's: any reader of the outputs there may answer an instance."""
-        self._cluster, self._sidecars, self._graph = cluster, sidecars, graph
+        self._cluster, self._agents, self._graph = cluster, agents, graph
         self._current, self._wake, self._notices = current, wakeups.permits, notices
         self._pods: list[Object] = []
         self._readers: frozenset[bytes] = frozenset()
@@ -194,7 +194,7 @@ class Permits:
         self._back = {uid: since for uid, since in self._back.items() if uid in instances}
         self._told = {told for told in self._told if told[0] in instances}
         for uid, instance in instances.items():
-            if (status := self._sidecars.status(instance)) is None:
+            if (status := self._agents.status(instance)) is None:
                 self._back.pop(uid, None)
                 continue
             if uid in self._telling:
@@ -205,7 +205,7 @@ class Permits:
             elif (said := self._word_for(instance, state, recovering)) is not None:
                 body["word"] = said
                 self._say(instance, status.cut_off, said)
-            wanted = (self._sidecars.session(instance), body)
+            wanted = (self._agents.session(instance), body)
             sent, at = self._sent.get(uid, (None, 0.0))
             if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):
                 self._sent[uid] = (wanted, time.monotonic())
@@ -237,7 +237,7 @@ class Permits:
 
     async def _request(self, instance: Instance, body: dict[str, Any]) -> None:
         try:
-            await self._sidecars.lease(instance, body)
+            await self._agents.lease(instance, body)
         except AgentGone as error:
             _logger.info("%s", error)
             self._sent.pop(instance.uid, None)

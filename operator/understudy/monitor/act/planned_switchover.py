@@ -27,9 +27,9 @@ from understudy.failover.strategies.restart import Restart
 from understudy.failover.switchover import Prepared
 from understudy.kube.client import ApiError
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.act.garbage_collection import GarbageCollection
 from understudy.monitor.act.state_keeping import StateKeeping
-from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.outcome import Outcome
@@ -77,21 +77,21 @@ class Wanted:
         return None
 
 
-class Switching:
+class PlannedSwitchovers:
     """The planned switchovers of one workload."""
 
     def __init__(
         self,
         cluster: Cluster,
-        repertoire: Repertoire,
+        options: StrategyOptions,
         keeping: StateKeeping,
         current: CurrentRecovery,
-        leftovers: Leftovers,
+        garbage: GarbageCollection,
         notices: Notices,
     ) -> None:
         self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
-        self._repertoire, self._keeping, self._current = repertoire, keeping, current
-        self._leftovers, self._notices = leftovers, notices
+        self._options, self._keeping, self._current = options, keeping, current
+        self._garbage, self._notices = garbage, notices
         self._task: asyncio.Task[Prepared] | None = None
         self._wanted: Wanted | None = None
         self._progress: Progress | None = None
@@ -155,7 +155,7 @@ class Switching:
 
         None if the gate was not switched.
         """
-        progress, means = prepared.progress, self._repertoire.means()
+        progress, means = prepared.progress, self._options.means()
         self._say_switching(progress)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         try:
@@ -250,7 +250,7 @@ class Switching:
     # -- preparing --------------------------------------------------------------------------------------------------
 
     def _begin(self, wanted: Wanted) -> None:
-        choices, means = self._repertoire.choices(), self._repertoire.means()
+        choices, means = self._options.choices(), self._options.means()
         begun = time.time()
         progress = Progress.begin(wanted.reason, last_healthy=begun, detected=begun, planned=True)
         progress.switchover, progress.request = wanted.kind, wanted.request
@@ -329,7 +329,7 @@ class Switching:
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
         """An understudy that something was done to isn't needed. A pod of the workload's own controller is that one's business."""
         if target is not None and progress.strategy != Restart.name:
-            self._leftovers.add(target)
+            self._garbage.add(target)
 
     def _rest(self, kind: Kind | None) -> None:
         """Have what goes on asking ask again after a while only."""

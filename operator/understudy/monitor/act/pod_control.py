@@ -16,7 +16,7 @@ from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Client, Object
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices, PodClaimed
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.trees.core.observations import PodCondition
 
 _logger = logging.getLogger(__name__)
@@ -62,10 +62,10 @@ def instance_of(pod: Object) -> Instance:
     )
 
 
-class Fleet:
+class PodControl:
     """Implements :class:`understudy.failover.interfaces.Instances` over the watched pods."""
 
-    def __init__(self, client: Client, view: View, crash_points: CrashPoints, notices: Notices) -> None:
+    def __init__(self, client: Client, view: ClusterView, crash_points: CrashPoints, notices: Notices) -> None:
         self._client, self._view, self._crash_points, self._notices = client, view, crash_points, notices
         self._instances: list[Instance] = []
         self._revision: tuple[int, int] | None = None

@@ -10,13 +10,13 @@ import aiohttp
 
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import ApiError
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 
 
-class Labels:
+class PodLabels:
     """Labels beside the monitor's loop: an API server that is slow to answer must not delay a detection."""
 
-    def __init__(self, fleet: Fleet) -> None:
+    def __init__(self, fleet: PodControl) -> None:
         self._fleet = fleet
         self._labelling: asyncio.Task[None] | None = None
 

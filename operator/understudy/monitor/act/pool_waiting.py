@@ -14,7 +14,7 @@ from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import waiter
 from understudy.kube.watched_collection import any_changed
 from understudy.monitor.notices import Notices, PodAwaited
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
@@ -22,10 +22,10 @@ REASON = "WaitingForPod"
 """Why a recovery does not continue, in the condition Recovering."""
 
 
-class Line:
+class PoolQueue:
     """Implements :class:`understudy.failover.pool_queue.Queue` over the gates of the namespace."""
 
-    def __init__(self, view: View, notices: Notices) -> None:
+    def __init__(self, view: ClusterView, notices: Notices) -> None:
         self._view, self._notices = view, notices
         self._before = ("", "")
         """Reason and message of the condition Recovering when the wait began."""

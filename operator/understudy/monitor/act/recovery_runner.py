@@ -15,16 +15,16 @@ from understudy.failover.protocol import Choice, recover
 from understudy.kube.client import ApiError
 from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.garbage_collection import Leftovers
-from understudy.monitor.act.planned_switchover import Switching
+from understudy.monitor.act.garbage_collection import GarbageCollection
+from understudy.monitor.act.planned_switchover import PlannedSwitchovers
 from understudy.monitor.act.state_keeping import StateKeeping
-from understudy.monitor.decide.retry_backoff import Retries
-from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.decide.retry_backoff import RetryBackoff
+from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe import dependencies
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.dependencies import following
 from understudy.monitor.outcome import Outcome
@@ -44,13 +44,13 @@ class RecoveryStart:
     def __init__(
         self,
         cluster: Cluster,
-        switchovers: Switching,
-        leftovers: Leftovers,
-        retries: Retries,
+        switchovers: PlannedSwitchovers,
+        garbage: GarbageCollection,
+        retries: RetryBackoff,
         takeover: ReflexTakeover,
     ) -> None:
         self._view, self._gate = cluster.view, cluster.gate
-        self._switchovers, self._leftovers, self._retries = switchovers, leftovers, retries
+        self._switchovers, self._garbage, self._retries = switchovers, garbage, retries
         self._takeover = takeover
 
     def begin(self, failure: Failure, first_strategy: int) -> Progress:
@@ -62,14 +62,14 @@ class RecoveryStart:
             return reflex.begin(failure.taken, failed[0], self._takeover.deadline)
         if failure.follows and failed:
             if prepared is not None:
-                self._leftovers.add(prepared)
+                self._garbage.add(prepared)
             onset, detected = failure.onset, failure.detected
             return dependencies.begin(failure.follows, failed[0], self._view.spec, onset=onset, detected=detected)
         progress = Progress.begin(
             failure.reason,
             last_healthy=failure.onset,
             detected=failure.detected,
-            failed=[*failed, *self._leftovers.failed()],
+            failed=[*failed, *self._garbage.failed()],
             planned=failure.planned,
         )
         progress.target = prepared
@@ -78,19 +78,19 @@ class RecoveryStart:
         return progress
 
 
-class Recoveries:
+class RecoveryRunner:
     """The recoveries of one workload."""
 
     def __init__(
         self,
-        view: View,
-        repertoire: Repertoire,
+        view: ClusterView,
+        options: StrategyOptions,
         keeping: StateKeeping,
         current: CurrentRecovery,
         abandonment: Abandonment,
         notices: Notices,
     ) -> None:
-        self._view, self._repertoire, self._keeping = view, repertoire, keeping
+        self._view, self._options, self._keeping = view, options, keeping
         self._current, self._abandonment, self._notices = current, abandonment, notices
 
     async def carry_out(self, progress: Progress, policy: FailurePolicySpec) -> Outcome:
@@ -101,7 +101,7 @@ class Recoveries:
             self._notices.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
             try:
                 async with self._keeping.recovering():
-                    done = await self._recovered(progress, self._repertoire.choices())
+                    done = await self._recovered(progress, self._options.choices())
             except ENDS as error:
                 if isinstance(error, Superseded) or progress.result != "Recovered":
                     return self.abandoned(progress, error)
@@ -117,7 +117,7 @@ class Recoveries:
         return Outcome("Superseded" if isinstance(error, Superseded) else "Stopped", progress, error=error)
 
     async def _recovered(self, progress: Progress, choices: Sequence[Choice]) -> Progress:
-        means = self._repertoire.means()
+        means = self._options.means()
         with self._current.during(progress):
             if progress.taken_over is not None:
                 await reflex.commit(progress, means)

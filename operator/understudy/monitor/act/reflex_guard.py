@@ -39,12 +39,12 @@ Said = tuple[Literal["True", "False", "Unknown"], str, str]
 PAUSED: Said = ("False", "Paused", "Nobody is let through beside the pod in control while spec.pause is in force.")
 
 
-class Reflexes:
+class ReflexGuard:
     """The reflex of one workload; does nothing if the workload has none."""
 
     def __init__(self, cluster: Cluster, senses: Senses, takeover: ReflexTakeover, notices: Notices) -> None:
         self._fleet, self._gate, self._takeover = cluster.pods, cluster.gate, takeover
-        self._sidecars, self._sight, self._probes = senses.sidecars, senses.sight, senses.probes
+        self._agents, self._observer, self._probes = senses.agents, senses.observer, senses.probes
         self._notices = notices
         self._writing: asyncio.Task[None] | None = None
         self._write_after = 0.0
@@ -59,7 +59,7 @@ class Reflexes:
         if not state.admitted:
             return
         standby = self._fleet.find(state.admitted_uid)
-        if standby is None or not standby.usable or not self._sidecars.is_ready(standby)[0]:
+        if standby is None or not standby.usable or not self._agents.is_ready(standby)[0]:
             self._write(None)
 
     # -- keeping ----------------------------------------------------------------------------------------------------
@@ -99,11 +99,11 @@ class Reflexes:
             if i.usable and i.has_agent and not i.held and not i.claim and i.uid != active.uid
         ]
         current = next((i for i in others if i.uid == state.admitted_uid), None)
-        ready = [i for i in others if self._sidecars.is_ready(i)[0]]
+        ready = [i for i in others if self._agents.is_ready(i)[0]]
         # The clock may have been set back.
         self._ready_since = {i.uid: min(now, self._ready_since.get(i.uid, now)) for i in ready}
         if not ready:
-            why = "; ".join(f"{i.name}: {self._sidecars.is_ready(i)[1]}" for i in others) or "there is none"
+            why = "; ".join(f"{i.name}: {self._agents.is_ready(i)[1]}" for i in others) or "there is none"
             return None, ("False", "NoStandby", f"No standby could take over: {why}.")
         strongest = self._strength(active)
         if strongest is None:
@@ -114,11 +114,11 @@ class Reflexes:
         self._too_strong_since = None
         if slow := self._too_slow(active):
             return None, ("False", "DeadlineTooShort", slow)
-        if pods := [i.name for i in (active, *weaker) if self._sight.ambiguous(i.name)]:
+        if pods := [i.name for i in (active, *weaker) if self._observer.ambiguous(i.name)]:
             return None, ("False", "Ambiguous", f"{', '.join(pods)} can't be told from other pods, see Monitored.")
         if current in weaker:
             return current, self._armed(active, current, now)
-        if not all(measured(self._sight.arrivals(topic, active.name), now) for topic in self._takeover.topics):
+        if not all(measured(self._observer.arrivals(topic, active.name), now) for topic in self._takeover.topics):
             topics = ", ".join(self._takeover.topics)
             return None, ("Unknown", "Measuring", f"Waiting to see how regularly {topics} comes from {active.name}.")
         best = max(weaker, key=lambda i: self._strength(i) or (0, 0))
@@ -128,7 +128,7 @@ class Reflexes:
         return best, self._armed(active, best, now)
 
     def _strength(self, instance: Instance) -> tuple[int, int] | None:
-        status = self._sidecars.status(instance)
+        status = self._agents.status(instance)
         return status.strength if status is not None else None
 
     def _armed(self, active: Instance, standby: Instance, now: float) -> Said:
@@ -139,7 +139,7 @@ class Reflexes:
                 "Blocked",
                 f"Packets of {standby.name} do not get through although the gate admits it. {self._probes.block_hint}",
             )
-        status = self._sidecars.status(active)
+        status = self._agents.status(active)
         unfenced = f" It won't be held if its node is cut off: {status.unfenced}." if status and status.unfenced else ""
         return (
             "True",
@@ -149,7 +149,7 @@ class Reflexes:
 
     def _too_slow(self, active: Instance) -> str:
         for topic in self._takeover.topics:
-            if gap := longest_gap(self._sight.arrivals(topic, active.name), self._takeover.deadline):
+            if gap := longest_gap(self._observer.arrivals(topic, active.name), self._takeover.deadline):
                 return (
                     f"{topic} comes from {active.name} with gaps of up to {gap * 1000:.0f} ms, again and again; "
                     f"spec.gate.reflex.deadline is {self._takeover.deadline * 1000:g} ms, so the robot would fall over to a standby "

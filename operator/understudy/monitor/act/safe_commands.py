@@ -16,8 +16,8 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.progress import Progress
-from understudy.monitor.decide.pause_state import Pauses
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.decide.pause_state import PauseState
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.outcome import Outcome
 from understudy.ros.actions.repeated_publisher import Commander
@@ -34,7 +34,7 @@ CLOSED, OPENED, DRIVEN = "fenced", "committing", ("first_output", "verified")
 class Unattended:
     """Since when no instance has been able to drive the robot, according to the outcomes of recoveries."""
 
-    def __init__(self, view: View, pauses: Pauses, current: CurrentRecovery) -> None:
+    def __init__(self, view: ClusterView, pauses: PauseState, current: CurrentRecovery) -> None:
         self._view, self._pauses, self._current = view, pauses, current
         self._since: float | None = None
 

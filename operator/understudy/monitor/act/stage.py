@@ -7,16 +7,16 @@ import time
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.deferred_recovery import Deferral
-from understudy.monitor.act.garbage_collection import Leftovers
+from understudy.monitor.act.deferred_recovery import DeferredRecovery
+from understudy.monitor.act.garbage_collection import GarbageCollection
 from understudy.monitor.act.gate_opening import GateOpening
-from understudy.monitor.act.planned_switchover import Switching
-from understudy.monitor.act.pod_labels import Labels
+from understudy.monitor.act.planned_switchover import PlannedSwitchovers
+from understudy.monitor.act.pod_labels import PodLabels
 from understudy.monitor.act.recovery_journal import RecoveryJournal
-from understudy.monitor.act.recovery_runner import Recoveries, RecoveryStart
-from understudy.monitor.act.reflex_guard import Reflexes
+from understudy.monitor.act.recovery_runner import RecoveryRunner, RecoveryStart
+from understudy.monitor.act.reflex_guard import ReflexGuard
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
-from understudy.monitor.act.standby_supervision import Standbys
+from understudy.monitor.act.standby_supervision import StandbySupervision
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide.stage import DecideStage
 from understudy.monitor.judge.stage import Judgement
@@ -38,20 +38,20 @@ class ActStage:
         notices: Notices,
     ) -> None:
         self._cluster, self._senses, takeover = cluster, senses, decide.takeover
-        repertoire, limits, current = decide.repertoire, decide.limits, senses.current
+        options, limits, current = decide.options, decide.limits, senses.current
         self.keeping = keeping
         self.unattended = Unattended(cluster.view, limits.pauses, current)
-        self.safety = SafeCommands(senses.sight.graph, self.unattended)
-        self.leftovers = Leftovers(cluster.pods, cluster.gate, notices)
+        self.safety = SafeCommands(senses.observer.graph, self.unattended)
+        self.garbage = GarbageCollection(cluster.pods, cluster.gate, notices)
         self.abandonment = Abandonment(cluster.gate, journal, notices)
-        self.switchovers = Switching(cluster, repertoire, keeping, current, self.leftovers, notices)
-        self.reflexes = Reflexes(cluster, senses, takeover, notices)
-        self.start = RecoveryStart(cluster, self.switchovers, self.leftovers, limits.retries, takeover)
+        self.switchovers = PlannedSwitchovers(cluster, options, keeping, current, self.garbage, notices)
+        self.reflexes = ReflexGuard(cluster, senses, takeover, notices)
+        self.start = RecoveryStart(cluster, self.switchovers, self.garbage, limits.retries, takeover)
         self.opening = GateOpening(cluster.pods, cluster.gate, notices)
-        self.deferral = Deferral(cluster, limits, current, journal, notices)
-        self.recoveries = Recoveries(cluster.view, repertoire, keeping, current, self.abandonment, notices)
-        self._labels = Labels(cluster.pods)
-        self._standbys = Standbys(cluster, senses.sidecars, senses.roles, current, keeping, notices)
+        self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
+        self.recoveries = RecoveryRunner(cluster.view, options, keeping, current, self.abandonment, notices)
+        self._labels = PodLabels(cluster.pods)
+        self._standbys = StandbySupervision(cluster, senses.agents, senses.roles, current, keeping, notices)
 
     def judged(self, judgement: Judgement) -> None:
         """Remember how the active instance is: its state is kept while it is healthy, and then nothing is unattended."""
@@ -69,17 +69,17 @@ class ActStage:
 
     def get_ready(self, policy: FailurePolicySpec) -> None:
         """Prepare for a recovery by this policy: one that an earlier monitor began comes before the first look."""
-        self._senses.sight.follow(policy, self._cluster.view.spec)
+        self._senses.observer.follow(policy, self._cluster.view.spec)
         self.follow_safety(policy)
         self.keeping.follow(policy.state)
-        self._senses.sidecars.follow(self._cluster.pods.of_workload())
+        self._senses.agents.follow(self._cluster.pods.of_workload())
 
     def keep_connected(self) -> None:
         """Label new pods, keep connections to agents, and mark abandoned recoveries at the gate. Returns at once."""
         self.abandonment.look()
         instances = self._cluster.pods.of_workload()
         self._labels.follow(instances)
-        self._senses.sidecars.follow(instances)
+        self._senses.agents.follow(instances)
 
     def care_for_standbys(self, policy: FailurePolicySpec, *, paused: bool) -> None:
         """Bring instances up, give them state, and delete what recoveries left behind. Returns at once."""
@@ -89,10 +89,10 @@ class ActStage:
         instances = [i for i in self._cluster.pods.of_workload() if i.uid != self.switchovers.preparing]
         self._standbys.housekeeping(instances, policy, settings, paused=paused)
         if not paused:
-            self.leftovers.housekeeping(instances, time.monotonic())
+            self.garbage.housekeeping(instances, time.monotonic())
 
     def conclude(self, outcome: Outcome) -> None:
         """Remember the outcome of a recovery or a switchover."""
         self.unattended.conclude(outcome)
         if outcome.concluded and outcome.kind != "NothingVerified":
-            self.leftovers.remember()
+            self.garbage.remember()

@@ -23,9 +23,9 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.client import ApiError
-from understudy.monitor.act.pod_control import Fleet
+from understudy.monitor.act.pod_control import PodControl
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.instance_roles import InstanceRoles, Role, managed, pool_of, role_of
 
 _logger = logging.getLogger(__name__)
@@ -56,8 +56,8 @@ class _Care:
 class Bringing:
     """Cares for all instances of one workload."""
 
-    fleet: Fleet
-    sidecars: Sidecars
+    fleet: PodControl
+    agents: AgentConnections
     roles: InstanceRoles
     notices: Notices
     _cared: dict[str, _Care] = field(default_factory=dict)
@@ -85,9 +85,9 @@ class Bringing:
             if not instance.has_agent or instance.held or not instance.usable:
                 continue
             care = self._cared.setdefault(instance.uid, _Care())
-            status = self.sidecars.status(instance)
+            status = self.agents.status(instance)
             if status is not None and status.configured:
-                ready = self.roles.was_ready(instance) or self.sidecars.is_ready(instance)[0]
+                ready = self.roles.was_ready(instance) or self.agents.is_ready(instance)[0]
                 found = role_of(
                     instance, spec, settings, active_uid=active_uid, brought=status.initialized, ready=ready
                 )
@@ -125,7 +125,7 @@ class Bringing:
     ) -> None:
         state = kept() if procedure.restores_state else KeptState()
         try:
-            await self.sidecars.run(instance, procedure, within=procedure.within, state=state, brought=found.brought)
+            await self.agents.run(instance, procedure, within=procedure.within, state=state, brought=found.brought)
         except NotVerified as error:
             care.again = time.monotonic() + care.wait
             care.wait = min(2 * care.wait, RETRY_MOST)
@@ -140,13 +140,13 @@ class Bringing:
     def _watch_readiness(self, instance: Instance, care: _Care, now: float) -> None:
         """Replace a standby that was ready and has not been for a while. While the active instance is not healthy
         either, the reason may be the robot."""
-        ready, reason = self.sidecars.is_ready(instance)
+        ready, reason = self.agents.is_ready(instance)
         if ready:
             self.roles.mark_ready(instance)
             care.lost_at = None
             return
         # A standby that only this monitor cannot reach may be in order: the API server then decides.
-        unreachable = self.sidecars.status(instance) is None and instance.ready
+        unreachable = self.agents.status(instance) is None and instance.ready
         if (
             not self.roles.was_ready(instance)
             or care.replaced

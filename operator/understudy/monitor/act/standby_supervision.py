@@ -13,26 +13,26 @@ from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.standby_lifecycle import Bringing
 from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 
 
-class Standbys:
+class StandbySupervision:
     """The standbys of one workload, and other instances that are not prepared yet."""
 
     def __init__(
         self,
         cluster: Cluster,
-        sidecars: Sidecars,
+        agents: AgentConnections,
         roles: InstanceRoles,
         current: CurrentRecovery,
         keeping: StateKeeping,
         notices: Notices,
     ) -> None:
-        self._cluster, self._sidecars, self._roles, self._current = cluster, sidecars, roles, current
+        self._cluster, self._agents, self._roles, self._current = cluster, agents, roles, current
         self._keeping = keeping
-        self._bringing = Bringing(cluster.pods, sidecars, roles, notices)
+        self._bringing = Bringing(cluster.pods, agents, roles, notices)
 
     def housekeeping(
         self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool
@@ -42,7 +42,7 @@ class Standbys:
         if not paused:
             self._bring(instances, policy, settings)
         active_uid = self._cluster.gate.state.active_uid
-        given = receivers(instances, settings, self._sidecars, active_uid=active_uid) if not paused else []
+        given = receivers(instances, settings, self._agents, active_uid=active_uid) if not paused else []
         self._keeping.housekeeping(self._cluster.pods.find(active_uid), given)
 
     def _bring(self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings) -> None:

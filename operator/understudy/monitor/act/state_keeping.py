@@ -23,12 +23,12 @@ from understudy.failover.interfaces import Instance
 from understudy.failover.progress import rfc3339
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.monitor.notices import Notices, StateKept
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.ros.observe.state_samples import Capturing
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.pose_propagation import Carrier
 from understudy.state.state_capture import Entry, Keeper, Key, Trouble
-from understudy.state.state_store import Shelf
+from understudy.state.state_store import StateStore
 
 _logger = logging.getLogger(__name__)
 
@@ -68,10 +68,10 @@ Health = Literal["Starting", "Healthy", "Failed"]
 class StateKeeping:
     """The kept state of one workload."""
 
-    def __init__(self, graph: Graph, shelf: Shelf, sidecars: Sidecars, notices: Notices) -> None:
+    def __init__(self, graph: Graph, shelf: StateStore, agents: AgentConnections, notices: Notices) -> None:
         """Take over what an earlier monitor had kept."""
         self._capturing = Capturing(graph)
-        self._shelf, self._sidecars, self._notices = shelf, sidecars, notices
+        self._shelf, self._agents, self._notices = shelf, agents, notices
         self._keeper = Keeper()
         self._odometry, self._carrier = Capturing(graph), Carrier()
         self._next_odometry = 0.0
@@ -288,7 +288,7 @@ class StateKeeping:
         }
         asked = time.time()
         try:
-            answer = await self._sidecars.inspect(active, body, INSPECT_WITHIN)
+            answer = await self._agents.inspect(active, body, INSPECT_WITHIN)
         except (AgentGone, AgentRefused) as error:
             self._unanswered = dict.fromkeys(keys, str(error))
             return
@@ -377,7 +377,7 @@ class StateKeeping:
                     upkeep.begin(self._hand(instance, fresh, upkeep, seconds(state.within)))
 
     async def _hand(self, instance: Instance, fresh: KeptState, upkeep: _Upkeep, within: float) -> None:
-        report = await self._sidecars.restore(instance, fresh, within)
+        report = await self._agents.restore(instance, fresh, within)
         given = {entry.name for entry in report.restored}
         upkeep.given |= {name: content for name, content in fresh.contents().items() if name in given}
         if report.problem != upkeep.problem:

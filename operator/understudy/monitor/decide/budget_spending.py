@@ -16,17 +16,17 @@ from understudy.failover.limits import budget as budgets
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.monitor.notices import BudgetCounted, Notices, RecoveryDeferred
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
 CONDITION = "WithinBudget"
 
 
-class Spending:
+class BudgetSpending:
     """What one workload has spent. Times are Unix seconds."""
 
-    def __init__(self, view: View, notices: Notices) -> None:
+    def __init__(self, view: ClusterView, notices: Notices) -> None:
         self._view, self._notices = view, notices
 
     @property

@@ -10,7 +10,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.decide import Requirement
 from understudy.failover.interfaces import Instance, Instances
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 
 
 @dataclass(frozen=True)
@@ -36,8 +36,8 @@ class Candidates:
 class InitialActivation:
     """Finds the candidates of one workload."""
 
-    def __init__(self, fleet: Instances, sidecars: Sidecars) -> None:
-        self._fleet, self._sidecars = fleet, sidecars
+    def __init__(self, fleet: Instances, agents: AgentConnections) -> None:
+        self._fleet, self._agents = fleet, agents
         self._started = time.time()
 
     def candidates(self, policy: FailurePolicySpec, now: float, *, paused: bool) -> Candidates:
@@ -47,7 +47,7 @@ class InitialActivation:
         neither is waited for longer than half of the policy's startupGrace.
         """
         running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
-        ready = [i for i in running if not i.has_agent or self._sidecars.is_ready(i)[0]]
+        ready = [i for i in running if not i.has_agent or self._agents.is_ready(i)[0]]
         if running and not paused:
             self._started = min(self._started, now)  # the clock may have been set back
         if now - self._started <= seconds(policy.monitoring.startup_grace) / 2:

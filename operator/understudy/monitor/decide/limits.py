@@ -6,23 +6,23 @@ import time
 
 from understudy.failover.decide import Facts, Hold, Occurrence, Trigger, decide
 from understudy.failover.limits.state import InForce, LimitsInForce
-from understudy.monitor.decide.budget_spending import Spending
-from understudy.monitor.decide.pause_state import Pauses
-from understudy.monitor.decide.retry_backoff import Retries
+from understudy.monitor.decide.budget_spending import BudgetSpending
+from understudy.monitor.decide.pause_state import PauseState
+from understudy.monitor.decide.retry_backoff import RetryBackoff
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.storm_condition import Storms
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.storm_condition import StormCondition
 from understudy.monitor.outcome import Outcome
 
 
 class Limits:
     """The limits of one workload. Their order of precedence is in ``failover/decide.py``."""
 
-    def __init__(self, view: View, notices: Notices) -> None:
-        self.pauses = Pauses(view, notices)
-        self.spending = Spending(view, notices)
-        self.storms = Storms(view)
-        self.retries = Retries(view, notices)
+    def __init__(self, view: ClusterView, notices: Notices) -> None:
+        self.pauses = PauseState(view, notices)
+        self.spending = BudgetSpending(view, notices)
+        self.storms = StormCondition(view)
+        self.retries = RetryBackoff(view, notices)
 
     def conclude(self, outcome: Outcome) -> None:
         """Count a recovery that is over, and defer the next one. A planned switchover defers nothing."""

@@ -8,17 +8,17 @@ import logging
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.monitor.notices import Notices, PauseChanged
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
 CONDITION = "Paused"
 
 
-class Pauses:
+class PauseState:
     """The pause of one workload. Times are Unix seconds."""
 
-    def __init__(self, view: View, notices: Notices) -> None:
+    def __init__(self, view: ClusterView, notices: Notices) -> None:
         self._view, self._notices = view, notices
         self._known: tuple[Pause | None, bool] = (None, False)
         self._resumed = ""

@@ -14,15 +14,15 @@ from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
 
-class Retries:
+class RetryBackoff:
     """The attempts of one workload. Times are unix seconds."""
 
-    def __init__(self, view: View, notices: Notices) -> None:
+    def __init__(self, view: ClusterView, notices: Notices) -> None:
         self._view, self._notices = view, notices
         self._backoff = Backoff()
         self._latest: Takeover | None = None

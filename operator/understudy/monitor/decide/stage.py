@@ -24,12 +24,12 @@ from understudy.failover.switchover import Prepared
 from understudy.monitor.decide.deferred_failures import DeferredFailures
 from understudy.monitor.decide.initial_activation import Candidates, InitialActivation
 from understudy.monitor.decide.limits import Limits
-from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.dependencies import Dependencies, told
 from understudy.monitor.outcome import Outcome
 
@@ -65,8 +65,8 @@ class DecideStage:
 
     def __init__(
         self,
-        view: View,
-        sidecars: Sidecars,
+        view: ClusterView,
+        agents: AgentConnections,
         means: Means,
         judge: JudgeStage,
         dependencies: Dependencies,
@@ -77,9 +77,9 @@ class DecideStage:
         self._levels, self._dependencies = judge.levels, dependencies
         self.takeover = judge.takeover
         self.limits = Limits(view, notices)
-        self.repertoire = Repertoire(view, self.limits.storms, means)
+        self.options = StrategyOptions(view, self.limits.storms, means)
         self._deferred = DeferredFailures(notices)
-        self._activation = InitialActivation(means.instances, sidecars)
+        self._activation = InitialActivation(means.instances, agents)
 
     def decide(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Prepared | None) -> Resolution:
         """Return what happens now. ``prepared`` is the planned switchover that can be carried out, or is not settled yet."""
@@ -111,7 +111,7 @@ class DecideStage:
 
     async def confirm(self) -> bool:
         """Return whether the first strategy can run by the present state of the cluster, not only by what was reported."""
-        if (lacking := await self.repertoire.look_for_first()) is not None:
+        if (lacking := await self.options.look_for_first()) is not None:
             found = _unavailable(lacking)
             self._levels.wait(found.reason, found.words)
         return lacking is None
@@ -154,7 +154,7 @@ class DecideStage:
             yield _Case(Occurrence(trigger, prepared.progress.reason), switch=prepared)
         idle = self._levels.due if judgement.healthy and judgement.degraded else None
         if idle is not None and self._view.settings is not None:
-            lacking = self.repertoire.first_lacks()
+            lacking = self.options.first_lacks()
             unmet = _unavailable(lacking) if lacking is not None else None
             failure = Failure(idle, judgement.last_well, now, Trigger.DEGRADED)
             yield self._starting_with(failure, Occurrence(Trigger.DEGRADED, idle, unmet=unmet))
@@ -183,7 +183,7 @@ class DecideStage:
 
     def _facts(self, judgement: Judgement, occurrences: tuple[Occurrence, ...]) -> Facts:
         limits = self.limits.in_force(judgement.now)
-        ready = limits.storm is not None and self.repertoire.stands_by()
+        ready = limits.storm is not None and self.options.stands_by()
         return Facts(judgement.now, occurrences, limits, standby_ready=ready, trusted_from=judgement.trusted_from)
 
     # -- what is remembered and reported of it ----------------------------------------------------------------------

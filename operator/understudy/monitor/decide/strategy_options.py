@@ -12,17 +12,17 @@ from understudy.failover.protocol import Choice
 from understudy.failover.strategies.base import Means, Strategy
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import ApiError
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.storm_condition import Storms
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.storm_condition import StormCondition
 
 LOOK_WITHIN = 0.5
 """Maximum seconds that the check for what a planned hand-over needs may take."""
 
 
-class Repertoire:
+class StrategyOptions:
     """The strategies of one workload's policy, and the resources that exist for them."""
 
-    def __init__(self, view: View, storms: Storms, means: Means) -> None:
+    def __init__(self, view: ClusterView, storms: StormCondition, means: Means) -> None:
         """``means`` are those of every workload; the workload's settings and policy are added when they are asked for."""
         self._view, self._storms, self._means = view, storms, means
 

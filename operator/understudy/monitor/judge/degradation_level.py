@@ -17,7 +17,7 @@ from understudy.failover.degradation import Level
 from understudy.failover.interfaces import Instance
 from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.notices import BecameDegraded, Notices
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)
@@ -33,11 +33,11 @@ CONDITION, TASKS = "Degraded", "TasksProxied"
 _WAITS = " It isn't handed over yet: "
 
 
-class Levels:
+class DegradationLevel:
     """The level of the active instance, and when a degraded one is due to be handed over."""
 
-    def __init__(self, sight: Sight, notices: Notices) -> None:
-        self._sight, self._notices = sight, notices
+    def __init__(self, observer: HealthObserver, notices: Notices) -> None:
+        self._observer, self._notices = observer, notices
         self._level = Level()
         self._uid = ""
         self._next = 0.0
@@ -104,7 +104,7 @@ class Levels:
     def _judge(self, degraded: Degraded, verdict: Verdict, clock: float, *, now: float, since: float) -> None:
         # Of an instance whose health tree doesn't hold, or not yet, it isn't asked whether it is well.
         healthy = verdict.state == "Healthy"
-        found = self._sight.wellness(now=now, since=since) if healthy else Verdict("Starting", "", "", None)
+        found = self._observer.wellness(now=now, since=since) if healthy else Verdict("Starting", "", "", None)
         before = self._level.since
         debounce, clear_after = seconds(degraded.monitoring.debounce), seconds(degraded.clear_after)
         if self._level.note(found.state, clock, debounce=debounce, clear_after=clear_after):
@@ -162,7 +162,7 @@ class Levels:
             return Busy("tasks", f"how its tasks are can't be told ({TASKS} is {proxied.status}, {proxied.reason})")
         if goals := self._notices.status.goals:
             return Busy("task", f"a goal of {goals[0]} is active")
-        return self._sight.busy(now=now, since=since)
+        return self._observer.busy(now=now, since=since)
 
     def _paused(self, pause: float, clock: float) -> float:
         """Seconds until the next planned hand-over may begin; an earlier monitor's counts by the status."""

@@ -12,8 +12,8 @@ from understudy.api.kinds.robot_workload import DependencyRecovery
 from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.failover.reflex import TakenOver
-from understudy.monitor.observe.agent_connections import Sidecars
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.trees.core.debounce import Debounce
 from understudy.trees.core.health_tree import Verdict
 
@@ -43,12 +43,12 @@ class Failure:
         return self.trigger is Trigger.DEGRADED
 
 
-class Detector:
+class FailureDetector:
     """Judges the active instance. Times are Unix seconds."""
 
-    def __init__(self, fleet: Instances, gate: Gate, sidecars: Sidecars, sight: Sight) -> None:
+    def __init__(self, fleet: Instances, gate: Gate, agents: AgentConnections, observer: HealthObserver) -> None:
         self._fleet, self._gate = fleet, gate
-        self._sidecars, self._sight = sidecars, sight
+        self._agents, self._observer = agents, observer
         self._debounce = Debounce()
         self.since = time.time()
         """Since when the instance is watched: what was received before is not its own."""
@@ -76,7 +76,7 @@ class Detector:
         onset = self.onset(name, now)
         if (
             active is None
-            and (silent := self._sight.last_from(name)) is not None
+            and (silent := self._observer.last_from(name)) is not None
             and now - silent < DEAD_AFTER
             # Once a successor of the same name has an address, as in a StatefulSet, it's that one which is heard.
             and not any(i.name == name and i.ip for i in self._fleet.of_workload())
@@ -89,17 +89,17 @@ class Detector:
         """The verdict of its health tree."""
         # From later on where the clock was set back, or by the clock of another node: until then nothing would count.
         self.since = min(self.since, now)
-        verdict = self._sight.verdict(now=now, since=self.since)
+        verdict = self._observer.verdict(now=now, since=self.since)
         if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
             # This monitor is new, its instance isn't: what its own agent says counts, not the grace for a start.
-            status = self._sidecars.status(active)
+            status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
                 return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
         return verdict
 
     def onset(self, pod: str, now: float) -> float:
         """When a pod was last seen to be healthy; now if it never was."""
-        last = self._sight.last_well(pod)
+        last = self._observer.last_well(pod)
         return last if last is not None and last <= now else now
 
     def well(self) -> None:

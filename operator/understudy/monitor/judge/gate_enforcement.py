@@ -87,7 +87,7 @@ class Readers(Protocol):
         """The readers of the robot that the gate does not reach, as a sentence; empty if there are none."""
 
 
-class Enforcement:
+class GateEnforcement:
     """Whether the gate of one workload is enforced. Times are Unix seconds."""
 
     def __init__(self, gate: Gate, probes: Proof, notices: Notices, readers: Readers) -> None:

@@ -9,8 +9,8 @@ from understudy.api.kinds.robot_workload import Reflex
 from understudy.failover.interfaces import Gate
 from understudy.failover.progress import PodIdentity
 from understudy.failover.reflex import TakenOver, switched
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.health_observer import HealthObserver
 
 LOOK = 0.005
 """Seconds between looks while the active pod is silent."""
@@ -22,8 +22,8 @@ LOOK_FOR = 0.5
 class ReflexTakeover:
     """The reflex takeovers of one workload; there are none if the workload has no reflex. Times are Unix seconds."""
 
-    def __init__(self, view: View, gate: Gate, sight: Sight) -> None:
-        self._view, self._gate, self._sight = view, gate, sight
+    def __init__(self, view: ClusterView, gate: Gate, observer: HealthObserver) -> None:
+        self._view, self._gate, self._observer = view, gate, observer
 
     @property
     def reflex(self) -> Reflex | None:
@@ -48,12 +48,12 @@ class ReflexTakeover:
         state = self._gate.state
         if not state.admitted or state.closed or not (deadline := self.deadline):
             return None
-        if self._sight.ambiguous(state.active) or self._sight.ambiguous(state.admitted):
+        if self._observer.ambiguous(state.active) or self._observer.ambiguous(state.admitted):
             return None
         for topic in self.topics:
             found = switched(
-                self._sight.arrivals(topic, state.active),
-                self._sight.arrivals(topic, state.admitted),
+                self._observer.arrivals(topic, state.active),
+                self._observer.arrivals(topic, state.admitted),
                 deadline=deadline,
                 now=now,
             )
@@ -66,6 +66,6 @@ class ReflexTakeover:
         state = self._gate.state
         if not state.admitted or not (deadline := self.deadline):
             return None
-        lasts = [found[-1] for topic in self.topics if (found := self._sight.arrivals(topic, state.active))]
+        lasts = [found[-1] for topic in self.topics if (found := self._observer.arrivals(topic, state.active))]
         due = [last + deadline for last in lasts if now < last + deadline + LOOK_FOR]
         return max(min(due), now + LOOK) if due else None

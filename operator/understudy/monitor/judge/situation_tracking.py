@@ -16,7 +16,7 @@ from understudy.failover import situation
 from understudy.failover.progress import rfc3339
 from understudy.failover.situation import Rule
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)
@@ -28,11 +28,11 @@ HEARING = 10.0
 """Seconds that a new monitor needs to receive existing goals: until then, seeing none ends no situation."""
 
 
-class Situations:
+class SituationTracking:
     """The situation of one robot."""
 
-    def __init__(self, sight: Sight, notices: Notices) -> None:
-        self._sight, self._notices = sight, notices
+    def __init__(self, observer: HealthObserver, notices: Notices) -> None:
+        self._observer, self._notices = observer, notices
         self._situations = situation.Situations()
         self._begun: float | None = None
         self._next = 0.0
@@ -58,7 +58,7 @@ class Situations:
                 self._situations.adopt(said.name, clock)
         rules = [Rule(one.name, seconds(one.after), seconds(one.clear_after)) for one in policy.situations]
         seen = (
-            self._sight.situations(self._notices.status.goals, now=now, since=since)
+            self._observer.situations(self._notices.status.goals, now=now, since=since)
             if verdict.state == "Healthy"
             else {}
         )

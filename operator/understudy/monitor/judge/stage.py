@@ -9,13 +9,13 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Gate, Instance, Instances
-from understudy.monitor.judge.degradation_level import Levels
-from understudy.monitor.judge.failure_detection import Detector, Failure
-from understudy.monitor.judge.gate_enforcement import Enforcement
+from understudy.monitor.judge.degradation_level import DegradationLevel
+from understudy.monitor.judge.failure_detection import Failure, FailureDetector
+from understudy.monitor.judge.gate_enforcement import GateEnforcement
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
-from understudy.monitor.judge.situation_tracking import Situations
+from understudy.monitor.judge.situation_tracking import SituationTracking
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.senses import Senses
 from understudy.trees.core.health_tree import Verdict
 
@@ -51,13 +51,13 @@ class Judgement:
 class JudgeStage:
     """Judges the active instance and the gate."""
 
-    def __init__(self, view: View, pods: Instances, gate: Gate, senses: Senses, notices: Notices) -> None:
-        self._pods, self._gate, self._sight = pods, gate, senses.sight
-        self.detector = Detector(pods, gate, senses.sidecars, senses.sight)
-        self.takeover = ReflexTakeover(view, gate, senses.sight)
-        self.levels = Levels(senses.sight, notices)
-        self.situations = Situations(senses.sight, notices)
-        self.enforcement = Enforcement(gate, senses.probes, notices, senses.readership)
+    def __init__(self, view: ClusterView, pods: Instances, gate: Gate, senses: Senses, notices: Notices) -> None:
+        self._pods, self._gate, self._observer = pods, gate, senses.observer
+        self.detector = FailureDetector(pods, gate, senses.agents, senses.observer)
+        self.takeover = ReflexTakeover(view, gate, senses.observer)
+        self.levels = DegradationLevel(senses.observer, notices)
+        self.situations = SituationTracking(senses.observer, notices)
+        self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership)
 
     def look(self, policy: FailurePolicySpec, now: float, trusted_from: float) -> Judgement:
         """Return the judgement: a takeover by the reflex comes first, then a lost pod, then the health tree."""
@@ -85,7 +85,7 @@ class JudgeStage:
         if verdict.state != "Failed":
             self.detector.well()
             settled = verdict.state == "Healthy" and now - since >= seconds(policy.limits.healthy_delay)
-            deadline = self._sight.deadline(now=now, since=since)
+            deadline = self._observer.deadline(now=now, since=since)
             return Judgement(now, trusted_from, active, verdict, degraded, last_well, settled, deadline=deadline)
         detected = time.time()
         onset = verdict.onset if verdict.onset is not None else last_well

@@ -20,7 +20,7 @@ from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 from understudy.kube.client import SECRETS, ApiError, Client
 from understudy.monitor.crash_points import CrashPoints
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.wakeups import Wakeups
 
@@ -42,13 +42,13 @@ SLOWEST = 2 * 1024 * 1024
 """Bytes of kept messages that an agent takes in in a second, at least: it counts its time from when it has them."""
 
 
-class Sidecars:
+class AgentConnections:
     """Implements :class:`understudy.failover.interfaces.Agents` over :class:`AgentLink`."""
 
     def __init__(
         self,
         client: Client,
-        view: View,
+        view: ClusterView,
         address: str,
         crash_points: CrashPoints,
         roles: InstanceRoles,

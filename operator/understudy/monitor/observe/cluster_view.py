@@ -45,7 +45,7 @@ def _only(name: str) -> str:
     return f"metadata.name={name}"
 
 
-class View:
+class ClusterView:
     """Local copies of everything the monitor decides by."""
 
     def __init__(

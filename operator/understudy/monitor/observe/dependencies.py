@@ -28,7 +28,7 @@ from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 _logger = logging.getLogger(__name__)
@@ -46,7 +46,7 @@ RESTARTED_WITHIN = 60.0
 class _Watched:
     """The status and the gate of one workload, each by a watch."""
 
-    def __init__(self, view: View, name: str, wakeups: Wakeups) -> None:
+    def __init__(self, view: ClusterView, name: str, wakeups: Wakeups) -> None:
         self._name = name
 
         def reflector(resource: Resource, item: str) -> Reflector:
@@ -98,7 +98,7 @@ class _Watched:
 class Dependencies:
     """The workloads that one workload depends on."""
 
-    def __init__(self, view: View, notices: Notices, wakeups: Wakeups) -> None:
+    def __init__(self, view: ClusterView, notices: Notices, wakeups: Wakeups) -> None:
         self._view, self._notices, self._wakeups = view, notices, wakeups
         self._given: WorkloadSettings | None = None
         self._watched: dict[str, _Watched] = {}

@@ -13,7 +13,7 @@ from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
 from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.monitor.judge.degraded_tree import Busy, Wellness
 from understudy.monitor.observe.context_detection import Seen, Situating
-from understudy.monitor.observe.resource_meter import Meter
+from understudy.monitor.observe.resource_meter import ResourceMeter
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
@@ -38,10 +38,10 @@ POD_LOOK = 0.1
 """Seconds after which what is known of the pod in control is said anew: it is as true of one that has just taken control."""
 
 
-class Sight:
+class HealthObserver:
     """The health tree over drained subscriptions."""
 
-    def __init__(self, meter: Meter | None = None) -> None:
+    def __init__(self, meter: ResourceMeter | None = None) -> None:
         """``meter`` measures what the pod in control uses of its node; without one, no leaf can judge that."""
         self.graph = Graph("understudy_monitor")
         self.coming = ArrivalWakeups()
@@ -255,13 +255,13 @@ class Sight:
 class GatedReaders:
     """Implements :class:`understudy.failover.interfaces.Outputs`."""
 
-    def __init__(self, sight: Sight, watching: TopicWatch, fleet: Instances, gate: Gate) -> None:
-        self._sight, self._watching, self._fleet, self._gate = sight, watching, fleet, gate
+    def __init__(self, observer: HealthObserver, watching: TopicWatch, fleet: Instances, gate: Gate) -> None:
+        self._observer, self._watching, self._fleet, self._gate = observer, watching, fleet, gate
 
     @property
     def expected(self) -> Sequence[str]:
         """Gated topics that the health tree watches, and that count now."""
-        return self._sight.expected
+        return self._observer.expected
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
         """Wait for a sample of each expected topic from the instance, received after a time; when the first came.
@@ -290,10 +290,10 @@ class GatedReaders:
         self._drain()
         found = [
             last
-            for topic in self._sight.gated
+            for topic in self._observer.gated
             if (last := self._watching.last_from_others(topic, instance.name)) is not None
         ]
         return max(found, default=(0.0, ""))
 
     def _drain(self) -> None:
-        self._sight.drain(self._fleet.of_workload(), self._gate.state.active)
+        self._observer.drain(self._fleet.of_workload(), self._gate.state.active)

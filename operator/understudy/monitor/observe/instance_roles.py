@@ -13,7 +13,7 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Gate, Instance
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.trees.languages.procedure_notations import composed
 from understudy.trees.source.problems import TreeError
@@ -123,7 +123,7 @@ def _alike(brought: str, token: str) -> bool:
 class InstanceRoles:
     """The roles of one workload's instances, and which standbys were ready before."""
 
-    def __init__(self, view: View, gate: Gate, current: CurrentRecovery) -> None:
+    def __init__(self, view: ClusterView, gate: Gate, current: CurrentRecovery) -> None:
         self._view, self._gate, self.current = view, gate, current
         self._were_ready: set[str] = set()
 

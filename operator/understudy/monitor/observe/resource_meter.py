@@ -32,7 +32,7 @@ _ABSENT = (
 )
 
 
-class Meter:
+class ResourceMeter:
     """Asks for the figures of one pod, while somebody wants them."""
 
     def __init__(self, client: Client, namespace: str, workload: str) -> None:

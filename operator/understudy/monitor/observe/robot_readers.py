@@ -13,8 +13,8 @@ import time
 
 from understudy.monitor.judge.gate_enforcement import UNGATED, Judgement
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.observe.reader_ports import Reading, judge
 from understudy.ros.middleware import Locator
 from understudy.ros.rmw import MIDDLEWARE
@@ -38,12 +38,12 @@ reads may be started anew.
 CONDITION = "OutputsRead"
 
 
-class Readership:
+class RobotReaders:
     """Looks who reads the outputs of one workload."""
 
-    def __init__(self, view: View, sight: Sight, notices: Notices, address: str) -> None:
+    def __init__(self, view: ClusterView, observer: HealthObserver, notices: Notices, address: str) -> None:
         """``address`` is that of this pod."""
-        self._view, self._sight, self._notices, self._address = view, sight, notices, address
+        self._view, self._observer, self._notices, self._address = view, observer, notices, address
         self._places: dict[bytes, tuple[Locator, ...]] = {}
         self._asked: set[bytes] = set()
         self._again = 0.0
@@ -73,11 +73,11 @@ class Readership:
             self.ungated = ""
             self._notices.withdraw(CONDITION)
             return
-        readers = {topic: self._sight.graph.subscribers(topic) for topic in topics}
+        readers = {topic: self._observer.graph.subscribers(topic) for topic in topics}
         await self._ask({end.gid for ends in readers.values() for end in ends})
         readings: list[Reading] = []
         untold: set[str] = set()
-        ours = {self._address, *self._sight.addresses.values()}
+        ours = {self._address, *self._observer.addresses.values()}
         for topic, ends in readers.items():
             for end in ends:
                 places = self._places.get(end.gid)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from understudy.kube.gates.base import Proof
-from understudy.monitor.observe.agent_connections import Sidecars
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.observe.instance_roles import InstanceRoles
-from understudy.monitor.observe.robot_readers import Readership
+from understudy.monitor.observe.robot_readers import RobotReaders
 from understudy.monitor.observe.wakeups import Wakeups
 
 
@@ -17,10 +17,10 @@ from understudy.monitor.observe.wakeups import Wakeups
 class Senses:
     """The sources of observations of one workload."""
 
-    sight: Sight
-    sidecars: Sidecars
+    observer: HealthObserver
+    agents: AgentConnections
     probes: Proof
-    readership: Readership
+    readership: RobotReaders
     roles: InstanceRoles
     wakeups: Wakeups
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.dependencies import Dependencies
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Looks
@@ -12,7 +12,7 @@ from understudy.monitor.observe.wakeups import Looks
 class ObserveStage:
     """When the monitor looks, and at what."""
 
-    def __init__(self, view: View, senses: Senses, notices: Notices) -> None:
-        self.looks = Looks(senses.wakeups, senses.sight.coming)
+    def __init__(self, view: ClusterView, senses: Senses, notices: Notices) -> None:
+        self.looks = Looks(senses.wakeups, senses.observer.coming)
         self.dependencies = Dependencies(view, notices, senses.wakeups)
         self.senses = senses

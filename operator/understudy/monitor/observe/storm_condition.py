@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from understudy.failover.limits import storm
 from understudy.failover.limits.state import InForce
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 
 
-class Storms:
+class StormCondition:
     """The storms of one workload's policy."""
 
-    def __init__(self, view: View) -> None:
+    def __init__(self, view: ClusterView) -> None:
         self._view = view
 
     def on(self, now: float) -> InForce | None:

@@ -24,11 +24,11 @@ from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.failover.progress import Progress, rfc3339
 from understudy.kube.client import EVENTS, ApiError, Object
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.report import mcap_writer
 from understudy.monitor.report.mcap_writer import Content
-from understudy.monitor.report.recording_archive import Archive, TooBig
+from understudy.monitor.report.recording_archive import RecordingArchive, TooBig
 from understudy.process.http_pages import JSON, Answer, Page
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.trees.core.snapshots import Shown
@@ -61,8 +61,10 @@ class _Due(NamedTuple):
 class BlackBox:
     """Of one workload; by the policy's ``blackBox``, and without that it does nothing."""
 
-    def __init__(self, view: View, sight: Sight, notices: Notices, archive: Archive) -> None:
-        self._view, self._sight, self._notices, self._archive = view, sight, notices, archive
+    def __init__(
+        self, view: ClusterView, observer: HealthObserver, notices: Notices, archive: RecordingArchive
+    ) -> None:
+        self._view, self._observer, self._notices, self._archive = view, observer, notices, archive
         self._settings: Settings | None = None
         self._ring: SampleRing | None = None
         self._present = ""
@@ -130,11 +132,11 @@ class BlackBox:
             self._ring = SampleRing(seconds(settings.window), settings.memory_bytes) if settings is not None else None
             self._present, self._states = "", ()
             self._due.clear()
-            self._sight.record(self._ring)
+            self._observer.record(self._ring)
 
     def _look(self) -> None:
         if self._ring is not None:
-            now, states = time.monotonic(), self._sight.states
+            now, states = time.monotonic(), self._observer.states
             if states != self._states or now >= self._next_trace:
                 self._states, self._next_trace = states, now + AGAIN
                 self._trace()
@@ -145,7 +147,7 @@ class BlackBox:
             return
         track, now, said = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._notices.status
         if track.wanted:
-            tree = self._sight.snapshot()
+            tree = self._observer.snapshot()
             told = {"health": said.health, "active": said.active, "epoch": said.gate.epoch, "tree": tree}
             track.add(now, now, 0, mcap_writer.text(json.dumps({"time": round(now, 6), **told})))
 
@@ -169,7 +171,7 @@ class BlackBox:
         if problem:
             notes["events"] = problem
         view = self._view
-        offers = {track.topic: self._sight.offered(track.topic) for track in tracks}
+        offers = {track.topic: self._observer.offered(track.topic) for track in tracks}
         content = Content(view.namespace, view.workload, recovery, tracks, events, offers, since, notes)
         recording = Recording(
             id=progress.id,

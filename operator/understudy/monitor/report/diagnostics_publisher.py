@@ -16,8 +16,8 @@ from collections.abc import Callable, Mapping
 
 from understudy.api.kinds.robot_workload import MonitorSettings
 from understudy.monitor.notices import Notices, StatusChanged
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.report.diagnostics_status import More, Said, said, status
 from understudy.ros.actions.diagnostics_topic import Diagnostics
 from understudy.ros.actions.snapshot_streams import LEAST, Streams
@@ -42,14 +42,18 @@ def namespace_of(workload: str) -> str:
     return f"/understudy/{name if name[0].isalpha() else f'_{name}'}"
 
 
-class Telling:
+class DiagnosticsPublisher:
     """Publishes the diagnostics of one workload."""
 
     def __init__(
-        self, view: View, sight: Sight, notices: Notices, kept: Callable[[], Mapping[str, float]] = dict
+        self,
+        view: ClusterView,
+        observer: HealthObserver,
+        notices: Notices,
+        kept: Callable[[], Mapping[str, float]] = dict,
     ) -> None:
         """``kept`` says when the state was taken that would be restored now, in Unix seconds, by what it is of."""
-        self._view, self._sight, self._notices, self._kept = view, sight, notices, kept
+        self._view, self._observer, self._notices, self._kept = view, observer, notices, kept
         self._settings = MonitorSettings()
         self._diagnostics: Diagnostics | None = None
         self._streams: Streams | None = None
@@ -97,7 +101,7 @@ class Telling:
         if self._streams is not None:
             await self._streams.serve()
             if self._streams.read():
-                self._streams.show(behaviours(self._sight.snapshot(), self._view.workload))
+                self._streams.show(behaviours(self._observer.snapshot(), self._view.workload))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(PERIOD if self._streams is None else LEAST):
                 while not self._changed:
@@ -110,7 +114,7 @@ class Telling:
         self._settings, self.problems = settings, []
         try:
             if settings.diagnostics and self._diagnostics is None:
-                self._diagnostics = Diagnostics(self._sight.graph)
+                self._diagnostics = Diagnostics(self._observer.graph)
                 self._level, self._next = None, 0.0
                 self._note(said(self._notices.status, time.time()))
             elif not settings.diagnostics and self._diagnostics is not None:
@@ -121,7 +125,7 @@ class Telling:
             self._problem("spec.monitor.diagnostics", error)
         try:
             if settings.snapshots and self._streams is None:
-                self._streams = Streams(self._sight.graph, namespace_of(self._view.workload))
+                self._streams = Streams(self._observer.graph, namespace_of(self._view.workload))
             elif not settings.snapshots and self._streams is not None:
                 self._streams.close()
                 self._streams = None
@@ -158,5 +162,5 @@ class Telling:
             policy=spec.failure_policy_ref.name if spec is not None else "",
             standby=str(((item or {}).get("status") or {}).get("standby") or ""),
             kept=self._kept(),
-            tree=self._sight.snapshot(),
+            tree=self._observer.snapshot(),
         )

@@ -10,17 +10,19 @@ from importlib import resources
 from typing import Any
 
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.process.http_pages import HTML, JSON, Answer
 
 
-class Showing:
+class LiveTreePages:
     """What the monitor knows and thinks at this moment. Costs nothing while nobody asks."""
 
-    def __init__(self, view: View, sight: Sight, notices: Notices, notes: Callable[[], Sequence[str]] = tuple) -> None:
+    def __init__(
+        self, view: ClusterView, observer: HealthObserver, notices: Notices, notes: Callable[[], Sequence[str]] = tuple
+    ) -> None:
         """``notes`` says what else a person should know, in plain words."""
-        self._view, self._sight, self._notices, self._notes = view, sight, notices, notes
+        self._view, self._observer, self._notices, self._notes = view, observer, notices, notes
 
     def state(self) -> dict[str, Any]:
         """All of it as plain values. Times are Unix seconds."""
@@ -38,8 +40,8 @@ class Showing:
                 {"type": c.type, "status": c.status, "reason": c.reason, "message": c.message} for c in said.conditions
             ],
             "recoveries": said.count,
-            "tree": self._sight.snapshot(),
-            "notes": [*self._sight.problems, *self._sight.waiting, *self._notes()],
+            "tree": self._observer.snapshot(),
+            "notes": [*self._observer.problems, *self._observer.waiting, *self._notes()],
         }
 
     def tree(self) -> Answer:

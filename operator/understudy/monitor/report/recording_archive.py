@@ -27,7 +27,7 @@ class TooBig(Exception):
     """A recording that is larger than all of them may be together."""
 
 
-class Archive:
+class RecordingArchive:
     """A folder of recordings. Nothing of it is made before the first one is kept."""
 
     def __init__(self, folder: Path) -> None:

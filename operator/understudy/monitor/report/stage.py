@@ -7,22 +7,28 @@ from understudy.monitor.act.stage import ActStage
 from understudy.monitor.decide.stage import DecideStage
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.report.recovery_report import RecoveryReport
-from understudy.monitor.report.status_conditions import Saying
+from understudy.monitor.report.status_conditions import StatusConditions
 
 
 class ReportStage:
     """What the status, Events and recordings say of the other stages."""
 
     def __init__(
-        self, view: View, gate: Gate, sight: Sight, decide: DecideStage, act: ActStage, notices: Notices
+        self,
+        view: ClusterView,
+        gate: Gate,
+        observer: HealthObserver,
+        decide: DecideStage,
+        act: ActStage,
+        notices: Notices,
     ) -> None:
         self.notices = notices
         self.recovery = RecoveryReport(gate, notices)
-        self.saying = Saying(view, gate, sight, act.safety, decide.repertoire, notices)
+        self.status_conditions = StatusConditions(view, gate, observer, act.safety, decide.options, notices)
 
     def judged(self, judgement: Judgement) -> None:
         """Report how the active instance is."""
-        self.saying.judged(judgement)
+        self.status_conditions.judged(judgement)

@@ -6,27 +6,27 @@ from understudy.api.kinds.robot_workload import GateStatus, Health
 from understudy.failover.interfaces import Gate
 from understudy.monitor.act.safe_commands import SafeCommands
 from understudy.monitor.decide.initial_activation import Candidates
-from understudy.monitor.decide.strategy_options import Repertoire
+from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import View
-from understudy.monitor.observe.health_observer import Sight
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.health_observer import HealthObserver
 
 
-class Saying:
+class StatusConditions:
     """Says it of one workload."""
 
     def __init__(
         self,
-        view: View,
+        view: ClusterView,
         gate: Gate,
-        sight: Sight,
+        observer: HealthObserver,
         safety: SafeCommands,
-        repertoire: Repertoire,
+        options: StrategyOptions,
         notices: Notices,
     ) -> None:
-        self._view, self._gate, self._sight = view, gate, sight
-        self._safety, self._repertoire, self._notices = safety, repertoire, notices
+        self._view, self._gate, self._observer = view, gate, observer
+        self._safety, self._options, self._notices = safety, options, notices
 
     def judged(self, judgement: Judgement) -> None:
         """Report how the active instance is."""
@@ -50,18 +50,18 @@ class Saying:
 
     def housekeeping(self) -> None:
         """What changes seldom, once the policy and the settings are known."""
-        usable = self._repertoire.usable()
+        usable = self._options.usable()
         item = self._view.object
         self._notices.observe(item["metadata"].get("generation") if item else None)
         self._notices.set(strategy=usable)
         self._say_watched()
 
     def _say_watched(self) -> None:
-        if problems := [*self._sight.problems, *self._safety.problems]:
+        if problems := [*self._observer.problems, *self._safety.problems]:
             reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
             if self._notices.condition("Monitored", "False", reason, " ".join(problems)):
                 self._notices.event("Warning", reason, " ".join(problems))
-        elif waiting := self._sight.waiting:
+        elif waiting := self._observer.waiting:
             self._notices.condition("Monitored", "Unknown", "WaitingForTopics", " ".join(waiting))
         else:
-            self._notices.condition("Monitored", "True", "Watching", self._sight.summary)
+            self._notices.condition("Monitored", "True", "Watching", self._observer.summary)

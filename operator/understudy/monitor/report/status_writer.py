@@ -25,7 +25,7 @@ from understudy.monitor.notices import (
     StatusAwaited,
     StatusChanged,
 )
-from understudy.monitor.observe.cluster_view import View
+from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.report import monitor_metrics
 
 _logger = logging.getLogger(__name__)
@@ -52,7 +52,7 @@ AGAIN = 10.0
 class StatusWriter:
     """Applies the status of one workload if it has changed: a healthy workload costs no writes."""
 
-    def __init__(self, client: Client, view: View, recorder: Recorder, notices: Notices) -> None:
+    def __init__(self, client: Client, view: ClusterView, recorder: Recorder, notices: Notices) -> None:
         self._client, self._view, self._recorder, self._notices = client, view, recorder, notices
         self._reference: Object = _reference_to(view.object) if view.object is not None else {}
         self._stream = notices.subscribe()
