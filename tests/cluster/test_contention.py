@@ -25,7 +25,7 @@ import pytest
 
 from tests.cluster.conftest import REPOSITORY, Release
 from tests.cluster.contending import Outcome, contend
-from tests.cluster.test_operator import CORE, NETWORK, PodControl, leader, policy, process, spare, template, workload
+from tests.cluster.operators import CORE, NETWORK, Fleet, leader, policy, process, spare, template, workload
 from tests.support.cluster import Cluster, Object, Refused, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
@@ -46,9 +46,9 @@ END = "the-end"
 
 
 @pytest.fixture
-def fleet(cluster: Cluster, namespace: str, release: Release) -> PodControl:
+def fleet(cluster: Cluster, namespace: str, release: Release) -> Fleet:
     """A namespace that the installed operator, if there is one, doesn't look after."""
-    return PodControl(cluster, namespace)
+    return Fleet(cluster, namespace)
 
 
 # -- what was so in between ---------------------------------------------------------------------------------------------
@@ -57,7 +57,7 @@ def fleet(cluster: Cluster, namespace: str, release: Release) -> PodControl:
 class History:
     """Every state of every pod of a namespace, in order."""
 
-    def __init__(self, fleet: PodControl) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
         self.events: list[tuple[str, Object]] = []
         self._thread = threading.Thread(target=self._follow, daemon=True)
@@ -117,7 +117,7 @@ class History:
 
 
 @contextmanager
-def kubelet(fleet: PodControl) -> Iterator[None]:
+def kubelet(fleet: Fleet) -> Iterator[None]:
     """Says that the pods of the pool are ready, and says so again and again, as kubelets do: their versions grow."""
     stop = threading.Event()
 
@@ -167,7 +167,7 @@ def gate(robot: str) -> Object:
     }
 
 
-def held(fleet: PodControl, number: int) -> Object:
+def held(fleet: Fleet, number: int) -> Object:
     """A free pod of the pool, as the operator makes it."""
     pool = fleet.get("FallbackPool", "spare")
     owner = {"apiVersion": API_VERSION, "kind": "FallbackPool", "name": "spare", "uid": pool["metadata"]["uid"]}
@@ -182,7 +182,7 @@ def held(fleet: PodControl, number: int) -> Object:
 class Elsewhere:
     """Contenders in processes of their own."""
 
-    def __init__(self, fleet: PodControl) -> None:
+    def __init__(self, fleet: Fleet) -> None:
         environment = {**os.environ, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY / 'operator'}"}
         command = [sys.executable, "-m", "tests.cluster.contending", str(fleet.cluster.kubeconfig), fleet.namespace]
         self._processes = [
@@ -222,7 +222,7 @@ class Elsewhere:
         return [Outcome(**found) for text in told for found in json.loads(text)]
 
 
-def test_whoever_is_first_every_pod_has_one_owner_and_every_gate_one_pod(fleet: PodControl) -> None:
+def test_whoever_is_first_every_pod_has_one_owner_and_every_gate_one_pod(fleet: Fleet) -> None:
     fleet.create(spare(replicas=PODS), *(workload(robot) for robot in ROBOTS), *map(gate, ROBOTS))
     fleet.create(*(held(fleet, number) for number in range(PODS)))
     access = load_access(str(fleet.cluster.kubeconfig))
@@ -250,7 +250,7 @@ def test_whoever_is_first_every_pod_has_one_owner_and_every_gate_one_pod(fleet: 
         assert notes.get(names.ACTIVE_UID, "") == (opened[0].pod if opened else "")
 
 
-def _claimed(fleet: PodControl) -> dict[str, str]:
+def _claimed(fleet: Fleet) -> dict[str, str]:
     """By claim, the pods that have one now."""
     notes = {pod["metadata"]["uid"]: pod["metadata"].get("annotations") or {} for pod in fleet.pods(names.POOL)}
     return {found[names.CLAIM]: uid for uid, found in notes.items() if names.CLAIM in found}
@@ -300,7 +300,7 @@ async def failing_again_and_again(
 
 
 async def fail_together(
-    fleet: PodControl, robots: Sequence[str], half: Callable[[], None], folder: Path
+    fleet: Fleet, robots: Sequence[str], half: Callable[[], None], folder: Path
 ) -> list[dict[str, str]]:
     """Have all robots fail again and again; ``half`` is called in the midst of it."""
     access = load_access(str(fleet.cluster.kubeconfig))
@@ -315,7 +315,7 @@ async def fail_together(
     )
 
 
-def test_a_pool_that_many_take_from_is_refilled_and_never_overfilled(fleet: PodControl, tmp_path: Path) -> None:
+def test_a_pool_that_many_take_from_is_refilled_and_never_overfilled(fleet: Fleet, tmp_path: Path) -> None:
     """Also while the operator that leads is told to end, and another one goes on."""
     multicast = {"discovery": {"mode": "Multicast"}}
     with ExitStack() as stack:

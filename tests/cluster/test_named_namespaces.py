@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from tests.cluster.conftest import REPOSITORY, Release
-from tests.cluster.test_operator import Fleet, Operator, alone, hot, policy, workload
+from tests.cluster.operators import Fleet, Operator, alone, hot, policy, workload
 from tests.support.cluster import Cluster, Object, Refused, account, until
 
 __all__ = ["alone"]  # a fixture

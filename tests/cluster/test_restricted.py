@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.cluster.test_operator import (
+from tests.cluster.operators import (
     CORE,
     Fleet,
     Operator,

@@ -3,35 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from tests.unit.agent.conftest import Pod, eventually
+from tests.unit.agent.localization import OUTPUTS, TREE, WITHIN, localize, run
 from understudy.kube.agent_client import AgentLink, AgentRefused
 from understudy.trees.languages.procedure_notations import compose
 
 pytestmark = pytest.mark.ros
 
-NODES = str(Path(__file__).parent / "nodes.py")
-OUTPUTS = [{"topic": "/cmd_vel", "type": "std_msgs/msg/String"}]
-TREE = {"topic": {"name": "/cmd_vel", "gap": "300ms"}}
 ACTIVATE = {"set_lifecycle": {"node": "/localizer", "state": "active"}}
 CHECK = {"lifecycle_is": {"node": "/localizer", "state": "active"}}
-WITHIN = 60.0
-
-
-def run(pod: Pod, *arguments: str) -> subprocess.Popen[bytes]:
-    """A node in the pod."""
-    process = subprocess.Popen([sys.executable, NODES, *arguments], stdout=subprocess.DEVNULL)
-    pod._processes.append(process)
-    return process
-
-
-def localize(pod: Pod) -> subprocess.Popen[bytes]:
-    return run(pod, "localize")
 
 
 async def connected(pod: Pod, links: list[AgentLink], **configuration) -> AgentLink:

@@ -14,8 +14,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.agent.conftest import Pod
-from tests.unit.agent.test_procedures import OUTPUTS, TREE, WITHIN, localize
-from tests.unit.agent.test_state_restoration import pose
+from tests.unit.agent.localization import OUTPUTS, TREE, WITHIN, localize
+from tests.unit.agent.poses import pose
 from understudy.api.protocol.kept_state import LARGEST, KeptSample, KeptState, NotRestored, ParameterValues
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone, AgentLink

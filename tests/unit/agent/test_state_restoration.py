@@ -13,6 +13,7 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import deserialize_message, serialize_message
 
+from tests.unit.agent.poses import POSE, pose
 from tests.unit.dds import keep_to_itself
 from understudy.agent.control_channel import Peer, Refused
 from understudy.agent.kept_messages import stamped
@@ -29,7 +30,6 @@ from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller
 
 pytestmark = pytest.mark.ros
 
-POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 WITHIN = 25.0
 """Seconds for what is done at once on a machine that is not busy."""
 PEER = Peer("shop", "", "127.0.0.1")
@@ -50,16 +50,6 @@ def caller() -> Iterator[InstanceCaller]:
 @pytest.fixture
 def restorer(caller: InstanceCaller) -> StateRestorer:
     return StateRestorer(lambda: caller)
-
-
-def pose(x: float = 1.5, *, age: float = 10.0, **fields: Any) -> KeptSample:
-    message = PoseWithCovarianceStamped()
-    message.header.frame_id = "map"
-    message.header.stamp.sec = 42
-    message.pose.pose.position.x = x
-    message.pose.covariance[35] = 0.25
-    usual = {"to": "/initialpose", "stamp": "now"}
-    return KeptSample("/amcl_pose", POSE, time.time() - age, serialize_message(message), **usual | fields)
 
 
 async def localized(caller: InstanceCaller) -> PoseWithCovarianceStamped:

@@ -16,8 +16,8 @@ import pytest
 from scripts.generation.metrics import exposed, page
 from tests.dashboards.fleet import fleet
 from tests.e2e.past import Source
+from tests.unit.chart.alert_rules import OTHERS, alerts
 from tests.unit.chart.conftest import CHART
-from tests.unit.chart.test_monitoring import OTHERS, alerts
 from understudy.api.kinds.robot_workload import Health
 from understudy.cli.report.promql import came
 from understudy.cli.report.recovery_records import Span

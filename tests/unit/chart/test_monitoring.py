@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from scripts.generation.metrics import exposed
+from tests.unit.chart.alert_rules import ALERTS, OTHERS, alerts
 from tests.unit.chart.conftest import CHART, Object, Render, one
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Health
@@ -18,13 +19,7 @@ from understudy.controller.runtime import fleet_metrics
 from understudy.failover.interfaces import Instance
 from understudy.monitor.judge.gate_enforcement import judge
 
-ALERTS = yaml.safe_load((CHART / "files" / "alerts.yaml").read_text())
 DASHBOARDS = {path.name: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}
-OTHERS = {"process_cpu_seconds_total", "process_resident_memory_bytes", "process_start_time_seconds"}
-
-
-def alerts() -> list[Object]:
-    return [rule for group in ALERTS["groups"] for rule in group["rules"]]
 
 
 def expressions() -> list[str]:

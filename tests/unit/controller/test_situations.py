@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.controller.test_choosing import auto, order, pools_of, told, warm
+from tests.unit.controller.strategy_policies import auto, order, pools_of, told, warm
 from tests.unit.controller.world import (
     World,
     created,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from tests.unit.failover.test_failover import VERIFY_WITHIN, failure, protected
+from tests.unit.failover.recoveries import VERIFY_WITHIN, failure, protected
 from tests.unit.failover.world import Store, World
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.unit.failover.recoveries import VERIFY_WITHIN, choices, failure, protected
 from tests.unit.failover.world import Killed, Store, World
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import PodIdentity, Progress
@@ -15,28 +16,6 @@ from understudy.failover.protocol import Choice, recover
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.strategies.uninitialized import UninitializedFallback
-
-VERIFY_WITHIN = 0.3
-
-
-def choices(*strategies: object) -> list[Choice]:
-    return [Choice(strategy, VERIFY_WITHIN) for strategy in strategies]  # type: ignore[arg-type]
-
-
-def failure(world: World, pod: str = "w-1") -> Progress:
-    now = world.clock()
-    failed = [PodIdentity(name=pod, uid=f"uid-{pod}")] if pod else []
-    return Progress.begin("no /cmd_vel for 500 ms", last_healthy=now - 0.5, detected=now, failed=failed)
-
-
-def protected(**standby: object) -> Store:
-    store = Store()
-    store.add("w-1")
-    store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
-    store.broken.add("w-1")
-    if standby:
-        store.add("w-2", **standby)
-    return store
 
 
 async def test_an_executing_standby_takes_over_in_one_commit() -> None:

@@ -23,7 +23,7 @@ from understudy.controller.pods.pool_pods import Fresh
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import HealthObserver as Seen
+from understudy.controller.reconcile.object_store import ObservedChange as Seen
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
@@ -112,12 +112,12 @@ class Monitor:
         self.current = CurrentRecovery()
         self._view: ClusterView | None = None
         self.notices: Notices | None = None
-        self.agents = self._make_sidecars(initializes=initializes)
+        self.agents = self._make_agents(initializes=initializes)
 
-    def _make_sidecars(self, *, initializes: bool) -> AgentConnections:
+    def _make_agents(self, *, initializes: bool) -> AgentConnections:
         return AgentConnections(self._robots, self.workload, self.fuse.step, initializes=initializes)
 
-    def _make_sight(self) -> HealthObserver:
+    def _make_observer(self) -> HealthObserver:
         return HealthObserver(self._robots, self.workload, self._look_at_gate)
 
     def _make_probes(self) -> Probes:
@@ -138,7 +138,7 @@ class Monitor:
             probes = self._make_probes()
             gate = GateControl(client, view, fleet, probes, self.fuse, notices)
             roles = InstanceRoles(view, gate, self.current)
-            agents, observer = cast(Any, self.agents), cast(Any, self._make_sight())
+            agents, observer = cast(Any, self.agents), cast(Any, self._make_observer())
             parts = Parts(
                 cluster=Cluster(view, fleet, gate),
                 senses=Senses(observer, agents, probes, cast(Any, RobotReaders()), roles, self.wakeups),

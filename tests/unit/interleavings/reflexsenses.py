@@ -148,10 +148,10 @@ class ReflexMonitor(Monitor):
         self.reader = robots.watch(process, workload)
         super().__init__(process, network, robots, workload, *rest, **more)
 
-    def _make_sidecars(self, *, initializes: bool) -> AgentConnections:
+    def _make_agents(self, *, initializes: bool) -> AgentConnections:
         return ReflexSidecars(self._robots, self.workload, self.fuse.step, initializes=initializes)
 
-    def _make_sight(self) -> HealthObserver:
+    def _make_observer(self) -> HealthObserver:
         return ReflexSight(cast(ReflexRobots, self._robots), self.workload, self._look_at_gate, self.reader)
 
     def _make_probes(self) -> Probes:

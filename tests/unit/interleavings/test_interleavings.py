@@ -7,17 +7,14 @@ of them are ``scripts/bench interleavings``.
 from __future__ import annotations
 
 import asyncio
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import pytest
 
 from tests.unit.interleavings import simulation
+from tests.unit.interleavings.comparison import told_alike, without
 from tests.unit.interleavings.simulation import SCENES, Outcome, Scene
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
@@ -30,7 +27,6 @@ from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.garbage_collection import GarbageCollection
 from understudy.monitor.report.status_writer import StatusWriter
 
-REPOSITORY = Path(__file__).parents[3]
 RUNS, CHUNK = 250, 25
 """The short share; seeds from 100,000 on, which scripts/bench doesn't run by itself."""
 FIRST = 100_000
@@ -43,24 +39,6 @@ def test_whatever_the_order_everything_holds(first: int) -> None:
     for seed in range(first, first + CHUNK):
         outcome = simulation.run(seed)
         assert not outcome.faults, str(simulation.run(seed, tracing=True))
-
-
-def told_alike(module: str, seed: int, others: range) -> str:
-    """All that happens by a seed: the same in another process, where sets have another order, and whatever was run in it before."""
-    text = f"from tests.unit.interleavings.{module} import run; {{before}}; print(run({seed}, tracing=True))"
-    told = {
-        subprocess.run(
-            [sys.executable, "-c", text.format(before=before)],
-            cwd=REPOSITORY,
-            env={**os.environ, "PYTHONPATH": f"{REPOSITORY}:{REPOSITORY / 'operator'}", "PYTHONHASHSEED": order},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for order, before in (("1", "pass"), ("2", f"[run(seed) for seed in {others}]"))
-    }
-    assert len(told) == 1
-    return told.pop()
 
 
 def test_a_seed_says_all_that_happens() -> None:
@@ -85,20 +63,6 @@ def found(words: str, scene: Scene, *troubles: str, weather: float = 1.0, within
         if any(words in fault for fault in outcome.faults):
             return outcome
     pytest.fail(f"no {words!r} in {within} runs")
-
-
-def without(*keys: str) -> Any:
-    """A client's patch that loses preconditions."""
-    real = Client.patch
-
-    async def patch(self: Client, resource: Any, namespace: Any, name: str, body: Any, **more: Any) -> Object:
-        if isinstance(body, list):
-            body = [operation for operation in body if operation["op"] != "test"]
-            return await real(self, resource, namespace, name, body, **more)
-        metadata = {key: value for key, value in (body.get("metadata") or {}).items() if key not in keys}
-        return await real(self, resource, namespace, name, {**body, "metadata": metadata}, **more)
-
-    return patch
 
 
 def test_a_claim_without_its_precondition_is_found() -> None:

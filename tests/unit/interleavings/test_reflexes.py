@@ -14,10 +14,10 @@ from unittest import mock
 import pytest
 
 from tests.unit.interleavings import reflexes, simulation
+from tests.unit.interleavings.comparison import told_alike, without
 from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
 from tests.unit.interleavings.simulation import Outcome, Scene
-from tests.unit.interleavings.test_interleavings import told_alike, without
 from understudy.agent.permit import Permit
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api.protocol.ownership_strength import STRONGEST

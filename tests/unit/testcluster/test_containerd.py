@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from testcluster.images import containerd, store
-from tests.unit.testcluster.test_store import archive, blobs
+from tests.unit.testcluster.archives import archive, blobs
 
 CTR = """\
 #!/bin/sh

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
 import tarfile
 from pathlib import Path
@@ -11,41 +9,12 @@ from pathlib import Path
 import pytest
 
 from testcluster.images import store
+from tests.unit.testcluster.archives import archive, blobs, contents, digest
 
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-
-
-def digest(data: bytes) -> str:
-    return "sha256:" + hashlib.sha256(data).hexdigest()
-
-
-def archive(
-    path: Path, layers: list[bytes], name: str | None = "localhost/thing:dev", said: list[str] | None = None
-) -> Path:
-    """An image as `docker save` writes it."""
-    config = json.dumps(
-        {"rootfs": {"type": "layers", "diff_ids": said or [digest(layer) for layer in layers]}}
-    ).encode()
-    members = {f"{number}.tar": layer for number, layer in enumerate(layers)}
-    listing = [{"Config": "config.json", "RepoTags": [name] if name else None, "Layers": list(members)}]
-    with tarfile.open(path, "w") as tar:
-        for member, data in {**members, "config.json": config, "manifest.json": json.dumps(listing).encode()}.items():
-            entry = tarfile.TarInfo(member)
-            entry.size = len(data)
-            tar.addfile(entry, io.BytesIO(data))
-    return path
-
-
-def contents(path: Path) -> dict[str, bytes]:
-    with tarfile.open(path) as tar:
-        return {member.name: tar.extractfile(member).read() for member in tar}  # type: ignore[union-attr]
-
-
-def blobs(path: Path) -> set[str]:
-    return {"sha256:" + name.rpartition("/")[2] for name in contents(path) if name.startswith("blobs/")}
 
 
 def test_an_archive_for_a_node_that_has_nothing_holds_every_part(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.garbled import garbled, loads_or_is_refused
+from tests.unit.trees.replays import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
 from tests.unit.trees.scenarios import ScenarioWriter
-from tests.unit.trees.test_btcpp import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
 from understudy.api.base import LONGEST_TEXT
 from understudy.trees.languages.osc import tokens
 from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS

@@ -26,8 +26,8 @@ from scenario_execution.model.types import (
 )
 from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexer
 
+from tests.unit.trees.replays import POLICIES
 from tests.unit.trees.scenarios import ScenarioWriter
-from tests.unit.trees.test_btcpp import POLICIES
 from understudy.trees.languages.osc import steps, tokens
 from understudy.trees.languages.osc.library import ACTIONS, ENUMS, MODIFIERS, REFUSED, WORDS
 from understudy.trees.languages.osc.loader import load_osc

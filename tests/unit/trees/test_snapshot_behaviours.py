@@ -8,7 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.trees.test_snapshots import TREE, taken
+from tests.unit.trees.snapshot_trees import TREE, taken
 from tests.unit.trees.tools import Row, drawn, rebuilt
 from tests.unit.trees.world import World
 from understudy.trees.core.snapshot_behaviours import NOBODY, Behaviour, behaviours, statuses

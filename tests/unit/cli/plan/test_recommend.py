@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.unit.controller import test_choosing as chosen
+from tests.unit.controller import strategy_policies as chosen
 from understudy.cli.plan.recommend import ERROR, MET, NOT_MET, main
 
 WORKLOAD = """\

@@ -1,0 +1,228 @@
+"""Strategies that are left to be chosen: what is kept, what the monitor is told, and what the statuses say."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+from tests.unit.controller.strategy_policies import auto, order, pools_of, told, warm
+from tests.unit.controller.world import (
+    World,
+    applied,
+    custom,
+    deleted,
+    gate,
+    held_pod,
+    hot,
+    policy,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.api.kinds.robot_workload import RobotWorkloadStatus
+from understudy.controller.observed import pool_reader
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import ObservedChange, Store
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.status import policy_status, pool_status
+from understudy.kube.client import PODS, POLICIES, POOLS, WORKLOADS, Object
+
+
+def recovered(by: str, seconds: float, times: int = 3) -> list[Object]:
+    parts = {"detection": 0.5, "cluster": seconds, "startup": 0, "reinitialization": 0}
+    return [
+        {"id": f"{by}-{n}", "reason": "gone", "result": "Recovered", "strategy": by, "parts": parts}
+        for n in range(times)
+    ]
+
+
+def world(asked: Object | None = None, *more: Object, status: Object | None = None) -> World:
+    made = World(workload(status=status), asked or auto(), *(more or (hot(), warm(), spare())))
+    active = source_pod("w-a")
+    made.pods = [active]
+    made.own(gate(made.workload, active=active, epoch=3))
+    made.unclaimed = {"spare": [held_pod("s-1", of=spare())]}
+    return made
+
+
+def test_the_monitor_is_told_what_was_chosen_and_of_the_pools_that_are_in_it() -> None:
+    plan = world().plan()
+    assert order(plan) == ["warm", "spare", "Restart"]
+    assert [choice.name for choice in told(plan).pools] == ["warm", "spare"]
+    strategies = told(plan).strategies
+    assert strategies is not None
+    assert {one.verify_within for one in strategies} == {"10s"}
+
+
+def test_where_the_strategies_are_written_out_nothing_is_chosen() -> None:
+    assert told(world(policy("hot", "Restart")).plan()).strategies is None
+
+
+def test_no_standby_is_made_of_a_pool_that_was_not_chosen() -> None:
+    assert pools_of(world().plan()) == {"warm"}
+    assert pools_of(world(auto(taskCriticality="High")).plan()) == {"hot", "warm"}
+    assert pools_of(world(auto(availability="Low")).plan()) == set()
+
+
+def test_a_standby_that_is_not_chosen_any_more_goes() -> None:
+    made = world(auto(taskCriticality="High"))
+    made.build()
+    made.pods += [standby_pod("w-h", of=made.workload), standby_pod("w-w", of=made.workload, pool="warm")]
+    made.others[0] = auto(availability="Low")
+    assert deleted(made.plan()) == ["w-h", "w-w"]
+
+
+def test_only_pools_that_serve_the_workload_and_have_something_are_chosen_from() -> None:
+    elsewhere = hot("elsewhere", workloadSelector={"matchLabels": {"task": "other"}})
+    made = world(auto(taskCriticality="High"), elsewhere, hot("empty", per_workload=0), spare("none", replicas=0))
+    assert order(made.plan()) == ["Restart"]
+
+
+def test_a_pool_that_is_not_accepted_is_not_chosen_but_where_it_was_before() -> None:
+    broken = warm(initialization={"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}})
+    made = world(auto(), broken, spare())
+    assert order(made.plan()) == ["spare", "Restart"]
+    made = world()
+    made.build()
+    made.others = [auto(), broken, spare()]
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+
+
+def test_recoveries_that_were_recorded_count() -> None:
+    quick = {"recoveries": recovered("Restart", 1.1)}
+    assert order(world(status=quick).plan()) == ["Restart", "spare"]
+    assert order(world(status={"recoveries": recovered("Restart", 1.1, times=2)}).plan())[0] == "warm"
+
+
+def test_in_the_midst_of_a_recovery_the_order_stays() -> None:
+    made = world()
+    made.build()
+    made.workload["status"] = {"health": "Recovering", "recoveries": recovered("Restart", 1.1)}
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+    said = made.condition("StrategiesChosen")["message"]
+    assert said.startswith("Restart, Uninitialized (spare). ")
+    assert said.endswith("ends, the order stays Initialized (warm), Uninitialized (spare), Restart.")
+
+
+def test_after_a_recovery_that_failed_a_pool_that_was_added_is_chosen_from() -> None:
+    made = world(auto(), spare())
+    made.build()
+    made.own(gate(made.workload, epoch=4))
+    made.workload["status"] = {"health": "Failed"}
+    assert made.observed().recovering, "nobody is in control"
+    made.others.append(warm())
+    assert order(made.plan()) == ["warm", "spare", "Restart"]
+
+
+def test_while_the_policy_can_not_be_followed_the_order_and_the_standbys_stay() -> None:
+    made = world()
+    made.build()
+    made.pods.append(standby_pod("w-w", of=made.workload, pool="warm"))
+    made.workload["status"] = made.status()
+    bad = auto(availability="Low")
+    bad["spec"]["monitoring"] = {"yaml": {"topik": {}}}
+    for others in ([bad], []):
+        made.others = [*others, hot(), warm(), spare()]
+        plan = made.plan()
+        assert order(plan) == ["warm", "spare", "Restart"]
+        assert "hot" not in pools_of(plan)
+        status = made.status()
+        assert status["strategies"] == "Initialized (warm), Uninitialized (spare), Restart"
+        assert made.condition("StrategiesChosen")["message"].startswith("Initialized (warm), ")
+
+
+def test_a_new_template_does_not_wait_for_a_standby_that_is_not_chosen() -> None:
+    made = world(auto(availability="Low"))
+    made.build()
+    made.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
+    assert "w" in applied(made.plan(), "replicasets")
+
+
+def test_the_status_says_which_order_was_chosen_and_why() -> None:
+    made = world()
+    made.pods.append(standby_pod("w-w", of=made.workload, pool="warm"))
+    status = made.status()
+    assert status["strategies"] == "Initialized (warm), Uninitialized (spare), Restart"
+    assert status["standby"] == "Initialized (1/1)"
+    said = made.condition("StrategiesChosen")
+    assert (said["status"], said["reason"]) == ("True", "Chosen")
+    assert "a recovery within 2 s after detection (availability Medium)" in said["message"]
+    assert "Left out: Executing (hot) would use 0.96" in said["message"]
+    assert made.condition("Protected")["message"] == (
+        "If it failed now, Fallback from pool warm would be used: pod w-w (Initialized)."
+    )
+
+
+def test_requirements_that_are_not_met_are_told() -> None:
+    said = world(auto(availability="High", resourceUsage="Low")).condition("StrategiesChosen")
+    assert (said["status"], said["reason"]) == ("False", "RequirementsNotMet")
+    assert "Executing (hot) would be fast enough with a higher resourceUsage" in said["message"]
+
+
+def test_where_the_strategies_are_written_out_the_order_is_told_without_a_reason() -> None:
+    status = world(policy("hot", "missing", "Restart")).status()
+    assert status["strategies"] == "Executing (hot), Fallback (missing), Restart"
+    assert "StrategiesChosen" not in [c["type"] for c in status["conditions"]]
+
+
+def test_a_policy_tells_in_short_that_it_leaves_them() -> None:
+    assert policy_status.in_short(auto(), {"hot": hot()}) == "Auto"
+    (said,) = policy_status.conditions(auto(), {"hot": hot()}, {})
+    assert said.status == "True"
+
+
+def test_the_same_objects_come_to_the_same_order_in_any_order() -> None:
+    made = world(auto(taskCriticality="High"))
+    expected = json.dumps(told(made.plan()).to_wire())
+    other = world(auto(taskCriticality="High"), *(copy.deepcopy(pool) for pool in (spare(), warm(), hot())))
+    assert json.dumps(told(other.plan()).to_wire()) == expected
+
+
+def stored(*policies_and_workloads: Object) -> Store:
+    store = Store()
+    kinds = {"FailurePolicy": POLICIES, "FallbackPool": POOLS, "RobotWorkload": WORKLOADS}
+    for item in (hot(), warm(), spare(), *policies_and_workloads):
+        store.put(kinds[item["kind"]], item)
+    return store
+
+
+async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_for() -> None:
+    written = custom("FailurePolicy", "written", policy("warm")["spec"])
+    mine, other = workload("w"), workload("other", failurePolicyRef={"name": "written"})
+    for item, asked in ((mine, auto()), (other, written)):
+        item["status"] = World(item, asked, hot(), warm(), spare()).status()
+    observer = Observer(None, stored(auto(), written, mine, other), Expectations())  # type: ignore[arg-type]
+    for pool, desired in ((hot(), 1), (warm(), 2)):
+        observed = await observer.pool(pool)
+        assert pool_status.count(observed, pool_reader.spec(pool)).desired == desired
+
+
+def test_a_change_of_any_pool_may_mean_another_order() -> None:
+    store = stored(auto(), workload("w"))
+    held = held_pod("s-1", of=spare())
+    for change in (ObservedChange(POOLS, None, hot()), ObservedChange(PODS, None, held)):
+        assert change_index.Key("robotworkloads", "fleet", "w") in change_index.keys(change, store)
+
+
+def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
+    store = stored(auto(), workload("w"))
+    before, after = (
+        workload("w", status={"strategies": "Restart"}),
+        workload("w", status={"strategies": "Executing (hot)"}),
+    )
+    for old, new, expected in ((before, after, {"hot", "warm", "spare"}), (before, before, set())):
+        found = change_index.keys(ObservedChange(WORKLOADS, old, new), store)
+        assert {key.name for key in found if key.plural == "fallbackpools"} == expected
+
+
+def test_of_many_pools_that_could_give_a_pod_the_first_are_told() -> None:
+    # More of them than a status may have would be refused, and with them all that it says.
+    many = [spare(f"spare-{n:02}") for n in range(12)]
+    world = World(workload(), auto(), *many)
+    world.unclaimed = {pool["metadata"]["name"]: [held_pod(f"h-{n}", of=pool)] for n, pool in enumerate(many)}
+    world.build()
+    found = world.status()
+    assert found["stocked"] == [f"spare-{n:02}" for n in range(8)]
+    RobotWorkloadStatus.model_validate(found)

@@ -1,0 +1,367 @@
+"""Whoever drives a robot can be commanded by its monitor, whatever becomes of the pool that it was claimed from."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+
+from tests.unit.controller.pools import observe, plan
+from tests.unit.controller.world import (
+    IMAGES,
+    NAMESPACE,
+    World,
+    applied,
+    claimed_pod,
+    created,
+    deleted,
+    held_pod,
+    hot,
+    patched,
+    policy,
+    spare,
+    standby_pod,
+    workload,
+)
+from tests.unit.kube.memory import MemoryClient
+from understudy.api import names
+from understudy.controller.desired import monitor_deployment
+from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.plan import Plan
+from understudy.controller.pods import claim_tokens, pool_pods
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.change_index import Key
+from understudy.controller.reconcile.executor import Executor
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import ObservedChange, Store
+from understudy.controller.reconcile.observer import Observer
+from understudy.controller.reconcile.reconciler import Reconciler
+from understudy.controller.reconcile.rollouts import Rollouts
+from understudy.controller.runtime import resync
+from understudy.controller.runtime.workers import Operator
+from understudy.kube import apply
+from understudy.kube.client import PODS, POOLS, ROLES, SECRETS, WORKLOADS, Client, Object
+from understudy.kube.events import Recorder
+
+W, POOL = workload(), spare()
+NAME = names.pool_secret("spare")
+GONE = "2026-01-01T00:00:00Z"
+
+
+def secret(*, owner: Object | None = None, labels: Object | None = None) -> Object:
+    """The Secret of the pool, as it was made; with an owner, as an earlier version made it."""
+    (made,) = created(plan(observe(POOL)), "secrets")
+    metadata = {**made["metadata"], "uid": "uid-secret", "resourceVersion": "40"}
+    if owner is not None:
+        metadata |= {"ownerReferences": [owner], "labels": dict(kube_objects.MANAGED_BY)}
+    return {**made, "metadata": metadata | ({"labels": labels} if labels is not None else {})}
+
+
+def observed(live: Object | None, pool: Object = POOL, *pods: Object) -> pool_pods.Observed:
+    found = observe(pool, pods)
+    return pool_pods.Observed(**{**vars(found), "secret": live})
+
+
+def outlast(
+    *pods: Object, live: Object | None = None, going: bool = False, workloads: tuple[Object, ...] = (W,)
+) -> Plan:
+    writes = claim_tokens.outlast(
+        "spare",
+        NAMESPACE,
+        live,
+        deleted=going,
+        pods=pods,
+        workloads={kube_objects.name(item): item for item in workloads},
+        token=lambda: "another",
+    )
+    return Plan(writes=writes)
+
+
+# -- while there is a pool ----------------------------------------------------------------------------------------------
+
+
+def test_nobody_owns_a_pool_s_token_so_that_nobody_s_end_takes_it_along() -> None:
+    made = secret()
+    assert apply.controller_of(made) is None
+    assert "ownerReferences" not in made["metadata"]
+    assert resync.listed(SECRETS, made)
+    assert kube_objects.labels(made)[names.POOL] == "spare"
+
+
+def test_a_token_that_is_there_stays_and_costs_no_write() -> None:
+    found = plan(observed(secret()))
+    assert not created(found, "secrets")
+    assert not patched(found, "secrets")
+
+
+@pytest.mark.parametrize("pool", [spare(), spare(template={"spec": {"containers": []}})], ids=["accepted", "refused"])
+def test_a_token_that_an_earlier_version_made_is_taken_from_the_pool(pool: Object) -> None:
+    other = {"apiVersion": "v1", "kind": "ConfigMap", "name": "somebody-s", "uid": "u"}
+    live = secret(owner=kube_objects.owner("FallbackPool", POOL))
+    assert patched(plan(observed(live, pool)), "secrets")[NAME]["metadata"] == {
+        "labels": {names.POOL: "spare"},
+        "ownerReferences": None,
+    }
+    live["metadata"]["ownerReferences"].append(other)
+    assert patched(plan(observed(live, pool)), "secrets")[NAME]["metadata"]["ownerReferences"] == [other]
+
+
+def test_a_pool_that_was_made_anew_takes_over_the_token_of_the_one_before() -> None:
+    # Those that were claimed from that one have it, and would be refused with another.
+    before = kube_objects.owner("FallbackPool", {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-before"}})
+    assert not created(plan(observed(secret())), "secrets")
+    assert not created(plan(observed(secret(owner=before))), "secrets")
+    assert patched(plan(observed(secret(owner=before))), "secrets")
+
+
+def test_a_workload_s_token_is_not_taken_for_that_of_a_pool() -> None:
+    """Those of a workload spare-pool and of a pool spare have one name."""
+    theirs = workload("spare-pool")
+    live = secret(owner=kube_objects.owner("RobotWorkload", theirs))
+    assert not patched(plan(observed(live)), "secrets")
+    assert not deleted(outlast(live=live))
+
+
+async def test_a_secret_of_that_name_which_is_somebody_s_own_is_left_alone() -> None:
+    client = MemoryClient()
+    (made,) = created(plan(observe(POOL)), "secrets")
+    await client.create(SECRETS, NAMESPACE, {"kind": "Secret", "metadata": {"name": NAME}})
+    with pytest.raises(apply.Taken, match=f'Secret "{NAME}" exists in namespace fleet and belongs to nobody of ours'):
+        await apply.create(client, SECRETS, NAMESPACE, made)
+
+
+async def test_one_that_an_earlier_attempt_has_made_is_found() -> None:
+    client = MemoryClient()
+    (made,) = created(plan(observe(POOL)), "secrets")
+    first = await apply.create(client, SECRETS, NAMESPACE, made)
+    assert await apply.create(client, SECRETS, NAMESPACE, made) == first
+
+
+# -- when the pool is gone ----------------------------------------------------------------------------------------------
+
+
+def test_it_outlasts_the_pool_for_as_long_as_a_workload_has_a_pod_of_it() -> None:
+    assert not outlast(claimed_pod("spare-1", of=POOL, by=W), live=secret()).writes
+    leaving = claimed_pod("spare-1", of=POOL, by=W, deletionTimestamp=GONE)
+    assert not outlast(leaving, live=secret()).writes, "it may be commanded to the end"
+    assert deleted(outlast(live=secret())) == [NAME]
+
+
+def test_a_workload_that_was_not_seen_yet_counts_as_long_as_nobody_deletes_its_pod() -> None:
+    assert not outlast(claimed_pod("spare-1", of=POOL, by=W), live=secret(), workloads=()).writes
+
+
+def test_it_goes_with_all_that_is_deleted_at_once() -> None:
+    """Whoever takes away everything takes the operator away next: nothing would be left to wait for the pods to end."""
+    leaving = [
+        claimed_pod("spare-1", of=POOL, by=W, deletionTimestamp=GONE),
+        held_pod("spare-2", of=POOL, deletionTimestamp=GONE),
+    ]
+    assert deleted(outlast(*leaving, live=secret(), workloads=())) == [NAME]
+
+
+def test_it_stays_for_a_pod_that_may_just_have_been_claimed() -> None:
+    assert not outlast(held_pod("spare-1", of=POOL), live=secret()).writes
+
+
+@pytest.mark.parametrize(
+    "pod",
+    [
+        held_pod("spare-1", of=POOL, phase="Failed"),
+        claimed_pod("spare-1", of=POOL, by=W, phase="Failed"),
+        standby_pod("spare-1", of=W, pool="spare"),
+    ],
+    ids=["held, ended", "claimed, ended", "a standby, of a pool that had that name"],
+)
+def test_nobody_is_commanded_by_it_who_has_ended_or_has_another(pod: Object) -> None:
+    assert deleted(outlast(pod, live=secret())) == [NAME]
+    assert not outlast(pod).writes
+
+
+def test_one_that_is_gone_is_made_anew_for_whoever_drives() -> None:
+    (made,) = created(outlast(claimed_pod("spare-1", of=POOL, by=W)), "secrets")
+    assert made["metadata"]["name"] == NAME
+    assert made["metadata"]["namespace"] == NAMESPACE
+    assert "ownerReferences" not in made["metadata"]
+
+
+def test_of_a_pool_that_waits_for_what_holds_it_the_token_stays_and_is_nobody_s() -> None:
+    assert not outlast(live=secret(), going=True).writes
+    assert patched(outlast(live=secret(owner=kube_objects.owner("FallbackPool", POOL)), going=True), "secrets")
+
+
+# -- who looks when -----------------------------------------------------------------------------------------------------
+
+
+def test_a_token_that_came_or_went_has_its_pool_looked_at() -> None:
+    for change in (ObservedChange(SECRETS, secret(), None), ObservedChange(SECRETS, None, secret())):
+        assert change_index.keys(change, Store()) == {Key(POOLS.plural, NAMESPACE, "spare")}
+
+
+@pytest.mark.parametrize(
+    ("resource", "left"),
+    [(SECRETS, secret()), (PODS, claimed_pod("spare-1", of=POOL, by=W))],
+    ids=["a token that nobody needs", "a pod that may lack its token"],
+)
+async def test_what_a_pool_has_left_behind_while_no_operator_was_there_is_looked_at(
+    resource: Any, left: Object
+) -> None:
+    store = Store()
+    operator = Operator(cast(Client, None), store, cast(Any, None), namespaces=(), resync_every=30)
+    store.put(WORKLOADS, W)
+    store.put(resource, left)
+    operator._leading = True
+    operator._strays()
+    assert list(operator.queue._timers) == [Key(POOLS.plural, NAMESPACE, "spare")]
+    operator.queue.close()
+    store.put(POOLS, POOL)
+    operator.queue._timers.clear()
+    operator._strays()
+    assert not operator.queue._timers
+    operator.queue.close()
+
+
+# -- the right to read it -----------------------------------------------------------------------------------------------
+
+
+def commanded(world: World) -> frozenset[str]:
+    (role,) = applied(world.plan(), "roles").values()
+    return monitor_deployment.commanded(role)
+
+
+def protected() -> World:
+    """A workload whose monitor may command the agents of the pool."""
+    world = World(workload(), policy("spare", "Restart"), spare())
+    world.build()
+    assert commanded(world) == {"spare"}
+    return world
+
+
+@pytest.mark.parametrize("others", [[policy("spare", "Restart")], [policy("Restart")]], ids=["gone", "and not named"])
+def test_who_has_a_pod_of_a_pool_that_is_gone_may_command_it_until_it_goes(others: list[Object]) -> None:
+    world = protected()
+    world.others = others
+    world.pods = [claimed_pod("spare-1", of=POOL, by=W)]
+    assert commanded(world) == {"spare"}
+    world.pods = []
+    assert commanded(world) == frozenset()
+
+
+def test_who_has_a_pod_of_a_pool_that_it_no_longer_uses_may_command_it() -> None:
+    world = protected()
+    world.others = [policy("Restart"), spare()]
+    assert commanded(world) == frozenset()
+    world.pods = [claimed_pod("spare-1", of=POOL, by=W)]
+    assert commanded(world) == {"spare"}
+
+
+def test_a_right_that_was_taken_before_a_claim_was_seen_is_given_again_where_the_pool_serves_the_workload() -> None:
+    world = World(workload(), policy("Restart"), spare())
+    world.build()
+    assert commanded(world) == frozenset()
+    world.pods = [claimed_pod("spare-1", of=POOL, by=W)]
+    assert commanded(world) == {"spare"}
+
+
+def test_a_claim_changes_nothing_of_what_a_monitor_may_do() -> None:
+    world = protected()
+    (before,) = applied(world.plan(), "roles").values()
+    world.pods = [claimed_pod("spare-1", of=POOL, by=W)]
+    assert list(applied(world.plan(), "roles").values()) == [before]
+    assert not patched(world.plan(), "secrets")
+    assert not created(world.plan(), "secrets")
+
+
+def test_what_a_monitor_writes_on_its_pods_gives_it_no_right() -> None:
+    world = protected()
+    foreign = spare("others", workloadSelector={"matchLabels": {"task": "another"}})
+    for there in ([foreign], []):
+        world.others = [policy("spare", "Restart"), spare(), *there]
+        world.pods = [claimed_pod("others-1", of=foreign, by=W)]
+        assert commanded(world) == {"spare"}
+
+
+async def test_a_pod_that_may_just_have_been_claimed_keeps_the_right_to_command_it() -> None:
+    store = Store()
+    (role,) = applied(World(workload(), policy("spare"), spare()).plan(), "roles").values()
+    role["metadata"] |= {"uid": "uid-role", "resourceVersion": "41"}
+    for resource, item in ((WORKLOADS, W), (ROLES, role), (PODS, held_pod("spare-1", of=POOL))):
+        store.put(resource, item)
+    observer = Observer(cast(Client, None), store, Expectations())
+    found = await observer.workload(W)
+    assert found.going == {"spare"}
+    world = protected()
+    world.others = [policy("Restart")]
+    assert commanded(world) == frozenset()
+    world.going = found.going
+    assert commanded(world) == {"spare"}
+    store.put(PODS, held_pod("spare-1", of=POOL, deletionTimestamp=GONE, resourceVersion="50"))
+    assert not (await observer.workload(W)).going, "it will not be claimed any more"
+    store.put(PODS, held_pod("spare-1", of=POOL, resourceVersion="60"))
+    store.put(POOLS, POOL)
+    assert not (await observer.workload(W)).going, "there it is the strategies that say it"
+
+
+def test_of_a_role_only_the_tokens_of_pools_are_its_pools() -> None:
+    (role,) = applied(World(workload(), policy("spare", "hot"), hot(), spare()).plan(), "roles").values()
+    assert monitor_deployment.commanded(role) == {"spare"}
+    assert monitor_deployment.commanded(None) == frozenset()
+    assert ownership.controls(kube_objects.uid(W), role)
+
+
+class Reading:
+    """Answers what is there, and how often it was asked."""
+
+    def __init__(self, live: Object | None) -> None:
+        self.live, self.asked = live, 0
+
+    async def find(self, *_: Any) -> Object | None:
+        self.asked += 1
+        return self.live
+
+
+@pytest.mark.parametrize("there", [False, True])
+async def test_of_a_pool_that_was_made_anew_it_is_found_out_whether_the_token_is_there_still(there: bool) -> None:
+    # The operator deletes it with the last pod of the pool before, or it goes with their namespace: only a list tells of that.
+    store, before = Store(), secret()
+    before["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
+    anew = {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-anew", "creationTimestamp": "2026-01-01T00:01:00Z"}}
+    store.put(SECRETS, before)
+    store.put(POOLS, anew)
+    reading = Reading(before if there else None)
+    observer = Observer(cast(Client, reading), store, Expectations())
+    for _ in range(2):
+        found = await observer.pool(anew)
+        assert bool(found.secret) == there
+        assert bool(created(plan(found), "secrets")) != there
+    assert reading.asked == 1
+
+
+async def test_of_a_token_that_was_made_for_the_pool_nothing_is_asked() -> None:
+    store, made, stamp = Store(), secret(), "2026-01-01T00:00:00Z"
+    made["metadata"]["creationTimestamp"] = stamp
+    store.put(SECRETS, made)
+    reading = Reading(None)
+    item = {**POOL, "metadata": {**POOL["metadata"], "creationTimestamp": stamp}}
+    found = await Observer(cast(Client, reading), store, Expectations()).pool(item)
+    assert found.secret is not None
+    assert not reading.asked
+
+
+async def test_a_pool_that_is_gone_has_others_forgotten_once_and_not_with_each_change_of_its_pods() -> None:
+    # Whose names begin alike: what is known of them would be found out anew, by a write, and a dispute with somebody else never be told.
+    store, client = Store(), MemoryClient()
+    working = Executor(client, store, Expectations(), may_write=lambda: True)
+    reconciler = Reconciler(
+        client, store, Observer(client, store, Expectations()), working, cast(Recorder, None), IMAGES, Rollouts(store)
+    )
+    place = ("roles", NAMESPACE, "spare-robot-monitor")
+    pod = claimed_pod("spare-1", of=POOL, by=W)
+    store.put(WORKLOADS, W)
+    store.put(PODS, pod)
+    for is_known in (True, False):
+        working._settled[place] = ("uid-role", frozenset({".rules"}))
+        await reconciler.reconcile(Key(POOLS.plural, NAMESPACE, "spare"))
+        assert (place in working._settled) == is_known
+        store.remove(PODS, pod)
+        store.remove(SECRETS, store.get(SECRETS, NAMESPACE, NAME) or secret())

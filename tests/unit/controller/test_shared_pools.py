@@ -1,0 +1,525 @@
+"""Shared pools: never too many, never a claimed one, never without what could still be claimed."""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Any, cast
+
+import pytest
+
+from tests.unit.controller.pools import condition, observe, plan, present, status
+from tests.unit.controller.world import (
+    NOW,
+    TEMPLATE,
+    applied,
+    claimed_pod,
+    created,
+    deleted,
+    gate,
+    held_pod,
+    hot,
+    source_pod,
+    spare,
+    standby_pod,
+    workload,
+)
+from understudy.api import names
+from understudy.controller.observed import kube_objects, ownership
+from understudy.controller.plan import Plan
+from understudy.controller.pods import pool_pods
+from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
+from understudy.controller.reconcile import change_index
+from understudy.controller.reconcile.expectations import Expectations
+from understudy.controller.reconcile.object_store import Store
+from understudy.controller.reconcile.observer import Observer
+from understudy.failover.pool_queue import Waiter
+from understudy.failover.progress import Progress
+from understudy.kube import claims
+from understudy.kube.client import NETWORK_POLICIES, PODS, POOLS, WORKLOADS, Client, Object
+
+
+def test_an_empty_pool_is_filled() -> None:
+    pool = spare(replicas=2)
+    made = created(plan(observe(pool)), "pods")
+    assert len(made) == 2
+    for pod in made:
+        labels = pod["metadata"]["labels"]
+        assert labels[names.HELD] == "true"
+        assert names.WORKLOAD not in labels
+        assert labels[names.PART] == claims.part(pod["metadata"]["name"])
+        assert ownership.controls(kube_objects.uid(pool), pod)
+
+
+def test_pods_that_were_created_and_not_seen_yet_count() -> None:
+    assert len(created(plan(observe(spare(replicas=3), expected=2)), "pods")) == 1
+
+
+def test_it_is_looked_again_once_a_pod_that_was_perhaps_never_made_is_not_expected_any_more() -> None:
+    # Of a request that got no answer nothing may ever tell: no watch does where nothing was made.
+    made = plan(observe(spare(replicas=1), expected=1))
+    assert not created(made, "pods")
+    assert made.again_after == EXPECTED_SECONDS
+
+
+@pytest.mark.parametrize("extra", [0, 1, 5])
+def test_however_old_the_sight_is_there_are_never_too_many(extra: int) -> None:
+    pool = spare(replicas=2)
+    seen = [held_pod(f"spare-{i}", of=pool, template_hash=present(pool)) for i in range(2 + extra)]
+    assert not created(plan(observe(pool, seen)), "pods")
+
+
+def test_claimed_pods_neither_count_nor_are_touched() -> None:
+    pool = spare(replicas=1)
+    claimed = [claimed_pod(f"spare-c{i}", of=pool, by=workload()) for i in range(3)]
+    made = plan(observe(pool, claimed))
+    assert len(created(made, "pods")) == 1
+    assert not deleted(made)
+
+
+@pytest.mark.parametrize(("ago", "drives", "made"), [(1, False, 0), (1, True, 1), (-3600, False, 0), (10, False, 1)])
+def test_a_claimed_pod_gets_into_control_before_another_is_started_in_its_place(
+    ago: float, drives: bool, made: int
+) -> None:
+    pool = spare(replicas=1)
+    claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
+    claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - ago))
+    active = frozenset({kube_objects.uid(claimed)}) if drives else frozenset()
+    found = plan(observe(pool, [claimed], active=active))
+    assert len(created(found, "pods")) == made
+    if not made:
+        assert found.again_after is not None
+        assert 0 < found.again_after <= pool_pods.FIRST_THE_CLAIMED
+
+
+def claimed_ago(pool: Object, name: str, ago: float) -> Object:
+    claimed = claimed_pod(name, of=pool, by=workload())
+    claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - ago))
+    return claimed
+
+
+def test_where_claims_keep_coming_the_pool_fills_up_behind_them() -> None:
+    """A claim holds back the pod in its own place, and no other: or a pool would be filled only when it is dry."""
+    pool = spare(replicas=4)
+    left = held_pod("spare-0", of=pool, template_hash=present(pool))
+    claims = [claimed_ago(pool, f"robot-{ago}-claimed", ago) for ago in (1, 3, 60)]
+    found = plan(observe(pool, [left, *claims]))
+    assert len(created(found, "pods")) == 1, "in the place of the one that was claimed a minute ago"
+    assert found.again_after == pytest.approx(pool_pods.FIRST_THE_CLAIMED - 3, abs=1), "when the next one is due"
+
+
+def test_claims_of_which_the_pods_are_all_there_hold_nothing_back() -> None:
+    pool = spare(replicas=2)
+    left = held_pod("spare-0", of=pool, template_hash=present(pool))
+    found = plan(
+        observe(pool, [left, held_pod("spare-1", of=pool, template_hash=present(pool)), claimed_ago(pool, "c", 1)])
+    )
+    assert not created(found, "pods")
+    assert found.again_after is None
+
+
+def test_a_pod_that_somebody_labelled_as_held_is_not_taken_for_ours() -> None:
+    pool = spare(replicas=1)
+    foreign = held_pod("spare-x", of=pool)
+    foreign["metadata"]["ownerReferences"] = []
+    made = plan(observe(pool, [foreign]))
+    assert len(created(made, "pods")) == 1
+    assert not deleted(made)
+
+
+def test_a_smaller_pool_loses_those_first_that_are_not_ready() -> None:
+    pool = spare(replicas=1)
+    good = held_pod("spare-a", of=pool, template_hash=present(pool))
+    bad = held_pod("spare-b", of=pool, template_hash=present(pool), ready=False)
+    assert deleted(plan(observe(pool, [good, bad]))) == ["spare-b"]
+
+
+def test_pods_of_an_old_template_go_one_by_one_as_new_ones_become_ready() -> None:
+    pool = spare(replicas=2)
+    old = [held_pod(f"spare-o{i}", of=pool, template_hash="old") for i in range(2)]
+    made = plan(observe(pool, old))
+    assert len(created(made, "pods")) == 2
+    assert not deleted(made)
+    new = [held_pod(f"spare-n{i}", of=pool, template_hash=present(pool), ready=i == 0) for i in range(2)]
+    assert len(deleted(plan(observe(pool, old + new)))) == 1
+    new[1] = held_pod("spare-n1", of=pool, template_hash=present(pool))
+    assert deleted(plan(observe(pool, old + new))) == ["spare-o0", "spare-o1"]
+
+
+def test_pods_of_the_old_template_may_be_claimed_until_one_of_the_new_is_ready() -> None:
+    pool = spare(replicas=2)
+    old = [held_pod("spare-o", of=pool, template_hash="old")]
+    starting = [held_pod("spare-n", of=pool, template_hash=present(pool), ready=False)]
+
+    def claimable(pods: list[Object]) -> str:
+        policy = applied(plan(observe(pool, pods)), "networkpolicies")["spare-held"]
+        found: str = policy["metadata"]["annotations"][names.TEMPLATE_HASH]
+        return found
+
+    assert claimable([]) == present(pool)
+    assert claimable(old + starting) == "old"
+    assert claimable([*old, held_pod("spare-n", of=pool, template_hash=present(pool))]) == present(pool)
+
+
+class TestAChangeOfTheTemplate:
+    def pods(self, pool: Object, *, old: int = 0, new: int = 0, starting: int = 0) -> list[Object]:
+        return [
+            *(held_pod(f"spare-o{i}", of=pool, template_hash="old") for i in range(old)),
+            *(held_pod(f"spare-n{i}", of=pool, template_hash=present(pool)) for i in range(new)),
+            *(held_pod(f"spare-s{i}", of=pool, template_hash=present(pool), ready=False) for i in range(starting)),
+        ]
+
+    def claimable(self, made: Plan) -> str:
+        found: str = applied(made, "networkpolicies")["spare-held"]["metadata"]["annotations"][names.TEMPLATE_HASH]
+        return found
+
+    def test_as_many_as_are_to_be_ready_stay_until_as_many_of_the_new_one_are_and_the_others_make_room(self) -> None:
+        pool = spare(replicas=4, updateStrategy={"minReady": 2})
+        made = plan(observe(pool, self.pods(pool, old=4)))
+        assert (len(created(made, "pods")), len(deleted(made)), self.claimable(made)) == (4, 2, "old")
+        made = plan(observe(pool, self.pods(pool, old=2, new=1, starting=3)))
+        assert (created(made, "pods"), deleted(made), self.claimable(made)) == ([], [], "old")
+        made = plan(observe(pool, self.pods(pool, old=2, new=2, starting=2)))
+        assert (deleted(made), self.claimable(made)) == (["spare-o0", "spare-o1"], present(pool))
+
+    @pytest.mark.parametrize("least", [0, 1, 2, 3, 4, 9])
+    @pytest.mark.parametrize("old", range(5))
+    @pytest.mark.parametrize("new", range(5))
+    def test_a_change_never_takes_those_that_could_be_claimed_below_the_least(
+        self, least: int, old: int, new: int
+    ) -> None:
+        pool = spare(replicas=4, updateStrategy={"minReady": least})
+        pods = self.pods(pool, old=old, new=new, starting=4 - new)
+        made = plan(observe(pool, pods))
+        left = [pod for pod in pods if kube_objects.name(pod) not in deleted(made) and kube_objects.ready(pod)]
+        could = sum(pod["metadata"]["labels"][names.TEMPLATE_HASH] == self.claimable(made) for pod in left)
+        assert could >= min(least, 4, max(old, new))
+        assert len(left) >= min(least, 4, old + new)
+
+    def test_with_none_to_be_ready_all_go_at_once(self) -> None:
+        pool = spare(replicas=3, updateStrategy={"minReady": 0})
+        made = plan(observe(pool, self.pods(pool, old=3)))
+        assert (len(created(made, "pods")), len(deleted(made))) == (3, 3)
+
+    def test_on_replenish_old_ones_wait_on_may_be_claimed_and_are_replaced_by_new_ones(self) -> None:
+        pool = spare(replicas=3, updateStrategy={"type": "OnReplenish"})
+        made = plan(observe(pool, self.pods(pool, old=3)))
+        assert (created(made, "pods"), deleted(made), self.claimable(made)) == ([], [], "")
+        made = plan(observe(pool, self.pods(pool, old=2)))
+        (new,) = created(made, "pods")
+        assert new["metadata"]["labels"][names.TEMPLATE_HASH] == present(pool)
+        assert not deleted(made)
+
+    def test_on_replenish_a_smaller_pool_loses_old_ones_first(self) -> None:
+        pool = spare(replicas=1, updateStrategy={"type": "OnReplenish"})
+        assert deleted(plan(observe(pool, self.pods(pool, old=1, new=1)))) == ["spare-o0"]
+
+    def test_how_far_it_has_come_is_said(self) -> None:
+        pool = spare(replicas=3)
+        found = observe(pool, self.pods(pool, old=2, new=1))
+        assert status(found)["updated"] == 1
+        told = condition(found, "Updated")
+        assert (told["status"], told["reason"]) == ("False", "RollingOut")
+        assert told["message"].startswith("2 of 3 unclaimed pods have earlier templates")
+        done = condition(observe(pool, self.pods(pool, new=3)), "Updated")
+        assert (done["status"], done["reason"]) == ("True", "Updated")
+
+    def test_pods_that_may_stay_are_in_order(self) -> None:
+        pool = spare(replicas=3, updateStrategy={"type": "OnReplenish"})
+        policy = applied(plan(observe(pool)), "networkpolicies")["spare-held"]
+        found = observe(pool, self.pods(pool, old=1, new=2), owned={("networkpolicies", "spare-held"): policy})
+        told = condition(found, "Updated")
+        assert (told["status"], told["reason"]) == ("True", "OnReplenish")
+        assert status(found)["ready"] == 3
+
+
+def test_a_pod_that_ended_is_replaced_after_a_rest() -> None:
+    pool = spare(replicas=1)
+    ended = held_pod("spare-a", of=pool, template_hash=present(pool), phase="Failed", age=3)
+    made = plan(observe(pool, [ended]))
+    assert not created(made, "pods")
+    assert made.again_after == pytest.approx(7)
+    made = plan(observe(pool, [ended], now=NOW + 8))
+    assert len(created(made, "pods")) == 1
+    assert deleted(made) == ["spare-a"]
+
+
+def test_held_containers_wait_and_have_no_probes() -> None:
+    pool = spare()
+    container = pool["spec"]["template"]["spec"]["containers"][0]
+    container |= {"livenessProbe": {"exec": {}}, "startupProbe": {"exec": {}}, "readinessProbe": {"exec": {}}}
+    container["lifecycle"] = {"postStart": {"exec": {}}, "preStop": {"exec": {}}}
+    pool["spec"]["warmPaths"] = ["/opt/app"]
+    (pod, _) = created(plan(observe(pool)), "pods")
+    app, agent = pod["spec"]["containers"]
+    assert app["command"][:2] == ["/bin/sh", "-c"]
+    assert app["command"][app["command"].index("/opt/app") + 1] == "--"
+    assert app["command"][-2:] == ["run", "--fast"]
+    assert "args" not in app
+    assert not [key for key in app if key.endswith("Probe")]
+    assert app["lifecycle"] == {"preStop": {"exec": {}}}
+    held = next(entry for entry in agent["env"] if entry["name"] == "UNDERSTUDY_HELD_CONTAINERS")
+    assert held["value"] == "app"
+    assert "ROS_DOMAIN_ID" not in json.dumps(pod["spec"])
+
+
+def test_held_pods_hear_only_their_agent() -> None:
+    policy = applied(plan(observe(spare())), "networkpolicies")["spare-held"]
+    assert policy["spec"]["podSelector"]["matchLabels"] == {names.POOL: "spare", names.HELD: "true"}
+    assert policy["spec"]["policyTypes"] == ["Ingress", "Egress"]
+    assert "egress" not in policy["spec"]
+    ports = [port["port"] for port in policy["spec"]["ingress"][0]["ports"]]
+    assert ports == [names.AGENT_PORT, names.AGENT_HEALTH_PORT]
+
+
+def test_a_template_taken_from_a_referring_workload_loses_the_labels_that_would_have_it_adopted() -> None:
+    pool = spare(templateFrom={"workload": "w"})
+    del pool["spec"]["template"]
+    observed = observe(pool, workloads=[workload()], source=TEMPLATE, source_selector={"matchLabels": {"app": "nav"}})
+    assert "app" not in created(plan(observed), "pods")[0]["metadata"]["labels"]
+
+
+class TestBadInput:
+    def kept(self, pool: Object) -> list[Object]:
+        return [held_pod("spare-a", of=pool, template_hash="old"), held_pod("spare-b", of=pool, template_hash="old")]
+
+    @pytest.mark.parametrize(
+        ("change", "reason", "word"),
+        [
+            ({"template": {"spec": {"containers": [{"name": "app", "image": "a"}]}}}, "TemplateInvalid", "command"),
+            (
+                {"template": {"spec": {"hostNetwork": True, "containers": [{"name": "a", "command": ["a"]}]}}},
+                "TemplateInvalid",
+                "hostNetwork",
+            ),
+            ({"template": None, "templateFrom": {"workload": "gone"}}, "TemplateSourceNotFound", '"gone"'),
+            (
+                {
+                    "readiness": "Initialized",
+                    "replicas": None,
+                    "template": None,
+                    "perWorkload": 1,
+                    "initialization": {"yaml": {"set_lifecycle": {"node": "amcl", "state": "inactive"}}},
+                },
+                "TreeInvalid",
+                "spec.initialization.yaml.set_lifecycle.node: found 'amcl'; did you mean '/amcl'?",
+            ),
+            (
+                {
+                    "readiness": "Executing",
+                    "replicas": None,
+                    "template": None,
+                    "perWorkload": 1,
+                    "readinessCheck": {"yaml": {"resend_goals": {}}},
+                },
+                "TreeInvalid",
+                "spec.readinessCheck.yaml.resend_goals: a check takes no action",
+            ),
+            ({"replicas": -1}, "SpecInvalid", "spec.replicas"),
+        ],
+    )
+    def test_it_is_said_and_what_is_there_is_kept(self, change: Object, reason: str, word: str) -> None:
+        pool = spare(**change)
+        pool["spec"] = {key: value for key, value in pool["spec"].items() if value is not None}
+        observed = observe(pool, self.kept(pool), workloads=[workload()])
+        assert plan(observed).writes == []
+        accepted = condition(observed, "Accepted")
+        assert (accepted["status"], accepted["reason"]) == ("False", reason)
+        assert word in accepted["message"]
+
+    def test_a_selector_that_matches_nothing_is_said(self) -> None:
+        ready = condition(observe(spare(), workloads=[workload(labels={"task": "other"})]), "Ready")
+        assert (ready["status"], ready["reason"]) == ("False", "NoMatchingWorkload")
+        assert "task=critical" in ready["message"]
+
+    def test_a_new_template_that_can_not_start_is_said_while_the_old_pods_are_ready(self) -> None:
+        pool = spare(replicas=1)
+        pods = [
+            held_pod("spare-o", of=pool, template_hash="old"),
+            held_pod("spare-n", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull"),
+        ]
+        observed = observe(pool, pods, workloads=[workload()])
+        assert condition(observed, "Ready")["status"] == "True"
+        assert condition(observed, "Reconciled")["reason"] == "ErrImageNeverPull"
+
+    def test_an_image_that_can_not_start_is_said(self) -> None:
+        pool = spare(replicas=1)
+        pod = held_pod("spare-a", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull")
+        ready = condition(observe(pool, [pod], workloads=[workload()]), "Ready")
+        assert ready["reason"] == "ErrImageNeverPull"
+        assert "spare-a" in ready["message"]
+        assert "load the image" in ready["message"]
+
+
+class TestNumbers:
+    def test_of_a_shared_pool(self) -> None:
+        pool = spare(replicas=3)
+        pods = [
+            held_pod("spare-a", of=pool, template_hash="h"),
+            held_pod("spare-b", of=pool, template_hash="other"),
+            held_pod("spare-c", of=pool, template_hash="h", ready=False),
+            claimed_pod("spare-d", of=pool, by=workload()),
+        ]
+        policy = {"metadata": {"name": "spare-held", "annotations": {names.TEMPLATE_HASH: "h"}}}
+        found = status(observe(pool, pods, workloads=[workload()], owned={("networkpolicies", "spare-held"): policy}))
+        assert {key: found[key] for key in ("replicas", "desired", "ready", "claimed")} == {
+            "replicas": 3,
+            "desired": 3,
+            "ready": 1,
+            "claimed": 1,
+        }
+        assert found["selector"] == f"{names.POOL}=spare,{names.HELD}=true"
+
+    def test_of_a_pool_per_workload(self) -> None:
+        pool = hot(per_workload=1)
+        one, two, other = workload("a"), workload("b"), workload("c", labels={"task": "other"})
+        driving, waiting = standby_pod("a-s", of=one), standby_pod("b-s", of=two)
+        observed = observe(pool, [driving, waiting], workloads=[one, two, other], active=frozenset({"uid-a-s"}))
+        assert numbers(observed) == {"replicas": 1, "desired": 2, "ready": 1, "claimed": 1}
+        told = condition(observed, "Ready")
+        assert (told["status"], told["reason"]) == ("False", "PodsNotReady"), "if a failed now, nobody could take over"
+
+    async def test_a_pod_that_waits_in_the_place_of_a_standby_that_drives_is_one_of_its_pool(self) -> None:
+        # The workload's own controller makes it after a failover. READY 0 would have somebody woken for a pool that has run dry.
+        item, pool, other = workload(), hot(per_workload=1), hot("warm", per_workload=1)
+        driving = standby_pod("w-s", of=item)
+        for own, ready in ((source_pod("w-a"), 1), (source_pod("w-a", ready=False), 0)):
+            seen = await sight(item, pool, other, gate(item, active=driving, epoch=2), driving, own)
+            assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": ready, "claimed": 1}
+            assert condition(seen[0], "Ready")["status"] == str(bool(ready))
+            assert numbers(seen[1]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 0}, "it waits for one pool"
+
+    async def test_a_pod_of_a_workloads_own_is_no_standby_while_it_drives_or_is_claimed_for(self) -> None:
+        item, pool = workload(), hot(per_workload=1)
+        own, waiting = source_pod("w-a"), standby_pod("w-s", of=item)
+        seen = await sight(item, pool, gate(item, active=own, epoch=1), own, waiting)
+        assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": 1, "claimed": 0}
+
+    def test_what_becomes_of_such_a_pod_has_its_pool_looked_at(self) -> None:
+        item, store = workload(), Store()
+        driving, own = standby_pod("w-s", of=item), source_pod("w-a", ready=False)
+        ready = source_pod("w-a")
+        ready["metadata"]["resourceVersion"] = "99"
+        opened = gate(item, active=driving, epoch=2)
+        for resource, found in ((WORKLOADS, item), (PODS, driving), (PODS, own), (NETWORK_POLICIES, opened)):
+            store.put(resource, found)
+        seen: list[set[change_index.Key]] = []
+        store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
+        store.put(PODS, ready)
+        assert seen == [
+            {change_index.Key("fallbackpools", "fleet", "hot"), change_index.Key("robotworkloads", "fleet", "w")}
+        ]
+
+    async def test_what_a_referred_controller_makes_is_no_standby(self) -> None:
+        item, pool = workload(workloadRef={"kind": "Deployment", "name": "nav2"}), hot(per_workload=1)
+        driving = standby_pod("w-s", of=item)
+        seen = await sight(item, pool, gate(item, active=driving, epoch=2), driving, source_pod("w-a"))
+        assert numbers(seen[0]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 1}
+
+
+def numbers(observed: pool_pods.Observed) -> Object:
+    found = status(observed)
+    return {key: found[key] for key in ("replicas", "desired", "ready", "claimed")}
+
+
+async def sight(*items: Object) -> list[pool_pods.Observed]:
+    """What is seen of the pools among these objects, as the operator's stores have it."""
+    store = Store()
+    resources = {"RobotWorkload": WORKLOADS, "FallbackPool": POOLS, "NetworkPolicy": NETWORK_POLICIES, "Pod": PODS}
+    for item in items:
+        store.put(resources[item["kind"]], item)
+    observer = Observer(cast(Client, None), store, Expectations())
+    return [await observer.pool(item) for item in items if item["kind"] == "FallbackPool"]
+
+
+def test_gates_tell_which_pods_are_driving() -> None:
+    item = workload()
+    active = source_pod("w-a")
+    assert kube_objects.active(gate(item, active=active, epoch=1)) == ("w-a", "uid-w-a")
+    assert kube_objects.active(gate(item)) == ("", "")
+    assert kube_objects.active(None) == ("", "")
+
+
+def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
+    item = workload()
+    waiting = standby_pod("w-s", of=item, ready=False)
+    told = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
+    assert told["reason"] == "PodsNotReady"
+    assert "0 of 1 are ready; see the condition BroughtUp of RobotWorkload w" in told["message"]
+
+
+class TestAPoolThatHasRunDry:
+    def place(self, workload: str, *, priority: int = 0, since: float = NOW - 2, lasts: float = 10) -> Waiter:
+        return Waiter(workload=workload, pool="spare", priority=priority, since=since, until=since + lasts)
+
+    def gate(self, place: Waiter) -> Object:
+        found = gate(workload(place.workload), epoch=3)
+        found["metadata"]["labels"] |= {names.WAITS_FOR: place.pool}
+        progress = Progress.begin("it ended", last_healthy=NOW - 3, detected=NOW - 2)
+        progress.waiting = place
+        found["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
+        return found
+
+    def test_who_waits_stands_beside_the_gates(self) -> None:
+        late = self.place("late", since=NOW - 60)
+        places = [self.place("a"), self.place("b", priority=100), self.place("c", since=NOW - 5), late]
+        posing = self.gate(self.place("x"))  # each speaks for itself only
+        posing["metadata"]["annotations"] = self.gate(self.place("w", priority=1000))["metadata"]["annotations"]
+        gates = [*map(self.gate, places), gate(workload("w")), posing]
+        assert [w.workload for w in pool_pods.queue("spare", gates, NOW)] == ["b", "c", "a"]
+        assert pool_pods.queue("other", gates, NOW) == []
+
+    def test_a_note_that_can_not_be_read_is_none(self) -> None:
+        found = self.gate(self.place("a"))
+        found["metadata"]["annotations"][names.RECOVERY] = "{"
+        assert pool_pods.queue("spare", [found], NOW) == []
+
+    def test_it_says_who_waits_in_order(self) -> None:
+        waiting = [self.place("b", priority=100), self.place("a")]
+        found = observe(spare(replicas=1), workloads=[workload()], waiting=waiting)
+        told = condition(found, "Available")
+        assert (told["status"], told["reason"]) == ("False", "Dry")
+        assert told["message"] == (
+            "0 of 1 can be claimed now; workloads that wait, in this order: b (poolPriority 100, since 22:13:18 UTC), "
+            "a (poolPriority 0, since 22:13:18 UTC)."
+        )
+        assert status(found)["waiting"] == 2
+
+    def test_a_last_pod_that_somebody_waits_for_is_nobody_else_s(self) -> None:
+        pool = spare(replicas=1)
+        pod = held_pod("spare-a", of=pool, template_hash=present(pool))
+        assert condition(observe(pool, [pod]), "Available")["status"] == "True"
+        assert condition(observe(pool, [pod], waiting=[self.place("a")]), "Available")["reason"] == "Dry"
+
+    def test_it_says_for_whom_it_keeps_its_last_pods(self) -> None:
+        pool = spare(replicas=2, reserve={"poolPriority": 100})
+        pod = held_pod("spare-a", of=pool, template_hash=present(pool))
+        told = condition(observe(pool, [pod]), "Available")["message"]
+        assert told == "1 of 2 can be claimed now, the last 1 only with poolPriority 100 or higher."
+
+    def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
+        found = status(observe(hot(), workloads=[workload()]))
+        assert "waiting" not in found
+        assert "Available" not in {c["type"] for c in found["conditions"]}
+
+    def test_where_somebody_waits_the_next_pod_is_started_beside_the_one_that_was_claimed(self) -> None:
+        pool = spare(replicas=1)
+        claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
+        claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - 1))
+        assert not created(plan(observe(pool, [claimed])), "pods")
+        assert len(created(plan(observe(pool, [claimed], waiting=[self.place("a")])), "pods")) == 1
+
+    def test_it_is_looked_at_again_when_the_time_of_a_waiter_is_over(self) -> None:
+        assert plan(observe(spare(replicas=0), waiting=[self.place("a")])).again_after == pytest.approx(8)
+
+    async def test_the_operator_finds_them_among_the_gates_of_the_namespace(self) -> None:
+        client: Any = None  # of a pool with a template of its own nothing is asked
+        store, now = Store(), time.time()
+        pool, waiting = spare(), self.place("a", since=now, lasts=60)
+        store.put(POOLS, pool)
+        for name in ("a", "b"):
+            store.put(WORKLOADS, workload(name))
+        store.put(NETWORK_POLICIES, self.gate(waiting))
+        store.put(NETWORK_POLICIES, gate(workload("b")))
+        observed = await Observer(client, store, Expectations()).pool(pool)
+        assert list(observed.waiting) == [waiting]

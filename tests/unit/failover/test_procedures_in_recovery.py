@@ -1,0 +1,178 @@
+"""Recoveries with a procedure: what is done to which instance behind the closed gate, and what its failure comes to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.unit.failover.recoveries import choices, failure, protected
+from tests.unit.failover.world import Killed, World
+from understudy.api.kinds.procedure_spec import Procedure
+from understudy.api.protocol.kept_state import KeptSample, KeptState
+from understudy.failover.bring_up import BringUp
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies.executing import ExecutingFallback
+from understudy.failover.strategies.initialized import InitializedFallback
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.strategies.uninitialized import UninitializedFallback
+
+ACTIVATE = Procedure(yaml={"set_lifecycle": {"node": "/amcl", "state": "active"}}, within="10s")
+RESTORING = Procedure(yaml={"sequence": [{"restore_state": {}}, ACTIVATE.yaml]})
+
+
+def bring_up(name: str = "bringUp", procedure: Procedure = ACTIVATE) -> BringUp:
+    found = BringUp.of(name, procedure)
+    assert found is not None
+    return found
+
+
+def test_a_tree_that_restores_state_is_known_to() -> None:
+    assert bring_up("recovery", RESTORING).restores_state
+    assert not bring_up().restores_state
+    assert BringUp.of("recovery", None) is None
+
+
+def test_the_same_procedure_in_another_language_is_the_same() -> None:
+    text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/amcl", lifecycle_state!active)\n'
+    written = bring_up(procedure=Procedure(osc=text, within="10s"))
+    assert (written.tree, written.digest) == (bring_up().tree, bring_up().digest)
+    assert written.places == {"set_lifecycle": "line 3, column 8: set_lifecycle()"}
+    assert not written.problem
+    broken = bring_up(procedure=Procedure(osc=text.replace("active", "asleep")))
+    assert broken.problem.startswith("bringUp, line 3, column 31: set_lifecycle() state: found lifecycle_state!asleep")
+
+
+async def test_an_initialized_standby_is_brought_up_behind_a_closed_gate() -> None:
+    store = protected(pool="warm")
+    world = World(store)
+    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up())), world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Fallback/Initialized")
+    assert store.commits == ["", "w-2"]
+    assert store.brought_up == [("w-2", "bringUp")]
+    assert store.deleted == ["w-1"]
+
+
+async def test_nothing_is_started_of_an_initialized_standby() -> None:
+    """The paper: t_startup ends when processes are up, and those were; what is left is re-initialization."""
+    world = World(protected(pool="warm"))
+    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up())), world.means())
+    assert done.parts.get("startup", 0.0) == 0.0
+    assert done.parts["reinitialization"] > 0.0
+    assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"], abs=1e-6)
+
+
+async def test_an_application_that_brings_itself_up_needs_no_procedure() -> None:
+    store = protected(pool="warm")
+    world = World(store)
+    done = await recover(failure(world), choices(InitializedFallback("warm")), world.means())
+    assert done.result == "Recovered"
+    assert store.commits == ["", "w-2"], "a standby that was not driving is never routed straight away"
+    assert store.brought_up == []
+
+
+async def test_started_instances_are_brought_up_too_and_that_is_no_startup() -> None:
+    for strategy, pod in (
+        (UninitializedFallback("spare", recovery=bring_up()), "w-2"),
+        (Restart(recovery=bring_up()), "w-new1"),
+    ):
+        store = protected(pool="spare", held=True)
+        world = World(store)
+        done = await recover(failure(world), choices(strategy), world.means())
+        assert done.result == "Recovered"
+        assert store.brought_up == [(pod, "bringUp")]
+        assert done.parts["startup"] > 0.0
+        assert done.parts["reinitialization"] > 0.0
+
+
+async def test_an_executing_standby_is_only_touched_where_the_policy_says_so() -> None:
+    store = protected(pool="hot")
+    world = World(store)
+    await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
+    assert store.commits == ["w-2"]
+    store = protected(pool="hot")
+    world = World(store)
+    await recover(failure(world), choices(ExecutingFallback("hot", recovery=bring_up("recovery"))), world.means())
+    assert store.commits == ["", "w-2"]
+    assert store.brought_up == [("w-2", "recovery")]
+
+
+async def test_a_procedure_that_fails_is_said_with_its_leaf_and_the_next_strategy_is_tried() -> None:
+    store = protected(pool="warm")
+    store.unwilling.add("w-2")
+    world = World(store)
+    tried = choices(InitializedFallback("warm", recovery=bring_up()), Restart())
+    done = await recover(failure(world), tried, world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert done.attempts[0].result == "NotVerified"
+    assert done.attempts[0].message == "agent w-2: procedure: bringUp.set_lifecycle: node /amcl is gone"
+    assert {"w-1", "w-2"} <= set(store.deleted)
+
+
+async def test_a_procedure_that_never_ends_leaves_time_to_say_at_which_leaf_it_hung() -> None:
+    store = protected(pool="warm")
+    store.endless.add("w-2")
+    world = World(store)
+    endless = BringUp.of("bringUp", Procedure(yaml={"wait_for": {"node": "/nobody"}}))
+    assert endless is not None
+    assert endless.within == 60.0, "the bound where the policy gives none"
+    tried = [Choice(InitializedFallback("warm", recovery=endless), 2.0), *choices(Restart())]
+    done = await recover(failure(world), tried, world.means())
+    assert (done.result, done.strategy) == ("Recovered", "Restart")
+    assert done.attempts[0].message == "bringUp.wait_for: node /nobody is not there"
+
+
+async def test_the_standbys_of_another_readiness_are_not_taken() -> None:
+    store = protected(pool="hot")
+    store.add("w-3", pool="warm")
+    world = World(store)
+    warm = InitializedFallback("warm", recovery=bring_up(), others=["hot"])
+    done = await recover(failure(world), choices(warm), world.means())
+    assert done.target is not None
+    assert done.target.name == "w-3"
+    store = protected(pool="hot")
+    world = World(store)
+    done = await recover(failure(world), choices(InitializedFallback("warm", others=["hot"])), world.means())
+    assert done.attempts[0].message == "pool warm has no standby for this workload"
+
+
+async def test_what_the_controller_makes_waits_as_a_standby_of_the_first_pool_only() -> None:
+    store = protected()
+    store.add("w-2")
+    world = World(store)
+    assert InitializedFallback("warm").available(world.means()) is None
+    assert InitializedFallback("warm", with_source=False).available(world.means()) is not None
+
+
+@pytest.mark.parametrize("procedure", [ACTIVATE, RESTORING])
+async def test_state_is_restored_before_the_tree_unless_the_tree_says_where(procedure: Procedure) -> None:
+    store = protected(pool="warm")
+    world = World(store)
+    kept = KeptState(samples=(KeptSample("/amcl_pose", "a/msg/B", 0.0, b"x", to="/initialpose"),))
+    means = replace(world.means(), kept=lambda onset: kept)
+    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up("r", procedure))), means)
+    assert done.result == "Recovered"
+    told = [(entry.name, entry.message) for entry in done.state]
+    if procedure is RESTORING:
+        assert told == [("/amcl_pose", "not tried")], "the agent's report of the tree's own leaf"
+    else:
+        assert told != [("/amcl_pose", "not tried")]
+
+
+@pytest.mark.parametrize("dies_after", range(14))
+async def test_a_monitor_that_dies_while_bringing_up_is_finished_by_the_next(dies_after: int) -> None:
+    store = protected(pool="warm")
+    world = World(store, dies_after=dies_after)
+    # Long, since the first of them must verify however busy the machine is.
+    strategies = [Choice(s, 20.0) for s in (InitializedFallback("warm", recovery=bring_up()), Restart())]
+    progress = failure(world)
+    try:
+        await recover(progress, strategies, world.means())
+    except Killed:
+        again = World(store)
+        committed = store.gate.recovery
+        kept = store.journal or (committed.model_copy(deep=True) if committed else failure(again))
+        await recover(kept, strategies, again.means())
+    assert store.gate.active == "w-2"
+    assert "w-1" in store.deleted
+    assert {name for name, _ in store.brought_up} == {"w-2"}

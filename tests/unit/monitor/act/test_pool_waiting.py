@@ -1,0 +1,172 @@
+"""Waiting for a pod of a dry pool, between monitors: what one says beside its gate is what the others and people read."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.support.notices import RecordedNotices
+from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.gates import gate
+from tests.unit.monitor.pool_views import view
+from understudy.api import names
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.interfaces import Instance
+from understudy.failover.pool_queue import Waiter
+from understudy.failover.progress import Progress
+from understudy.failover.strategies.registry import choices
+from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
+from understudy.monitor.act.pool_waiting import PoolQueue
+from understudy.monitor.act.recovery_messages import describe
+
+NOW = time.time()
+
+
+def place(workload: str, *, pool: str = "spare", priority: int = 0) -> Waiter:
+    return Waiter(workload=workload, pool=pool, priority=priority, since=NOW, until=NOW + 60)
+
+
+def waits(me: Waiter) -> Progress:
+    progress = Progress.begin("no /cmd_vel for 500 ms", last_healthy=NOW - 1, detected=NOW)
+    progress.waiting = me
+    return progress
+
+
+async def test_a_gate_says_for_which_pool_its_workload_waits_until_it_waits_no_longer(tmp_path: Path) -> None:
+    client = MemoryClient()
+    found = view(client, "w")
+    switch = await gate(client, found, tmp_path)
+    progress = waits(place("w"))
+    await switch.commit(None, progress)
+    stored = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
+    assert stored["metadata"]["labels"][names.WAITS_FOR] == "spare"
+    assert switch.state.closed
+    assert switch.state.recovery is not None
+    assert switch.state.recovery.waiting == progress.waiting
+    progress.waiting = None
+    await switch.commit(None, progress)
+    stored = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
+    assert stored["metadata"]["labels"] == {"app": "w"}
+    assert switch.state.epoch == 6
+
+
+async def test_an_instance_that_is_let_through_ends_the_wait_too(tmp_path: Path) -> None:
+    client = MemoryClient()
+    switch = await gate(client, view(client, "w"), tmp_path)
+    await switch.commit(None, waits(place("w")))
+    await switch.commit(Instance(name="w-2", uid="u2"), None)
+    stored = await client.get(NETWORK_POLICIES, "fleet", "w-gate")
+    assert names.WAITS_FOR not in stored["metadata"]["labels"]
+
+
+@pytest.mark.parametrize(
+    "error",
+    [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()],
+)
+async def test_a_pod_whose_labels_can_not_be_written_for_a_moment_is_let_through_all_the_same(
+    tmp_path: Path, error: Exception
+) -> None:
+    client, refusals = MemoryClient(), [error, error]
+    switch = await gate(client, view(client, "w"), tmp_path)
+
+    async def label(instance: Instance) -> None:
+        if refusals:
+            raise refusals.pop()
+
+    fleet: Any = SimpleNamespace(label=label)
+    switch._fleet = fleet
+    await switch.commit(Instance(name="w-2", uid="u2"), None)
+    assert switch.state.active == "w-2"
+
+
+def noted(gate_name: str, waiter: Waiter, **annotations: str) -> Object:
+    recovery = {names.RECOVERY: waits(waiter).model_dump_json()} | annotations
+    metadata = {
+        "name": gate_name,
+        "resourceVersion": "5",
+        "labels": {names.WAITS_FOR: waiter.pool},
+        "annotations": recovery,
+    }
+    return {"metadata": metadata}
+
+
+async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate() -> None:
+    found = view(MemoryClient(), "w")
+    for item in (
+        noted("w-gate", place("w")),
+        noted("a-gate", place("a", priority=7)),
+        noted("b-gate", place("b", pool="other")),
+        noted("c-gate", place("a", priority=1000)),  # nobody speaks for another
+        noted("d-gate", place("d"), **{names.RECOVERY: "{"}),
+    ):
+        found.waiting_gates[0].put(item)
+    line = PoolQueue(found, RecordedNotices())
+    assert [(w.workload, w.priority) for w in line.others("spare")] == [("a", 7)]
+
+
+async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
+    notices, me = RecordedNotices(), place("w", priority=5)
+    line = PoolQueue(view(MemoryClient(), "w"), notices)
+    notices.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
+    line.waits(me, 1, 3)
+    said = notices.status.find("Recovering")
+    assert said is not None
+    assert (said.status, said.reason) == ("True", "WaitingForPod")
+    assert said.message.startswith("no /cmd_vel for 500 ms; since ")
+    assert "it waits for a pod of FallbackPool spare, number 2 of 3 that wait (poolPriority 5), until " in said.message
+    line.waits(me, 0, 2)
+    assert "number 1 of 2" in notices.conditions["Recovering"][2]
+    assert [(kind, reason) for kind, reason, _ in notices.events] == [("Warning", "WaitingForPod")]
+    line.served(me, "spare-x")
+    said = notices.status.find("Recovering")
+    assert said is not None
+    assert (said.status, said.reason) == ("True", "FailureDetected")
+    assert said.message.startswith("no /cmd_vel for 500 ms; claimed spare-x after ")
+    line.waits(me, 0, 1)
+    assert "; claimed" in notices.conditions["Recovering"][2], "a second wait of the same recovery goes on from there"
+    line.gave_up(me)
+    assert "got no pod of FallbackPool spare in " in notices.conditions["Recovering"][2]
+    assert len(notices.events) == 2
+
+
+def test_a_recovery_tells_how_long_it_waited() -> None:
+    progress = waits(place("w"))
+    progress.result, progress.strategy = "Recovered", "Fallback/Uninitialized"
+    assert "waited" not in describe(progress.to_recovery(1))
+    progress.moments |= {"queued": NOW, "claimed": NOW + 2.14}
+    assert describe(progress.to_recovery(1)).endswith(", of which it waited 2.1 s for a pod")
+
+
+def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_its_priority() -> None:
+    policy = FailurePolicySpec.model_validate(
+        {
+            "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
+            "strategies": [
+                {"type": "Fallback", "poolRef": {"name": "spare"}, "waitFor": "2.5s"},
+                {"type": "Fallback", "poolRef": {"name": "spare"}},
+            ],
+        }
+    )
+    settings = WorkloadSettings(
+        workload="w",
+        namespace="fleet",
+        uid="u",
+        source_kind="ReplicaSet",
+        source_name="w",
+        pools=[PoolChoice(name="spare", readiness="Uninitialized", reserved=2)],
+    )
+    found = choices(policy, settings, None)
+    assert [choice.strategy._wait_for for choice in found] == [2.5, 0.0]  # type: ignore[attr-defined]
+    assert [choice.strategy._reserved for choice in found] == [2, 2]  # type: ignore[attr-defined]
+    spec = RobotWorkloadSpec.model_validate(
+        {"template": {}, "outputs": [{"topic": "/cmd_vel", "type": "a/msg/B"}], "failurePolicyRef": {"name": "p"}}
+    )
+    assert PoolQueue(SimpleNamespace(workload="w", spec=spec), RecordedNotices()).priority == 0  # type: ignore[arg-type]
+    given = spec.model_copy(update={"pool_priority": 100})
+    assert PoolQueue(SimpleNamespace(workload="w", spec=given), RecordedNotices()).priority == 100  # type: ignore[arg-type]

@@ -1,0 +1,120 @@
+"""What follows from a recovery that is over: from when on the next one's samples count, and when something may be begun again."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.support.notices import RecordedNotices
+from tests.unit.monitor.blank_parts import blank_parts, nothing
+from tests.unit.monitor.takeovers import policy, took_over
+from understudy.failover.interfaces import GateState, Superseded
+from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
+from understudy.failover.progress import Progress
+from understudy.monitor.act import safe_commands
+from understudy.monitor.decide import retry_backoff
+from understudy.monitor.judge import failure_detection
+from understudy.monitor.loop import MonitorLoop
+from understudy.monitor.outcome import Kind, Outcome
+
+NOW = 1_000_000.0
+COMMITTED = NOW - 0.3
+
+
+class World:
+    """The end of a recovery by which w-1 has come to drive."""
+
+    def __init__(self, **more: Any) -> None:
+        self.policy = policy(**more)
+        view = SimpleNamespace(
+            policy=self.policy,
+            settings=SimpleNamespace(),
+            spec=None,
+            object=None,
+            retired=False,
+            workload="w",
+            namespace="n",
+        )
+        gate = SimpleNamespace(state=GateState(epoch=4, active="w-1", active_uid="uid-1"), left_by=nothing)
+        self.told = RecordedNotices()
+        supervisor = MonitorLoop(blank_parts(view=view, gate=gate, notices=self.told))
+        self.conclude, self.limits = supervisor.conclude, supervisor.decide.limits
+        self.detector, self.unattended = supervisor.judge.detector, supervisor.act.unattended
+        self.unattended.conclude(Outcome("NothingVerified", over("Failed")))
+        self.detector.restart(NOW - 100)
+        self.detector.counts_from(NOW - 100, self.policy.monitoring)
+
+    def end(self, kind: Kind, *, error: Exception | None = None) -> None:
+        result = "Recovered" if kind in ("Recovered", "SwitchedOver") else "Failed"
+        known = self.policy if kind in ("Recovered", "NothingVerified") else None
+        progress = over(result if error is None else "Running")
+        if kind in ("SwitchedOver", "NotSwitchedOver"):
+            progress.switchover = "Failover"
+        self.conclude(Outcome(kind, progress, known, error))
+
+    def waits(self) -> float:
+        """Seconds for which nothing is begun yet."""
+        return self.limits.retries.not_before - NOW
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (safe_commands, failure_detection, retry_backoff):
+        monkeypatch.setattr(module, "time", SimpleNamespace(time=lambda: NOW))
+
+
+def over(result: str) -> Progress:
+    done = took_over(0, NOW)
+    done.moments["committing"] = COMMITTED
+    return done.model_copy(update={"result": result})
+
+
+@pytest.mark.parametrize(("priority", "wait"), [("Normal", 7.0), ("Safety", 0.0)])
+def test_an_instance_that_took_over_is_watched_from_the_commit_and_the_cooldown_runs(
+    priority: str, wait: float
+) -> None:
+    world = World(priority=priority, limits={"cooldown": "7s"})
+    world.end("Recovered")
+    assert (world.detector.since, world.waits(), world.unattended.since) == (COMMITTED, wait, None)
+    assert world.detector.counts_from(NOW, world.policy.monitoring) >= NOW, "what failed before was another instance"
+    assert world.told.conditions["Recovering"][:2] == ("False", "Recovered")
+    assert (world.told.status.health, world.told.status.active) == ("Healthy", "w-1")
+
+
+def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later() -> None:
+    world = World()
+    world.unattended.driven()
+    for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST):
+        world.end("NothingVerified")
+        assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, wait, NOW)
+    assert world.told.conditions["Recovering"][:2] == ("False", "NothingVerified")
+    assert world.told.status.health == "Failed"
+
+
+def test_whoever_acts_at_a_newer_epoch_drives_and_is_watched_at_once() -> None:
+    world = World()
+    world.end("Superseded", error=Superseded("the gate is at epoch 9"))
+    assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, 0.0, None)
+    assert world.told.conditions["Recovering"][1] == "Superseded"
+
+
+def test_what_the_api_server_refused_is_tried_again_in_a_moment() -> None:
+    world = World()
+    world.end("Stopped", error=OSError("no route"))
+    assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, BACKOFF_FIRST, NOW)
+    assert world.told.conditions["Recovering"][1] == "Error"
+
+
+@pytest.mark.parametrize(
+    ("kind", "since", "event"),
+    [("SwitchedOver", COMMITTED, "SwitchedOver"), ("NotSwitchedOver", NOW, "SwitchoverNotDone")],
+)
+def test_a_switchover_leaves_what_was_put_off_before(kind: Kind, since: float, event: str) -> None:
+    world = World()
+    world.limits.retries.after(5.0)
+    world.end(kind)
+    assert (world.detector.since, world.waits(), world.unattended.since) == (since, 5.0, None)
+    assert [reason for _, reason, _ in world.told.events] == [event]
+    assert world.told.status.switchover is not None

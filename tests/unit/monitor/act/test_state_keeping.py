@@ -1,0 +1,328 @@
+"""The monitor keeps state of real topics, over its own restart, tells of it, and keeps standbys up with it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from tests.unit.monitor.blank_parts import blank_parts
+from tests.unit.monitor.state_monitor import ACTIVE, STANDBY, STATE, Monitor
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import Recovery
+from understudy.api.kinds.state_spec import RestoredState, State
+from understudy.api.protocol.kept_state import KeptState, NotRestored
+from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.failover.interfaces import Instance, Superseded
+from understudy.failover.progress import Progress
+from understudy.monitor.act import state_keeping as module
+from understudy.monitor.act.recovery_runner import RecoveryRunner
+from understudy.monitor.act.standby_supervision import receivers
+from understudy.monitor.decide import strategy_options
+from understudy.monitor.loop import MonitorLoop
+from understudy.ros.runtime.graph_node import Graph
+from understudy.state import state_capture as pure
+from understudy.state.state_store import StateStore
+
+pytestmark = pytest.mark.ros
+
+
+def policy_of(state: State) -> FailurePolicySpec:
+    health = {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
+    return FailurePolicySpec.model_validate(
+        {"monitoring": {"yaml": health}, "strategies": [{"type": "Restart"}], "state": state.to_wire()}
+    )
+
+
+@pytest.fixture
+async def monitor(graph: Graph, tmp_path: Path) -> Monitor:
+    return Monitor(graph, tmp_path)
+
+
+@pytest.fixture
+def say(graph: Graph) -> Callable[[float], None]:
+    """Publish a pose, latched as AMCL does."""
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    publisher = graph.node.create_publisher(PoseWithCovarianceStamped, "/amcl_pose", qos)
+
+    def publish(x: float) -> None:
+        message = PoseWithCovarianceStamped()
+        message.header.frame_id = "map"
+        message.pose.pose.position.x = x
+        publisher.publish(message)
+
+    return publish
+
+
+async def test_the_last_healthy_pose_is_kept_and_told(monitor: Monitor, say: Callable[[float], None]) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0 and monitor.told.conditions.get("StateKept"))
+    await monitor.until(lambda: monitor.told.conditions["StateKept"] == ("True", "Kept", "Keeping /amcl_pose."))
+    (status,) = monitor.told.status.kept
+    assert (status.name, status.kind, status.message) == ("/amcl_pose", "Topic", "")
+    assert status.bytes > 300
+    assert status.taken_at
+    say(2.0)
+    await monitor.until(lambda: monitor.x() == 2.0)
+
+
+async def test_what_is_said_while_the_workload_fails_is_never_given(monitor: Monitor, graph: Graph) -> None:
+    publisher = graph.node.create_publisher(PoseWithCovarianceStamped, "/amcl_pose", 1)
+
+    def say(x: float) -> None:
+        message = PoseWithCovarianceStamped()
+        message.pose.pose.position.x = x
+        publisher.publish(message)
+
+    await monitor.until(lambda: monitor.x() == 1.0, each=lambda: say(1.0))
+    onset = time.time()
+    monitor.health = "Failed"
+    say(9.0)
+    end = time.monotonic() + 1.0
+    await monitor.until(lambda: time.monotonic() > end)
+    monitor.health = "Healthy"
+    end = time.monotonic() + 1.0
+    await monitor.until(lambda: time.monotonic() > end)
+    assert monitor.x(onset) == monitor.x() == 1.0
+
+
+async def test_it_outlasts_the_monitor(
+    monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0)
+    await monitor.until(lambda: (tmp_path / "kept").exists())
+    await monitor.until(
+        lambda: StateStore(tmp_path).load() == {k: list(v) for k, v in monitor.keeping._keeper.versions().items()}
+    )
+    onset = time.time()
+    later = Monitor(graph, tmp_path)
+    later.health = "Starting"
+    later.keeping.take(STATE, {}, "w-1")
+    assert later.x(onset) == 1.0
+    assert later.keeping.select(onset) == monitor.keeping.select(onset)
+
+
+async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
+    monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and StateStore(tmp_path).load())
+    onset = time.time()
+    later = Monitor(graph, tmp_path)
+    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(uid="u"), spec=None, retired=False)
+    supervisor = MonitorLoop(blank_parts(view=view, notices=later.told, keeping=later.keeping))
+    found: list[KeptState] = []
+
+    async def recovered(self: RecoveryRunner, *_: object) -> None:
+        found.append(later.keeping.select(onset))
+        raise Superseded("that is all")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RecoveryRunner, "_recovered", recovered)
+        patch.setattr(strategy_options, "choices", lambda *_: [])
+        begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[])
+        await supervisor.carry_out(begun)
+    assert [sample.topic for sample in found[0].samples] == ["/amcl_pose"]
+
+
+async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pure, "PATIENCE", 0.3)
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
+    told = (
+        "/amcl_pose: nobody publishes it (state.keep[0] of the policy). What never came is not given to the one that takes "
+        "over: correct it there, or have it published."
+    )
+    assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", told)
+    assert monitor.told.events == [("Warning", "StateNeverCame", told)]
+    assert monitor.keeping.select(time.time()).left_out == (
+        NotRestored("/amcl_pose", "nobody publishes it", failed=False),
+    )
+
+
+async def test_a_type_that_is_not_installed_is_told_at_once(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"keep": [{"topic": "/plan", "type": "nav2_msgs/msg/Plan"}]})
+    await monitor.until(lambda: "StateKept" in monitor.told.conditions)
+    status, reason, message = monitor.told.conditions["StateKept"]
+    assert (status, reason) == ("False", "TypeNotInstalled")
+    assert message.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
+
+
+async def test_a_state_that_is_too_old_is_told(monitor: Monitor, say: Callable[[float], None]) -> None:
+    monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "500ms"}], "margin": "0s"})
+    say(1.0)
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "TooOld")
+    assert "older than maxAge (500ms)" in monitor.told.conditions["StateKept"][2]
+    (left,) = monitor.keeping.select(time.time()).left_out
+    assert "more than maxAge (500ms)" in left.reason
+
+
+async def test_ages_alone_are_seldom_written(monitor: Monitor, say: Callable[[float], None]) -> None:
+    count = [0.0]
+
+    def move() -> None:
+        count[0] += 1
+        say(count[0])
+
+    await monitor.until(lambda: monitor.x() is not None, each=move)
+    end = time.monotonic() + 1.5
+    await monitor.until(lambda: time.monotonic() > end, each=move)
+    assert monitor.told.changes <= 6
+    assert count[0] > 10
+
+
+async def test_parameters_and_states_are_asked_of_the_agent(monitor: Monitor) -> None:
+    monitor.state = State.model_validate(
+        {"parameters": [{"node": "/controller", "names": ["speed"]}], "lifecycle": ["/amcl"], "margin": "0s"}
+    )
+    monitor.agents.answer = {
+        "parameters": {"/controller": {"speed": 0.3}},
+        "lifecycle": {"/amcl": "active"},
+        "problems": [],
+    }
+    await monitor.until(lambda: len(monitor.keeping.select(time.time()).lifecycle) == 1)
+    kept = monitor.keeping.select(time.time())
+    assert kept.parameters[0].values == {"speed": 0.3}
+    assert (kept.lifecycle[0].node, kept.lifecycle[0].state) == ("/amcl", "active")
+
+
+async def test_an_agent_that_does_not_answer_is_told(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
+    assert monitor.told.conditions["StateKept"][2] == (
+        "/amcl (lifecycle): its agent isn't connected (state.lifecycle[0] of the policy)."
+    )
+
+
+async def test_a_pod_without_an_agent_is_told(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
+    monitor.active = Instance("w-1", "uid-1", running=True, has_agent=False)
+    await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
+    assert "pod w-1 has no agent that could be asked" in monitor.told.conditions["StateKept"][2]
+
+
+async def test_a_waiting_standby_is_given_what_is_new_and_only_that(
+    monitor: Monitor, say: Callable[[float], None]
+) -> None:
+    monitor.waiting = [(STANDBY, 0.1)]
+    monitor.state = STATE.model_copy(update={"lifecycle": ["/amcl"]})
+    monitor.agents.answer = {"parameters": {}, "lifecycle": {"/amcl": "active"}, "problems": []}
+    say(1.0)
+    await monitor.until(lambda: monitor.agents.given and monitor.keeping.select(time.time()).lifecycle)
+    end = time.monotonic() + 1.0
+    await monitor.until(lambda: time.monotonic() > end)
+    ((name, first),) = monitor.agents.given
+    assert (name, len(first.samples), first.lifecycle) == ("w-2", 1, ()), "it isn't made to drive before its time"
+    say(2.0)
+    await monitor.until(lambda: len(monitor.agents.given) == 2)
+    assert monitor.agents.given[1][1].samples[0].data != first.samples[0].data
+
+
+async def test_a_standby_that_can_not_be_kept_up_is_told_once(monitor: Monitor, say: Callable[[float], None]) -> None:
+    monitor.waiting = [(STANDBY, 0.1)]
+    monitor.agents.refusal = "nobody subscribes to /initialpose"
+    say(1.0)
+    await monitor.until(lambda: len(monitor.agents.given) > 3)
+    assert monitor.told.events == [
+        ("Warning", "StandbyNotKeptUp", "w-2: /amcl_pose: nobody subscribes to /initialpose")
+    ]
+
+
+async def test_nothing_is_given_to_standbys_while_the_workload_is_not_healthy(
+    monitor: Monitor, say: Callable[[float], None]
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0)
+    monitor.health = "Failed"
+    monitor.waiting = [(STANDBY, 0.1)]
+    end = time.monotonic() + 0.5
+    await monitor.until(lambda: time.monotonic() > end)
+    assert monitor.agents.given == []
+
+
+async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None:
+    monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose"}, {"topic": "/map"}]})
+    monitor.keeping.take(monitor.state, {}, ACTIVE.name)
+    given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
+    missing = RestoredState(name="/map", restored=False, message="what is kept is 61.0 s old, more than maxAge (1m)")
+    recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
+    monitor.keeping.tell(recovery)
+    assert monitor.told.conditions["StateRestored"] == (
+        "True",
+        "Restored",
+        "w-2 was given /amcl_pose (0.8 s old).",
+    )
+    assert not monitor.told.events
+    monitor.keeping.tell(recovery.model_copy(update={"state": [given, missing]}))
+    assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
+    ((_, reason, message),) = monitor.told.events
+    assert reason == "StateNotRestored"
+    assert message == (
+        "w-2 was not given all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m) (state.keep[1] of "
+        "the policy). It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
+    )
+    assert "It was given /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
+
+
+async def test_a_recovery_in_which_nothing_is_given_takes_back_what_is_said_of_the_last(monitor: Monitor) -> None:
+    monitor.told.condition("StateRestored", "False", "NotRestored", "w-2 was not given ...")
+    monitor.keeping.tell(Recovery(id="2", reason="x", result="Failed"))
+    assert "StateRestored" in monitor.told.conditions
+    monitor.keeping.tell(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))
+    assert "StateRestored" not in monitor.told.conditions
+
+
+@pytest.mark.parametrize("step", [-3600.0, 3600.0])
+async def test_a_clock_that_is_set_changes_no_age(
+    monitor: Monitor, say: Callable[[float], None], monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    say(1.0)
+    await monitor.until(lambda: monitor.x() == 1.0)
+
+    class Stepped:
+        monotonic = staticmethod(time.monotonic)
+
+        @staticmethod
+        def time() -> float:
+            return time.time() + step
+
+    (before,) = monitor.keeping.select(time.time()).samples
+    monkeypatch.setattr(module, "time", Stepped)
+    monitor.keeping.take(STATE, {}, "w-1")
+    (after,) = monitor.keeping.select(time.time() + step).samples
+    assert after.taken_at - before.taken_at == pytest.approx(step, abs=0.5)
+
+
+def test_only_ready_standbys_of_pools_that_say_so_are_kept_up() -> None:
+    settings = WorkloadSettings(
+        workload="w",
+        namespace="n",
+        uid="u",
+        source_kind="ReplicaSet",
+        source_name="w",
+        pools=[
+            PoolChoice(name="warm", readiness="Initialized", keep_up="2s"),
+            PoolChoice(name="hot", readiness="Executing"),
+        ],
+    )
+    of_source = Instance("w-3", "uid-3", running=True)
+    others = [
+        Instance("w-4", "uid-4", running=True, pool="hot"),
+        Instance("w-5", "uid-5", running=True, pool="warm", terminating=True),
+        Instance("w-6", "uid-6", running=True, pool="warm", has_agent=False),
+        Instance("w-7", "uid-7", running=True, pool="warm"),
+    ]
+    agents: Any = SimpleNamespace(is_ready=lambda instance: (instance.name != "w-7", "starting"))
+    given = receivers([ACTIVE, STANDBY, of_source, *others], settings, agents, active_uid=ACTIVE.uid)
+    assert given == [(STANDBY, 2.0), (of_source, 2.0)]
+    settings.pools.pop(0)
+    assert receivers([STANDBY], settings, agents, active_uid=ACTIVE.uid) == []

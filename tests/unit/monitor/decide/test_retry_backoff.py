@@ -1,0 +1,167 @@
+"""What came to nothing is put off, longer each time, but not once what was wrong may have been corrected; and it is told."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.support.notices import RecordedNotices
+from tests.unit.monitor.takeovers import policy, took_over
+from understudy.api.kinds.robot_workload import Attempt, Recovery
+from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
+from understudy.failover.limits.backoff import MOST as BACKOFF_MOST
+from understudy.monitor.act.recovery_messages import describe, unverified
+from understudy.monitor.decide import retry_backoff
+from understudy.monitor.decide.retry_backoff import RetryBackoff
+from understudy.monitor.judge.failure_detection import Failure
+
+FAILURE = "no /cmd_vel for 500 ms"
+NOW = 1_000_000.0
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(retry_backoff, "time", SimpleNamespace(time=lambda: NOW))
+
+
+class World:
+    """The retries of a workload whose policy has two strategies."""
+
+    def __init__(self, **more: Any) -> None:
+        self.view: Any = SimpleNamespace(policy=policy(**more), settings={"pools": 1}, spec={"bringUp": 1})
+        self.told = RecordedNotices()
+        self.retries = RetryBackoff(self.view, self.told)
+        self.retries.look(None, NOW)
+
+    def first(self, onset: float) -> int | None:
+        """The strategy with which a recovery begins, or that is put off, as the monitor does it."""
+        first = self.retries.first(onset, "uid-1")
+        if first is None:
+            self.retries.crash_looping(FAILURE)
+        else:
+            self.retries.begin(Failure(FAILURE, onset, onset), "uid-1")
+        return first
+
+    def waits(self) -> float:
+        """Seconds for which nothing is begun yet."""
+        return self.retries.not_before - NOW
+
+    def in_vain(self, times: int) -> None:
+        for _ in range(times):
+            self.retries.after_nothing_verified(self.view.policy)
+
+
+def test_what_comes_to_nothing_is_put_off_longer_each_time_until_it_has_worked() -> None:
+    world = World()
+    for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST, 4 * BACKOFF_FIRST):
+        world.in_vain(1)
+        assert world.waits() == wait
+    world.in_vain(5)
+    assert world.waits() == BACKOFF_MOST
+    world.retries.healthy()
+    world.in_vain(1)
+    assert world.waits() == BACKOFF_FIRST
+
+
+@pytest.mark.parametrize("what", ["policy", "spec", "settings"])
+def test_a_correction_is_tried_at_once(what: str) -> None:
+    world = World()
+    world.in_vain(3)
+    setattr(world.view, what, {"corrected": 1} if what != "policy" else policy(priority="Safety"))
+    world.retries.look(None, NOW + 1)
+    assert world.waits() == 1
+    world.in_vain(1)
+    assert world.waits() == BACKOFF_FIRST
+
+
+def test_the_same_once_more_is_no_correction() -> None:
+    world = World()
+    world.in_vain(3)
+    before = world.retries.not_before
+    world.view.policy = world.view.policy.model_copy()  # as after a change of its status
+    world.retries.look(None, NOW)
+    assert world.retries.not_before == before
+
+
+def test_the_cooldown_after_a_recovery_stays() -> None:
+    world = World()
+    world.retries.after(60.0)
+    world.view.policy = policy(priority="Safety")
+    world.retries.look(None, NOW)
+    assert world.waits() == 60
+
+
+def test_a_users_word_ends_what_was_put_off() -> None:
+    world, now = World(), NOW
+    world.in_vain(3)
+    before = world.retries.not_before
+    world.retries.look(None, now)
+    assert world.retries.not_before == before
+    world.retries.look(now, now)
+    assert world.retries.not_before == now
+    world.retries.after(10.0)
+    world.retries.look(now, now)
+    assert world.retries.not_before == now + 10, "once"
+
+
+def test_a_clock_that_is_set_back_puts_nothing_off() -> None:
+    world = World()
+    world.retries.after(10.0)
+    world.retries.look(None, NOW - 3600)
+    assert world.retries.not_before == NOW - 3600 + 10
+
+
+@pytest.mark.parametrize(("priority", "later"), [("Normal", 4 * BACKOFF_FIRST), ("Safety", BACKOFF_FIRST)])
+def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(priority: str, later: float) -> None:
+    world = World(priority=priority)
+    world.in_vain(3)
+    assert world.waits() == later
+
+
+def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_told() -> None:
+    world, now = World(), NOW
+    world.retries.note(took_over(0, now))
+    assert world.first(now + 1) == 1
+    world.retries.note(took_over(1, now))
+    assert world.first(now + 1) is None
+    status, reason, message = world.told.conditions["Recovering"]
+    assert (status, reason) == ("False", "CrashLooping")
+    assert f"{FAILURE}, as soon as it was in control" in message
+    assert f"again in {BACKOFF_FIRST:g} s" in message
+    assert ("Warning", "CrashLooping") in [(kind, reason) for kind, reason, _ in world.told.events]
+    assert world.waits() == BACKOFF_FIRST
+    assert world.first(now + 1) == 0, "and then the first one is tried again"
+
+
+def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told() -> None:
+    world, now = World(limits={"healthyDelay": "1m"}), NOW
+    world.retries.note(took_over(0, now))
+    assert world.first(now + 30) == 1
+    ((kind, reason, message),) = world.told.events
+    assert (kind, reason) == ("Warning", "Relapsed")
+    assert "30.0 s after it took over (limits.healthyDelay is 1m)" in message
+    world.retries.note(took_over(0, now))
+    assert world.first(now + 60) == 0
+
+
+def test_a_recovery_tells_what_was_tried_in_vain_before() -> None:
+    hung = "strategies[0].recovery.sequence[0].wait_for: node /nobody is not there within 14 s"
+    recovery = Recovery(
+        id="1",
+        reason="/cmd_vel is silent",
+        result="Recovered",
+        strategy="Restart",
+        from_pod="w-1",
+        to_pod="w-3",
+        recovery_seconds=16.0,
+        attempts=[
+            Attempt(strategy="Fallback", result="NotAvailable", message="no pool"),
+            Attempt(strategy="Fallback/Initialized", pod="w-2", result="NotVerified", message=hung),
+            Attempt(strategy="Restart", pod="w-3", result="Verified"),
+        ],
+    )
+    told = f"Fallback/Initialized with w-2 was tried in vain: {hung}"
+    assert unverified(recovery) == [told]
+    assert describe(recovery).endswith(f"by Restart in 16.000 s, epoch 0. Before that: {told}")

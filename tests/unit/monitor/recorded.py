@@ -1,0 +1,132 @@
+"""A monitor whose black box records real nodes, for tests."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from geometry_msgs.msg import Twist
+from mcap.reader import make_reader
+from rclpy.serialization import serialize_message
+
+from tests.support.notices import RecordedNotices
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import GateStatus, RobotWorkloadSpec
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.client import ApiError
+from understudy.monitor.notices import PublishedStatus
+from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.report.black_box import BlackBox
+from understudy.monitor.report.recording_archive import RecordingArchive
+
+BOX: dict[str, Any] = {"window": "10s"}
+
+
+EVENT = {
+    "metadata": {"name": "e"}, "involvedObject": {"kind": "RobotWorkload", "name": "robot-1"},
+    "type": "Warning", "reason": "FailureDetected", "message": "no /cmd_vel",
+}  # fmt: skip
+
+
+def policy(black_box: dict[str, Any] | None) -> FailurePolicySpec:
+    health = {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
+    spec: dict[str, Any] = {"monitoring": {"yaml": health}, "strategies": [{"type": "Restart"}], "blackBox": black_box}
+    return FailurePolicySpec.model_validate(spec)
+
+
+SPEC = RobotWorkloadSpec.model_validate(
+    {
+        "template": {"spec": {}},
+        "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
+        "failurePolicyRef": {"name": "p"},
+    }
+)
+
+
+class Cluster:
+    """Tells Events, as an API server does."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+        self.refuses = False
+
+    async def list(self, resource: Any, namespace: str, *, fields: str) -> dict[str, Any]:
+        self.asked.append(fields)
+        if self.refuses:
+            raise ApiError(403, "Forbidden", "events is forbidden")
+        now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        return {"items": [{**EVENT, "lastTimestamp": now}] if "RobotWorkload" in fields else []}
+
+
+class Monitored:
+    """A monitor's black box, a real node that commands beside it, and what the monitor's loop does with both."""
+
+    def __init__(self, folder: Path) -> None:
+        self.observer, self.cluster = HealthObserver(), Cluster()
+        self.said = RecordedNotices(PublishedStatus(health="Healthy", active="a", gate=GateStatus(epoch=3)))
+        pods = SimpleNamespace(items={"a": {"metadata": {"name": "a"}}})
+        self.view: Any = SimpleNamespace(
+            namespace="fleet", workload="robot-1", policy=policy(BOX), pods=pods, client=self.cluster
+        )
+        self.archive = RecordingArchive(folder)
+        self.box = BlackBox(self.view, self.observer, self.said, self.archive)
+        self.publisher = self.observer.graph.node.create_publisher(Twist, "/cmd_vel", 10)
+        self.sent: list[bytes] = []
+        self.observer.follow(self.view.policy, SPEC)
+
+    def drive(self, speed: float) -> None:
+        message = Twist()
+        message.linear.x = speed
+        self.publisher.publish(message)
+        self.sent.append(bytes(serialize_message(message)))
+
+    async def look(self, seconds: float) -> None:
+        """As the monitor's loop does."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.observer.drain([], "")
+            self.observer.verdict(now=time.time(), since=time.time())
+            await asyncio.sleep(0.02)
+
+    async def driven(self, count: int = 20) -> None:
+        """Until so many of its commands were received."""
+        before = self.received
+        end = time.monotonic() + 20
+        while self.received < before + count:
+            assert time.monotonic() < end
+            self.drive(len(self.sent) / 100)
+            await self.look(0.02)
+
+    @property
+    def received(self) -> int:
+        record = self.observer.observations.topic("/cmd_vel")
+        return record.count if record is not None else 0
+
+    def fail(self, **more: Any) -> Progress:
+        now = time.time()
+        progress = Progress.begin(
+            "no /cmd_vel", last_healthy=now - 0.5, detected=now, failed=[PodIdentity(name="a", uid="1")], **more
+        )
+        self.said.set(health="Failed")
+        self.box.begin(progress)
+        return progress
+
+    def recovered(self, progress: Progress) -> None:
+        progress.result, progress.strategy = "Recovered", "Restart"
+        progress.moments["routed"] = time.time()
+        self.said.set(health="Healthy")
+        self.box.end(progress)
+        self.said.record(progress)
+
+    async def recorded(self, count: int = 1) -> None:
+        end = time.monotonic() + 20
+        while len(self.archive.recordings) < count:
+            assert time.monotonic() < end
+            await self.look(0.05)
+
+    def messages(self, topic: str, recording: int = 0) -> list[bytes]:
+        with self.archive.path(self.archive.recordings[recording]).open("rb") as file:
+            return [message.data for _, _, message in make_reader(file).iter_messages(topics=[topic])]

@@ -1,0 +1,96 @@
+"""A monitor that keeps the state of real topics, for tests."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.serialization import deserialize_message
+
+from tests.support.notices import RecordedNotices
+from tests.unit.dds import keep_to_itself
+from understudy.api.kinds.state_spec import State
+from understudy.api.protocol.kept_state import KeptState, Restored, RestoreReport
+from understudy.failover.interfaces import Instance
+from understudy.kube.agent_client import AgentGone
+from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.ros.runtime.graph_node import Graph
+from understudy.state.state_store import StateStore
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+
+
+ACTIVE = Instance("w-1", "uid-1", running=True)
+
+
+STANDBY = Instance("w-2", "uid-2", running=True, pool="warm")
+
+
+STATE = State.model_validate(
+    {"keep": [{"topic": "/amcl_pose", "type": POSE, "restoreTo": "/initialpose"}], "margin": "100ms", "period": "50ms"}
+)
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
+    keep_to_itself(monkeypatch)
+    made = Graph("keeper")
+    yield made
+    made.close()
+
+
+class Agents:
+    """What the agents answer, and what they were given."""
+
+    def __init__(self) -> None:
+        self.given: list[tuple[str, KeptState]] = []
+        self.refusal = ""
+        self.answer: Mapping[str, Any] | None = None
+
+    async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
+        self.given.append((instance.name, state))
+        if self.refusal:
+            return state.not_given(self.refusal)
+        return RestoreReport(tuple(Restored(s.name, s.taken_at) for s in state.restored_samples))
+
+    async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> Mapping[str, Any]:
+        if self.answer is None:
+            raise AgentGone("its agent isn't connected")
+        return self.answer
+
+
+class Monitor:
+    """The loop of a monitor, as far as it is about state."""
+
+    def __init__(self, graph: Graph, folder: Path) -> None:
+        self.agents, self.told = Agents(), RecordedNotices()
+        self.keeping = StateKeeping(graph, StateStore(folder), self.agents, self.told)  # type: ignore[arg-type]
+        self.state, self.health, self.active = STATE, "Healthy", ACTIVE
+        self.waiting: list[tuple[Instance, float]] = []
+
+    async def until(
+        self, holds: Callable[[], object], within: float = 25.0, each: Callable[[], None] = lambda: None
+    ) -> None:
+        """Go on looking until something holds."""
+        end = time.monotonic() + within
+        while not holds():
+            assert time.monotonic() < end, f"not within {within} s"
+            each()
+            self.keeping.take(self.state, {}, self.active.name)
+            self.keeping.judge(self.health, time.time())  # type: ignore[arg-type]
+            self.keeping.housekeeping(self.active, self.waiting)
+            await asyncio.sleep(0.02)
+
+    def x(self, onset: float | None = None) -> float | None:
+        """Where the robot would be said to be."""
+        samples = self.keeping.select(time.time() if onset is None else onset).samples
+        return (
+            float(deserialize_message(samples[0].data, PoseWithCovarianceStamped).pose.pose.position.x)
+            if samples
+            else None
+        )

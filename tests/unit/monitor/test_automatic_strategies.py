@@ -1,0 +1,65 @@
+"""From a policy that says what it requires to the instance that takes over: the operator chooses, the monitor goes by it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from tests.unit.controller import world as cluster
+from tests.unit.controller.strategy_policies import auto, warm
+from tests.unit.failover.world import Store, World
+from understudy.api import names
+from understudy.failover.interfaces import GateState
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.failover.strategies.registry import choices
+from understudy.kube.client import Object
+from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.wakeups import Wakeups
+
+
+def followed(policy: Object) -> list[Choice]:
+    """What a monitor would try, told by an operator what was chosen."""
+    made = cluster.World(cluster.workload(), policy, cluster.hot(), warm(), cluster.spare())
+    made.own(cluster.gate(made.workload))
+    made.held_policies = {"spare": {"metadata": {"annotations": {names.TEMPLATE_HASH: "h"}}}}
+    settings = cluster.applied(made.plan(), "configmaps")[names.settings("w")]
+    view = ClusterView(None, cluster.NAMESPACE, "w", Wakeups())  # type: ignore[arg-type]
+    view.workloads = SimpleNamespace(revision=1, items={"w": made.workload})  # type: ignore[assignment]
+    view.policies = SimpleNamespace(items={"policy": policy})  # type: ignore[assignment]
+    view.settings_maps = SimpleNamespace(revision=1, items={names.settings("w"): settings})  # type: ignore[assignment]
+    assert view.policy is not None
+    assert view.settings is not None
+    return choices(view.policy, view.settings, view.spec)
+
+
+def test_the_monitor_tries_what_was_chosen_in_that_order_and_in_the_time_that_auto_gives() -> None:
+    found = followed(auto(verify_within="7s"))
+    assert [(one.strategy.name, one.verify_within) for one in found] == [
+        ("Fallback/Initialized", 7.0),
+        ("Fallback/Uninitialized", 7.0),
+        ("Restart", 7.0),
+    ]
+    assert [one.strategy.name for one in followed(auto(availability="Low", resourceUsage="Low"))] == [
+        "Fallback/Uninitialized",
+        "Restart",
+    ]
+
+
+async def test_a_failure_is_met_by_what_the_requirements_came_to_and_escalates_in_their_order() -> None:
+    store = Store()
+    store.add("w-1")
+    store.add("w-2", pool="hot")
+    store.add("s-1", pool="spare", held=True)
+    store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
+    store.broken |= {"w-1", "w-2"}
+    world = World(store)
+    now = world.clock()
+    failure = Progress.begin(
+        "gone", last_healthy=now - 0.5, detected=now, failed=[PodIdentity(name="w-1", uid="uid-w-1")]
+    )
+    done = await recover(failure, followed(auto(verify_within="300ms", taskCriticality="High")), world.means())
+    assert [(one.strategy, one.result) for one in done.attempts] == [
+        ("Fallback/Executing", "NotVerified"),
+        ("Fallback/Initialized", "NotAvailable"),
+        ("Fallback/Uninitialized", "Verified"),
+    ]
