@@ -160,7 +160,7 @@ def recoveries() -> list[Recovery]:
             Attempt(
                 strategy="Fallback/Executing",
                 result="NotAvailable",
-                message="robot-17-navigation-v4d9s: its agent isn't connected yet",
+                message="robot-17-navigation-v4d9s: its agent is not connected yet",
             ),
             Attempt(strategy="Restart", pod="robot-17-navigation-7k2xq", result="Verified"),
         ],

@@ -30,4 +30,4 @@ class CrashPoints:
             return
         self._file.unlink()
         _logger.critical("killed at step %r, as asked by %s", name, self._file)
-        os._exit(137)  # as SIGKILL would end it, which the first process of a container doesn't get from itself
+        os._exit(137)  # as SIGKILL would end it, which the first process of a container does not get from itself

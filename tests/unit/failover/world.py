@@ -52,7 +52,7 @@ class Store:
     beside: bool = False
     """Whether understudies are prepared while another instance drives, as in a planned switchover."""
     away: bool = False
-    """Whether the API server doesn't answer."""
+    """Whether the API server does not answer."""
     kept: KeptState = field(default_factory=KeptState)
     """What was kept of the instance that failed."""
     given: dict[str, KeptState] = field(default_factory=dict)

@@ -127,7 +127,7 @@ class ReflexSidecars(AgentConnections):
         agent = self._world.agents.get(instance.uid)
         if agent is None or self._found(instance) is None:
             await asyncio.sleep(ANSWER_LATE)
-            raise AgentGone(f"{instance.name}: its agent isn't connected")
+            raise AgentGone(f"{instance.name}: its agent is not connected")
         if body.get("word") == "Go":
             agent.believed = self.believed(instance.uid) or not self.shut_out(instance.uid)
         await asyncio.sleep(self._robots.network.delay())

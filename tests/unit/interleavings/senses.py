@@ -163,7 +163,7 @@ class AgentConnections:
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         status = self.status(instance)
         if status is None:
-            return False, "its agent isn't connected"
+            return False, "its agent is not connected"
         return status.ready, "" if status.ready else "its outputs are not healthy"
 
     async def probe(self, instance: Instance, duration: float) -> None:
@@ -202,7 +202,7 @@ class AgentConnections:
         if fails:
             raise NotVerified(f"{procedure.name} of {instance.name} failed")
         if self._found(instance) is None:
-            raise NotVerified(f"{procedure.name} of {instance.name}: its agent isn't connected")
+            raise NotVerified(f"{procedure.name} of {instance.name}: its agent is not connected")
         self._robots.bring(instance.uid, brought)
         return RestoreReport()
 

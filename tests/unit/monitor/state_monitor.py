@@ -60,7 +60,7 @@ class Agents:
 
     async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> Mapping[str, Any]:
         if self.answer is None:
-            raise AgentGone("its agent isn't connected")
+            raise AgentGone("its agent is not connected")
         return self.answer
 
 

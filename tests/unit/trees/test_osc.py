@@ -232,7 +232,7 @@ FRONT = 'topic("/a", gap: '
             "wait elapsed(3s)",
             1,
             "'wait' is not for health trees: a health tree takes no action, and neither waits nor sends events; leave it "
-            "out. How long something may be missing is said by gap",
+            "out. Use gap for how long something may be missing",
         ),
         (
             "robot.topic()",

@@ -51,7 +51,7 @@ class Abandonment:
         left = self._gate.left_by(progress.id)
         if left is None:
             return  # it had not reached the gate
-        # An earlier one may stand there still: this one needn't have come further than to ask for a commit.
+        # An earlier one may stand there still: this one need not have come further than to ask for a commit.
         record = self._gate.record
         there = [one for one in self._known if record is not None and one.stands(record.epoch, record.recovery)]
         self._keep([*(one for one in there if one.id != left.id), left])
@@ -70,7 +70,7 @@ class Abandonment:
     def _is_left(self, text: str) -> bool:
         """Whether another monitor would have recorded it by now: the robot has been driven for so long by an instance that is healthy."""
         found, driven = self._gate.state.recovery, self._notices.status.health in ("Healthy", "Degraded")
-        # Of a switchover it is seen what came of it (understudy.monitor.act.planned_switchover).
+        # The outcome of a switchover is observed by itself (understudy.monitor.act.planned_switchover).
         if (
             found is None
             or found.switchover is not None

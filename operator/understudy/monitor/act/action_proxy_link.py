@@ -67,7 +67,7 @@ class ActionProxyLink:
                 reader, writer = await asyncio.open_unix_connection(self._socket, limit=MOST)
             except OSError as error:
                 if time.monotonic() - away_since > PATIENCE:
-                    words = f"The task proxy (container {names.TASKS_CONTAINER} of this pod) can't be reached: {error}"
+                    words = f"The task proxy (container {names.TASKS_CONTAINER} of this pod) cannot be reached: {error}"
                     self._say("False", "ProxyNotReady", words)
                 await asyncio.sleep(RETRY)
                 continue
@@ -79,7 +79,7 @@ class ActionProxyLink:
             except* OSError as group_error:
                 _logger.info("the task proxy is gone: %s", group_error.exceptions[0])
             except* (ValueError, KeyError, TypeError) as group_error:
-                _logger.error("the task proxy said what can't be understood: %r", group_error.exceptions[0])
+                _logger.error("the task proxy said what cannot be understood: %r", group_error.exceptions[0])
             except* Exception:
                 # An error of any kind must not end the monitor.
                 _logger.exception("speaking with the task proxy")

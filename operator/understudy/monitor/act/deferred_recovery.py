@@ -1,7 +1,7 @@
 """Defers a recovery while the policy's budget is spent or a pause is in force: fences the failed pod, and does nothing
 else.
 
-The record at the gate says so, so that the next monitor continues to defer it.
+The record at the gate reports the deferral, so the next monitor continues it.
 """
 
 from __future__ import annotations

@@ -89,5 +89,5 @@ class GarbageCollection:
                     continue
                 await self._fleet.retire(instance)
                 _logger.warning("%s was left behind by a recovery: deleted", instance.name)
-                why = "has failed" if instance.uid in self._failed else "was claimed by a recovery that came to nothing"
+                why = "has failed" if instance.uid in self._failed else "was claimed by a recovery that did not succeed"
                 self._notices.event("Normal", "LeftoverDeleted", f"{instance.name} {why}: it is deleted")

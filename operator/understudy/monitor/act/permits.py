@@ -48,7 +48,7 @@ SAY_AGAIN = 0.5
 """Seconds after which an order that was not followed is sent again."""
 
 CATCH_UP = 1.0
-"""Seconds that the node of an instance that is connected again has to learn of the policies of now. One that isn't in control hears what
+"""Seconds that the node of an instance that is connected again has to learn of the policies of now. One that is not in control hears what
 becomes of it only then: by an old policy it might be let through, and be the robot's choice.
 """
 
@@ -77,7 +77,7 @@ def word(instance: Instance, state: GateState, replaced: Collection[str], recove
 def witnesses(
     instance: Instance, pods: Sequence[Object], *, workload: str, readers: Collection[bytes], robots: Sequence[str]
 ) -> list[str]:
-    """Addresses that show an instance that it isn't cut off, where one of them answers.
+    """Addresses that show an instance that it is not cut off, where one of them answers.
 
     First the robots, wherever they are, since who reaches its robot may drive it: pods on whose hosts (the first four bytes
     of a GID) there are readers of its outputs, and single addresses outside the cluster (CIDRs). Then pods on other nodes.

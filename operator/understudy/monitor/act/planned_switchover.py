@@ -117,7 +117,7 @@ class PlannedSwitchovers:
         now = time.monotonic()
         if self._task is not None:
             if wanted is None or self._wanted is None or wanted.key != self._wanted.key:
-                self._abandon("it isn't asked for any more")
+                self._abandon("it is not asked for any more")
             elif self._task.done():
                 return self._outcome(self._task) if not lacking else None
             elif now >= self._next and self._progress is not None:
@@ -184,7 +184,7 @@ class PlannedSwitchovers:
         self._leave(progress, self._touched)
         self._stop()
         self._rest(progress.switchover)
-        text = f"The gate wasn't switched: {reason}."
+        text = f"The gate was not switched: {reason}."
         self._notices.event("Warning", "SwitchoverNotDone", text)
         self._say(progress, "NotDone", text)
 
@@ -277,7 +277,7 @@ class PlannedSwitchovers:
             _logger.warning("preparing a switchover: %r", error)
             self._stop()
             self._wait(
-                wanted, f"the API server or an agent didn't do what it was asked for ({error})", time.monotonic()
+                wanted, f"the API server or an agent did not do what it was asked for ({error})", time.monotonic()
             )
             return None
         if prepared.target is not None:
@@ -296,7 +296,7 @@ class PlannedSwitchovers:
         if self._waits_since[0] != wanted.key:
             self._waits_since = (wanted.key, now)
         if wanted.request and now - self._waits_since[1] >= PATIENCE:
-            self._end("NotDone", f"It couldn't begin for {PATIENCE:g} s, and nothing was changed: {reason}.", wanted)
+            self._end("NotDone", f"It could not begin for {PATIENCE:g} s, and nothing was changed: {reason}.", wanted)
             return
         new = self._is_new(wanted)
         if new:
@@ -323,11 +323,11 @@ class PlannedSwitchovers:
         """Nobody asks for one. What waited, or was being prepared by an earlier monitor, comes to its end with that."""
         said = self._notices.status.switchover
         if said is not None and said.phase not in ENDED:
-            message = "Nothing was changed: it isn't asked for any more."
+            message = "Nothing was changed: it is not asked for any more."
             self._tell(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
 
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
-        """An understudy that something was done to isn't needed. A pod of the workload's own controller is that one's business."""
+        """An understudy that something was done to is not needed. A pod of the workload's own controller is that one's business."""
         if target is not None and progress.strategy != Restart.name:
             self._garbage.add(target)
 

@@ -25,7 +25,7 @@ CRASH_LOOP = "CrashLoopBackOff"
 """The kubelet's reason for a container that it does not start at once, because it ended repeatedly."""
 
 EVICTION = "DeletionByTaintManager"
-"""Why a pod is deleted whose node isn't ready or can't be reached (its condition DisruptionTarget)."""
+"""Why a pod is deleted whose node is not ready or cannot be reached (its condition DisruptionTarget)."""
 
 STATEFUL_SET_GRACE = 1
 """Seconds that a failed pod of a StatefulSet gets: its replacement has the same name and waits for it to be gone."""

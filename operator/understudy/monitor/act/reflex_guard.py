@@ -92,7 +92,7 @@ class ReflexGuard:
         active = self._fleet.find(state.active_uid)
         if state.closed or active is None:
             return None, ("False", "NoneInControl", "No pod is in control.")
-        # One that was claimed and isn't in control was left behind by a recovery, or another monitor brings it up: it won't stay.
+        # One that was claimed and is not in control was left behind by a recovery, or another monitor brings it up: it will not stay.
         others = [
             i
             for i in self._fleet.of_workload()
@@ -107,7 +107,7 @@ class ReflexGuard:
             return None, ("False", "NoStandby", f"No standby could take over: {why}.")
         strongest = self._strength(active)
         if strongest is None:
-            return current, ("Unknown", "StrengthUnknown", f"The agent of {active.name} hasn't said how strong it is.")
+            return current, ("Unknown", "StrengthUnknown", f"The agent of {active.name} has not said how strong it is.")
         weaker = [i for i in ready if (found := self._strength(i)) is not None and found[1] < strongest[0]]
         if not weaker:
             return None, self._too_strong(active, ready, now)
@@ -115,7 +115,11 @@ class ReflexGuard:
         if slow := self._too_slow(active):
             return None, ("False", "DeadlineTooShort", slow)
         if pods := [i.name for i in (active, *weaker) if self._observer.ambiguous(i.name)]:
-            return None, ("False", "Ambiguous", f"{', '.join(pods)} can't be told from other pods, see Monitored.")
+            return None, (
+                "False",
+                "Ambiguous",
+                f"{', '.join(pods)} cannot be distinguished from other pods (see the condition Monitored).",
+            )
         if current in weaker:
             return current, self._armed(active, current, now)
         if not all(measured(self._observer.arrivals(topic, active.name), now) for topic in self._takeover.topics):
@@ -140,7 +144,9 @@ class ReflexGuard:
                 f"Packets of {standby.name} do not get through although the gate admits it. {self._probes.block_hint}",
             )
         status = self._agents.status(active)
-        unfenced = f" It won't be held if its node is cut off: {status.unfenced}." if status and status.unfenced else ""
+        unfenced = (
+            f" It will not be held if its node is cut off: {status.unfenced}." if status and status.unfenced else ""
+        )
         return (
             "True",
             "Armed",
@@ -168,7 +174,7 @@ class ReflexGuard:
             self._notices.event(
                 "Normal",
                 "StandbyReplaced",
-                f"{known[0].name} is as strong as {active.name} and couldn't give way to it",
+                f"{known[0].name} is as strong as {active.name} and could not give way to it",
             )
             self._start(partial(self._retire, known[0]))
         return (

@@ -102,7 +102,7 @@ class SafeCommands:
                 commander = Commander(self._graph, command.topic, type_name, command.message)
             # The last of these is rclpy's: one process has a topic as one type, and the tree may watch it as another.
             except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:
-                _logger.error("the safe command for %s can't be given: %s", command.topic, error)
+                _logger.error("the safe command for %s cannot be given: %s", command.topic, error)
                 self.problems.append(f"FailurePolicy: spec.safety.commands[{index}]: {error}.")
                 continue
             self._commanders.append(commander)
@@ -135,7 +135,7 @@ class SafeCommands:
             commander.publish()
         except Exception:  # whatever rclpy raises
             if not failing:
-                _logger.exception("a safe command wasn't given")
+                _logger.exception("a safe command was not given")
             return True
         self.sent += 1
         return False

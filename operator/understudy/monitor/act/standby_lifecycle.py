@@ -164,7 +164,7 @@ class Bringing:
             self.notices.event(
                 "Warning",
                 "StandbyReplaced",
-                f"{instance.name} was ready and hasn't been for {LOST_FOR:g} s ({reason}): it is deleted, and another one is made",
+                f"{instance.name} was ready and has not been for {LOST_FOR:g} s ({reason}): it is deleted, and another one is made",
             )
             task = asyncio.create_task(self._replace(instance, care))
             self._replacing.add(task)
@@ -196,7 +196,7 @@ class Bringing:
         problems = [text for care in self._cared.values() if (text := care.problem)]
         if without:
             text = (
-                f"{', '.join(without)} has no agent, since a referred controller made it: bringUp and recovery can't be run "
+                f"{', '.join(without)} has no agent, since a referred controller made it: bringUp and recovery cannot be run "
                 "on it. Use a template, or have the application bring itself up."
             )
             if self.notices.condition("BroughtUp", "False", "NoAgent", text):

@@ -37,8 +37,8 @@ LEAST_LOOK = 0.05
 to the middleware, which keeps the last."""
 
 LOOK_AT_ODOMETRY = 0.1
-"""Seconds between two looks at odometry, of which again only the last message counts: at 0.5 m/s and 1 rad/s the way between
-two of them is told to a millimetre, and a jump is told from how the robot drives.
+"""Seconds between two looks at odometry. Only the last message of each interval counts: at 0.5 m/s and 1 rad/s the path between
+two of them is known to a millimetre, and a jump can be distinguished from driving.
 """
 
 UNCARRIED_FOR = 10.0
@@ -348,7 +348,8 @@ class StateKeeping:
             text = ". ".join(f"{entry.message}{self._place(entry.key.label)}" for entry in troubled) + "."
             if any(entry.trouble == "NeverCame" for entry in troubled):
                 text += (
-                    " What never came is not given to the one that takes over: correct it there, or have it published."
+                    " State that was never received is not restored on the instance that takes over. Correct the topic "
+                    "there, or publish it."
                 )
             reason = "TypeNotInstalled" if "not installed" in text else str(troubled[0].trouble)
             if self._notices.condition("StateKept", "False", reason, text):

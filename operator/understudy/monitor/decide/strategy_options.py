@@ -77,4 +77,4 @@ class StrategyOptions:
                 await first.look(means)
             return first.available(means)
         except (ApiError, TimeoutError) as error:
-            return str(error) or "the API server doesn't answer"
+            return str(error) or "the API server does not answer"

@@ -30,7 +30,7 @@ AGAIN = 30.0
 
 CONDITION, TASKS = "Degraded", "TasksProxied"
 
-_WAITS = " It isn't handed over yet: "
+_WAITS = " It is not handed over yet: "
 
 
 class DegradationLevel:
@@ -89,7 +89,7 @@ class DegradationLevel:
         self._notices.withdraw(CONDITION)
 
     def _begin(self, active: Instance, clock: float) -> None:
-        """Another instance is judged: what was said of the last one isn't so of this one, unless a new monitor just looks on."""
+        """Another instance is judged: what was said of the last one is not so of this one, unless a new monitor just looks on."""
         said = self._notices.status.find(CONDITION)
         self._level, self._idle_since, self._due, self._lacking = Level(), None, False, None
         if said is not None and said.status == "True":
@@ -102,7 +102,7 @@ class DegradationLevel:
         self._uid, self._next = active.uid, clock
 
     def _judge(self, degraded: Degraded, verdict: Verdict, clock: float, *, now: float, since: float) -> None:
-        # Of an instance whose health tree doesn't hold, or not yet, it isn't asked whether it is well.
+        # Of an instance whose health tree does not hold, or not yet, it is not asked whether it is well.
         healthy = verdict.state == "Healthy"
         found = self._observer.wellness(now=now, since=since) if healthy else Verdict("Starting", "", "", None)
         before = self._level.since
@@ -119,7 +119,7 @@ class DegradationLevel:
         elif found.state == "Healthy" and self._notices.status.reason(CONDITION) != "Well":
             self._notices.condition(CONDITION, "False", "Well", "The tree of spec.degraded holds.")
         elif found.state == "Starting" and healthy and self._notices.status.find(CONDITION) is None:
-            self._notices.condition(CONDITION, "Unknown", "Starting", f"It isn't known yet: {found.reason}.")
+            self._notices.condition(CONDITION, "Unknown", "Starting", f"It is not known yet: {found.reason}.")
 
     # -- handing over -----------------------------------------------------------------------------------------------
 
@@ -128,7 +128,7 @@ class DegradationLevel:
     ) -> None:
         """Note whether a hand-over is due, and else what it waits for.
 
-        It may be due while the tree holds again: what isn't well may show at work only.
+        It may be due while the tree holds again: what is not well may show at work only.
         """
         self._due, self._waits = False, None
         if reschedule is None or found.state == "Starting":
@@ -156,10 +156,10 @@ class DegradationLevel:
         return None
 
     def _busy(self, *, now: float, since: float) -> Busy | None:
-        """Why the robot doesn't count as idle. What the task proxy has of goals counts too, and so does not hearing of it."""
+        """Why the robot does not count as idle. What the task proxy has of goals counts too, and so does not hearing of it."""
         proxied = self._notices.status.find(TASKS)
         if proxied is not None and proxied.status != "True":
-            return Busy("tasks", f"how its tasks are can't be told ({TASKS} is {proxied.status}, {proxied.reason})")
+            return Busy("tasks", f"the state of its tasks is unknown ({TASKS} is {proxied.status}, {proxied.reason})")
         if goals := self._notices.status.goals:
             return Busy("task", f"a goal of {goals[0]} is active")
         return self._observer.busy(now=now, since=since)

@@ -68,9 +68,9 @@ class Wellness:
         try:
             found = load_inline(tree, path=path, grace=grace, fields=message_fields)
         except TreeError as error:
-            _logger.error("a tree of spec.degraded doesn't load, the last one stays: %s", error)
+            _logger.error("a tree of spec.degraded does not load, the last one stays: %s", error)
             self.problems.append(
-                f"A tree of spec.degraded doesn't load, the last good one stays in force: {error.in_short()}."
+                f"A tree of spec.degraded does not load, the last good one stays in force: {error.in_short()}."
             )
             return last
         found.begin(time.time())
@@ -81,7 +81,7 @@ class Wellness:
         """The topics to watch; some may be listed more than once."""
         trees = [tree for tree in (self._well, self._idle) if tree is not None]
         statuses = [WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True) for task in self._tasks]
-        # That it isn't well may wait for the next look, whatever a message says.
+        # That it is not well may wait for the next look, whatever a message says.
         return [*(replace(topic, prompt=False) for tree in trees for topic in tree.topics), *statuses]
 
     def leave_out(self, topics: Collection[str]) -> None:
@@ -108,6 +108,6 @@ class Wellness:
             )
             return None if self._tasks else nothing
         if blind := [topic.name for topic in self._idle.topics if topic.name in self._blind]:
-            return Busy("blind", f"{', '.join(blind)} can't be watched")
+            return Busy("blind", f"{', '.join(blind)} cannot be watched")
         verdict = self._idle.evaluate(observations, now=now, since=since)
         return None if verdict.state == "Healthy" else Busy("idle", verdict.reason)

@@ -63,11 +63,11 @@ class FailureDetector:
         self._debounce.clear()
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
-        """Whether the pod in control is lost, which needs no health tree: a failure, or when to look again.
+        """Return the failure if the active pod is lost, or when to look again. None if it is not lost. No health tree is needed.
 
-        One on a node that Kubernetes has lost goes on, whatever becomes of its object: its outputs say whether it lives.
+        A pod on a node that Kubernetes has lost stays active, regardless of its object: its outputs show whether it runs.
         A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone
-        (deleted by force) has none, and its process may run on for a moment: fencing it isn't possible, so the switch
+        (deleted by force) has none, and its process may run on for a moment: fencing it is not possible, so the switch
         waits until it is silent.
         """
         name = self._gate.state.active
@@ -78,7 +78,7 @@ class FailureDetector:
             active is None
             and (silent := self._observer.last_from(name)) is not None
             and now - silent < DEAD_AFTER
-            # Once a successor of the same name has an address, as in a StatefulSet, it's that one which is heard.
+            # Once a successor of the same name has an address, as in a StatefulSet, it is that one which is heard.
             and not any(i.name == name and i.ip for i in self._fleet.of_workload())
         ):
             return None, silent + DEAD_AFTER
@@ -91,7 +91,7 @@ class FailureDetector:
         self.since = min(self.since, now)
         verdict = self._observer.verdict(now=now, since=self.since)
         if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
-            # This monitor is new, its instance isn't: what its own agent says counts, not the grace for a start.
+            # This monitor is new, its instance is not: what its own agent says counts, not the grace for a start.
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
                 return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)

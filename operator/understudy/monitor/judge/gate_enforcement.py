@@ -71,11 +71,15 @@ def judge(
     if admitted_uid and all(i.uid in (active_uid, admitted_uid) for i in probing):
         return "Unknown", "Admitted", "The only standby is let through too, for the reflex."
     if len(probing) == 1:
-        return "Unknown", "NoStandby", "Packets of the pod in control get through; there's no standby to see held back."
+        return (
+            "Unknown",
+            "NoStandby",
+            "Packets of the pod in control get through; there is no standby to see held back.",
+        )
     return (
         "True",
         "SeenFromPackets",
-        "Packets of the pod in control get through the gate, those of every standby don't.",
+        "Packets of the pod in control get through the gate, those of every standby do not.",
     )
 
 

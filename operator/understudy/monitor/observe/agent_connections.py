@@ -121,7 +121,7 @@ class AgentConnections:
         return self._links[instance.uid]
 
     async def token(self, instance: Instance) -> bytes | None:
-        """The secret shared with an instance's agent; None while it can't be read."""
+        """The secret shared with an instance's agent; None while it cannot be read."""
         return await self._token(self._secret(instance))
 
     def _secret(self, instance: Instance) -> str:
@@ -134,7 +134,7 @@ class AgentConnections:
                 item = await self._client.get(SECRETS, self._view.namespace, secret)
                 self._tokens[secret] = base64.b64decode(item["data"]["token"])
             except (ApiError, aiohttp.ClientError, TimeoutError, OSError, KeyError, ValueError) as error:
-                _logger.warning("Secret %s can't be read: %r", secret, error)
+                _logger.warning("Secret %s cannot be read: %r", secret, error)
                 return None
         return self._tokens[secret]
 
@@ -148,7 +148,7 @@ class AgentConnections:
         self._wakeups.agent_reported()
 
     async def _renew(self, instance: Instance, link: AgentLink) -> None:
-        """The agent refuses the token, or another claim. The Secret may have been made anew: its agents have that one's token."""
+        """Try the present token of the Secret: the agent refuses the token or the claim, and the Secret may have been created again."""
         secret = self._secret(instance)
         again = time.monotonic() - self._read_at.get(secret, -READ_AGAIN) >= READ_AGAIN
         link.token = await self._token(secret, again=again) or link.token
@@ -170,7 +170,7 @@ class AgentConnections:
         self._spawn(configure())
 
     def _configuration(self, uid: str) -> tuple[Any, ...] | None:
-        """What an agent is told to judge its instance by; None while that isn't known."""
+        """Return what an agent judges its instance with; None while that is not known."""
         policy, spec, instance = self._view.policy, self._view.spec, self._instances.get(uid)
         if policy is None or spec is None:
             return None
@@ -219,7 +219,7 @@ class AgentConnections:
             await asyncio.sleep(RETRY)
 
     def status(self, instance: Instance) -> AgentStatus | None:
-        """What its agent last said; None while there's no connection."""
+        """What its agent last said; None while there is no connection."""
         link = self._links.get(instance.uid)
         return link.status if link else None
 
@@ -248,13 +248,13 @@ class AgentConnections:
             try:
                 await link.request("give_way", {})
             except (AgentGone, AgentRefused) as error:
-                _logger.info("%s doesn't give way: %s", instance.name, error)
+                _logger.info("%s does not give way: %s", instance.name, error)
 
         self._spawn(give_way())
         await asyncio.sleep(0)  # lets the request leave before the commit does
 
     def session(self, instance: Instance) -> tuple[int, int]:
-        """Another one for every connection that there is to its agent."""
+        """Return a value that changes with every connection to its agent."""
         link = self._links.get(instance.uid)
         return (id(link), link.sessions) if link else (0, 0)
 
@@ -262,7 +262,7 @@ class AgentConnections:
         """Tell an agent what it may hold its application by. Raises AgentGone, AgentRefused."""
         link = self._links.get(instance.uid)
         if link is None:
-            raise AgentGone(f"{instance.name}: its agent isn't connected")
+            raise AgentGone(f"{instance.name}: its agent is not connected")
         await link.request("lease", body, within=ANSWER_LATE)
 
     async def start(self, instance: Instance) -> None:
@@ -324,7 +324,7 @@ class AgentConnections:
         if procedure.problem:
             raise NotVerified(procedure.problem)
         loop = asyncio.get_running_loop()
-        end, problem = loop.time() + within, "its agent isn't connected"
+        end, problem = loop.time() + within, "its agent is not connected"
         wire = await asyncio.to_thread(state.to_wire) if state or state.left_out else None
         while (rest := end - loop.time()) > 0:
             try:
@@ -343,7 +343,7 @@ class AgentConnections:
         raise NotVerified(f"{procedure.name} of {instance.name}: not done within {within:.3g} s: {problem}")
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
-        """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
+        """Give it the state of the last healthy instance, in so many seconds. What cannot be given is in the report."""
         end = asyncio.get_running_loop().time() + within
         report = RestoreReport()
         for part in await asyncio.gather(*(self._give(instance, part, end) for part in state.batches(LARGEST))):
@@ -353,7 +353,7 @@ class AgentConnections:
     async def _give(self, instance: Instance, state: KeptState, end: float) -> RestoreReport:
         """Give it what fits into one request, until then by the loop's clock."""
         loop = asyncio.get_running_loop()
-        begun, problem = loop.time(), "its agent isn't connected"
+        begun, problem = loop.time(), "its agent is not connected"
         wire = await asyncio.to_thread(state.to_wire)
         while (rest := end - loop.time()) > 0:
             try:
@@ -374,17 +374,17 @@ class AgentConnections:
         """What an instance's nodes answer about their parameters and states. Raises AgentGone, AgentRefused."""
         link = self._links.get(instance.uid)
         if link is None:
-            raise AgentGone("its agent isn't connected")
+            raise AgentGone("its agent is not connected")
         return await link.request("inspect", {**body, "within": within}, within=within + ANSWER_LATE)
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
         """Whether the health tree holds on its own outputs now, and else why not."""
         link = self._links.get(instance.uid)
         if link is None:
-            return False, "its agent isn't connected yet"
+            return False, "its agent is not connected yet"
         status = link.status
         if status is None:
-            return False, f"its agent isn't connected: {link.problem}"
+            return False, f"its agent is not connected: {link.problem}"
         if not status.configured or status.phase == "Held":
             return False, f"its agent is {status.phase.lower()}"
         return status.ready, "" if status.ready else status.reason or "its outputs are not healthy"

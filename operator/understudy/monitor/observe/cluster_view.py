@@ -25,7 +25,7 @@ from understudy.trees.source.problems import TreeError
 _logger = logging.getLogger(__name__)
 
 POLICY_WITHIN = 10.0
-"""Seconds that a monitor waits for its policy when it begins. It may be refused for as long as the operator is away, or doesn't follow a
+"""Seconds that a monitor waits for its policy when it begins. It may be refused for as long as the operator is away, or does not follow a
 spec, which names another policy than before: the gate is looked after meanwhile.
 """
 
@@ -100,7 +100,7 @@ class ClusterView:
                 while self._referred and not self.policies.synced.is_set():
                     await any_changed((self.policies, self.workloads))
         except TimeoutError:
-            _logger.warning("FailurePolicy %s can't be read yet: beginning without one", self._referred)
+            _logger.warning("FailurePolicy %s cannot be read yet: beginning without one", self._referred)
         while self.settings is None:
             _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
             await self.settings_maps.changed()
@@ -117,7 +117,7 @@ class ClusterView:
         return Reflector(self.client, POLICIES, self.namespace, fields=_only(name))
 
     def _refer(self) -> None:
-        """Watch the policy that the workload refers to now. Until it's there, the one before stays in force."""
+        """Watch the policy that the workload refers to now. Until it is there, the one before stays in force."""
         spec = self.spec
         if self._group is None or spec is None or spec.failure_policy_ref.name == self._referred:
             return
@@ -131,7 +131,7 @@ class ClusterView:
     def _queue(self) -> None:
         """Watch who waits for pods of shared pools as long as there is one that this workload may claim from.
 
-        It isn't waited for: without it nothing is wrong, but two that wait may take turns less well.
+        It is not waited for: without it nothing is wrong, but two that wait may take turns less well.
         """
         settings = self.settings
         if self._group is None or settings is None:
@@ -162,7 +162,7 @@ class ClusterView:
 
     @property
     def spec(self) -> RobotWorkloadSpec | None:
-        """The workload's spec in force: while it can't be followed, the last one that could. None where it is gone."""
+        """The workload's spec in force: while it cannot be followed, the last one that could. None where it is gone."""
         if self._spec[0] != self.workloads.revision:
             item, spec = self.object, None
             if item is not None:
@@ -173,13 +173,13 @@ class ClusterView:
                     if spec is None or (problem := unloadable(("bringUp", given.bring_up), *trees)) is None:
                         spec = given
                     else:
-                        # Whether it is to be left alone doesn't depend on the rest.
+                        # Whether it is to be left alone does not depend on the rest.
                         spec = spec.model_copy(update={"pause": given.pause})
                         _logger.error(
-                            "RobotWorkload %s can't be followed, keeping its last spec: %s", self.workload, problem
+                            "RobotWorkload %s cannot be followed, keeping its last spec: %s", self.workload, problem
                         )
                 except ValidationError as error:
-                    _logger.error("RobotWorkload %s can't be read, keeping its last spec: %s", self.workload, error)
+                    _logger.error("RobotWorkload %s cannot be read, keeping its last spec: %s", self.workload, error)
             self._spec = (self.workloads.revision, spec)
         return self._spec[1]
 
@@ -196,11 +196,11 @@ class ClusterView:
 
     @property
     def policy(self) -> FailurePolicySpec | None:
-        """The policy in force: the one referred to, or, while that is missing or can't be followed, the last good one.
+        """The policy in force: the one referred to, or, while that is missing or cannot be followed, the last good one.
 
-        Where it leaves its strategies to be chosen, or has situations, it has those that the operator put in force for this workload.
-        Where there was none before, one with a recovery that doesn't load is better than none: it is that strategy that fails then,
-        and not the watching.
+        If it leaves its strategies to the operator, or has situations, it has those that the operator put in force for this workload.
+        If there is no earlier policy, one with a recovery that does not load is better than none: then that strategy fails, and
+        the workload is watched nevertheless.
         """
         given, settings = self._given_policy(), self.settings
         if given is None or not given.varies:
@@ -212,7 +212,7 @@ class ClusterView:
                 _logger.error(
                     "no strategies were chosen yet, keeping the last ones: see the condition StrategiesChosen"
                 )
-            # The same object as long as it says the same: who has followed it once needn't again.
+            # The same object as long as it says the same: who has followed it once need not again.
             self._followed = (given, settings, before if found is None or found == before else found)
         return self._followed[2]
 
@@ -238,13 +238,13 @@ class ClusterView:
                     self._policy = given
                 else:
                     _logger.error(
-                        "FailurePolicy %s can't be followed, keeping the last one: %s",
+                        "FailurePolicy %s cannot be followed, keeping the last one: %s",
                         item["metadata"]["name"],
                         problem,
                     )
             except ValidationError as error:
                 _logger.error(
-                    "FailurePolicy %s can't be read, keeping the last one: %s", item["metadata"]["name"], error
+                    "FailurePolicy %s cannot be read, keeping the last one: %s", item["metadata"]["name"], error
                 )
 
     def unclaimed(self, pool: str) -> Unclaimed:

@@ -23,7 +23,7 @@ class Seen(NamedTuple):
     """Whether the robot is seen in a situation."""
 
     so: bool | None
-    """None where that can't be told."""
+    """None if it is unknown."""
     reason: str
     """By what it is known, without figures: they would be another with every look."""
 
@@ -44,10 +44,10 @@ class Situating:
         self._signs: dict[str, _Sign] = {}
         self._blind: Collection[str] = ()
         self.problems: list[str] = []
-        """What doesn't load and why."""
+        """What does not load and why."""
 
     def follow(self, policy: FailurePolicySpec) -> bool:
-        """Judge by this policy; whether that changed anything. A tree that doesn't load leaves the last one in force."""
+        """Judge by this policy; whether that changed anything. A tree that does not load leaves the last one in force."""
         if self._given == policy.situations:
             return False
         self._given, self.problems = policy.situations, []
@@ -59,12 +59,12 @@ class Situating:
         if when.task is not None:
             return _Sign(task=TaskActive(when.task.action))
         try:
-            # Without a grace: what isn't seen to hold doesn't, also of an instance that has just taken control.
+            # Without a grace: what is not seen to hold does not, also of an instance that has just taken control.
             tree = load_inline(when, path=f"spec.situations[{index}].when", grace=0.0, fields=message_fields)
         except TreeError as error:
-            _logger.error("a tree of spec.situations doesn't load, the last one stays: %s", error)
+            _logger.error("a tree of spec.situations does not load, the last one stays: %s", error)
             self.problems.append(
-                f"The tree of the situation {situation.name} doesn't load, the last good one stays in force: {error.in_short()}."
+                f"The tree of the situation {situation.name} does not load, the last good one stays in force: {error.in_short()}."
             )
             return self._signs.get(situation.name, _Sign())
         tree.begin(time.time())

@@ -34,7 +34,7 @@ from understudy.monitor.observe.wakeups import Wakeups
 _logger = logging.getLogger(__name__)
 
 CONDITION = "DependencyFailed"
-"""The condition that says that a failure isn't acted on, since it may follow from another workload's."""
+"""The condition that says that a failure is not acted on, since it may follow from another workload's."""
 
 VERIFIED_WITHIN = 10.0
 """Seconds that an instance which is brought up again has besides its procedures, until it is seen to drive."""
@@ -91,7 +91,7 @@ class _Watched:
             text = GateRecord.of(gate).recovery if gate is not None else ""
             return Seen.of(status, Progress.model_validate_json(text) if text else None)
         except ValidationError as error:
-            _logger.warning("what RobotWorkload %s says can't be read: %s", self._name, error)
+            _logger.warning("what RobotWorkload %s says cannot be read: %s", self._name, error)
             return Seen()
 
 
@@ -108,7 +108,7 @@ class Dependencies:
         self._noticed: float | None = None
         """Since when it has failed without a break."""
         self._reason = ""
-        """Why, as it was told first: a figure in it may change with every look, and what is said of it shouldn't."""
+        """The reason as it was first reported: a figure in it may change with every look, and the message should not."""
 
     # -- watching them --------------------------------------------------------------------------------------------------
 
@@ -167,20 +167,20 @@ class Dependencies:
     # -- a failure here -------------------------------------------------------------------------------------------------
 
     def notice(self, onset: float, detected: float) -> None:
-        """The health tree fails: those that depend on this one are told at once, since this one may be waiting for others."""
+        """Note that the health tree fails. Workloads that depend on this one learn it at once, since this one may wait for others."""
         if self._watched and self._noticed is None:
             self._noticed = detected
             self._notices.set(failing_since=onset)
             self._notices.hurry()
 
     def well(self, pod: str) -> None:
-        """The health tree holds, or can't tell."""
+        """The health tree holds, or cannot tell."""
         self._noticed, self._reason = None, ""
         if self._holds:
-            self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} doesn't fail any more.")
+            self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} does not fail any more.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
-        """By when to look again at a failure that isn't acted on yet; None where it is to be acted on."""
+        """By when to look again at a failure that is not acted on yet; None where it is to be acted on."""
         if not self._watched:
             return None
         noticed = min(self._noticed, now) if self._noticed is not None else now
@@ -312,5 +312,5 @@ def following(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec, choi
 
 
 def _created(instance: Instance) -> float:
-    """When its pod was made, in whole unix seconds; 0 where that isn't known."""
+    """When its pod was made, in whole unix seconds; 0 where that is not known."""
     return datetime.fromisoformat(instance.created).timestamp() if instance.created else 0.0

@@ -35,7 +35,7 @@ LOOK = 0.002
 """Seconds between looks while a switch is being verified."""
 
 POD_LOOK = 0.1
-"""Seconds after which what is known of the pod in control is said anew: it is as true of one that has just taken control."""
+"""Seconds after which the state of the active pod is passed on again: another pod may have become active."""
 
 
 class HealthObserver:
@@ -45,7 +45,7 @@ class HealthObserver:
         """``meter`` measures what the pod in control uses of its node; without one, no leaf can judge that."""
         self.graph = Graph("understudy_monitor")
         self.coming = ArrivalWakeups()
-        """Tell of messages that are to be looked at as they come."""
+        """Reports messages that must be looked at as they arrive."""
         self._watching = TopicWatch(self.graph, arrivals=self.coming)
         self._tree: HealthTree | None = None
         self._loaded: tuple[Monitoring, list[Output]] | None = None
@@ -61,10 +61,10 @@ class HealthObserver:
         """What is asked of the pod in control."""
         self._meter = meter
         self.addresses: dict[str, str] = {}
-        """The instances that there are, and were a moment ago: IP by pod name."""
+        """IP by pod name, of the instances that exist or existed a moment ago."""
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
-        """Watch what this policy's tree and this workload need; one that doesn't load leaves the last in force."""
+        """Watch what this policy's tree and this workload need; one that does not load leaves the last in force."""
         outputs = spec.outputs if spec else self._outputs
         again = self._wellness.follow(policy, spec) | self._situating.follow(policy)
         if self._loaded == (policy.monitoring, outputs):
@@ -78,9 +78,9 @@ class HealthObserver:
             self._tree = load_monitoring(policy.monitoring, fields=message_fields)
             self._tree.begin(time.time())
         except TreeError as error:
-            _logger.error("the policy's tree doesn't load, the last one stays: %s", error)
+            _logger.error("the policy's tree does not load, the last one stays: %s", error)
             self._problems.append(
-                f"The policy's health tree doesn't load, the last good one stays in force: {error.in_short()}."
+                f"The policy's health tree does not load, the last good one stays in force: {error.in_short()}."
             )
         for index, output in enumerate(outputs):
             try:
@@ -125,7 +125,7 @@ class HealthObserver:
 
     @property
     def problems(self) -> list[str]:
-        """What isn't watched and why, with what to do."""
+        """What is not watched and why, with what to do."""
         unmetered = self._meter.problems if self._meter is not None else []
         watched = [*self._watching.problems, *self._watching.sources.problems()]
         blind = [f"{one}." for one in self._tree.blind] if self._tree is not None else []
@@ -133,7 +133,7 @@ class HealthObserver:
 
     @property
     def waiting(self) -> list[str]:
-        """Topics that can't be watched before somebody publishes them."""
+        """Topics that cannot be watched before somebody publishes them."""
         return self._watching.waiting
 
     @property
@@ -218,7 +218,7 @@ class HealthObserver:
         return self._wellness.verdict(self._watching, now=now, since=since)
 
     def busy(self, *, now: float, since: float) -> Busy | None:
-        """Why the robot doesn't count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
+        """Why the robot does not count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
         return self._wellness.busy(self._watching, now=now, since=since)
 
     def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:

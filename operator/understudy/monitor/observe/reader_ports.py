@@ -20,13 +20,13 @@ class Reading:
 
     topic: str
     node: str
-    """Fully qualified; empty where it isn't known."""
+    """Fully qualified; empty where it is not known."""
     places: tuple[Locator, ...]
     """Where it listens."""
 
     @property
     def gated(self) -> bool:
-        """Whether it listens at no port that the gate doesn't close."""
+        """Whether it listens at no port that the gate does not close."""
         first, last = names.GATE_RANGE
         return all(first <= place.port <= last for place in self.places)
 
@@ -49,11 +49,11 @@ def judge(
 ) -> Judgement:
     """Status, reason and message of the condition OutputsRead.
 
-    ``untold`` are the topics with readers of which DDS hasn't told where they listen; ``robots`` the addresses of robots outside the
+    ``untold`` are the topics with readers of which DDS has not told where they listen; ``robots`` the addresses of robots outside the
     cluster, as CIDRs.
 
-    Who reads past the gate counts as the robot, unless it is a tool, or the robot is seen to read that output at a gated port as well:
-    then it may be a recorder or a display, and is told of without alarm.
+    A reader outside the gate counts as the robot, unless it is a tool, or the robot also reads that output at a gated port: then the
+    reader may be a recorder or a display, and is reported without an alarm.
     """
     ungated: list[Reading] = []
     harmless: list[Reading] = []
@@ -73,7 +73,7 @@ def judge(
         return "Unknown", "NobodyReads", " ".join([_unread(unread), *past])
     if untold:
         listed = ", ".join(topic for topic in topics if topic in untold)
-        return "Unknown", "NotTold", " ".join([f"DDS didn't tell where all those listen who read {listed}.", *past])
+        return "Unknown", "NotTold", " ".join([f"DDS did not tell where all those listen who read {listed}.", *past])
     if past:
         return "True", "ReadPastTheGate", past[0]
     return "True", "AtGatedPorts", f"Read at gated ports: {'; '.join(map(str, readings))}."
@@ -93,7 +93,7 @@ def _within(address: str, ranges: Sequence[str]) -> bool:
 
 def _without_profile(workload: str, readings: Sequence[Reading]) -> str:
     return (
-        f"The gate doesn't reach who reads {'; '.join(map(str, readings))}: every instance that executes is heard there, and not only "
+        f"The gate does not reach who reads {'; '.join(map(str, readings))}: every instance that executes is heard there, and not only "
         f"the pod in control. Start that process with the robot's DDS profile: understudy robot-profile {workload}, and for a pod "
         "docs/how-to/own-application.md."
     )

@@ -1,6 +1,6 @@
 """What the pod in control takes of its node, by the cluster's metrics API (metrics.k8s.io, as metrics-server serves it).
 
-Its figures are the kubelets' own. A kubelet itself isn't asked: that takes a right to nodes, by which a monitor could run
+Its figures are the kubelets' own. The monitor does not ask a kubelet itself: that needs a right to nodes, with which it could run
 anything in any pod there (``nodes/proxy``) or read figures of everybody's (``nodes/metrics``). This one only lets it read those
 of pods of its own namespace.
 """
@@ -27,7 +27,7 @@ STALE = 90.0
 """Seconds without new figures after which the old ones say nothing any more."""
 
 _ABSENT = (
-    "CPU and memory of pods can't be told: the cluster has no metrics API (metrics.k8s.io); install metrics-server, or leave "
+    "CPU and memory of pods are unknown: the cluster has no metrics API (metrics.k8s.io); install metrics-server, or leave "
     "cpu and memory out of the health tree."
 )
 
@@ -69,7 +69,7 @@ class ResourceMeter:
             return [self._problem]
         late = time.monotonic() - self._since >= STALE
         lacking = (
-            f"CPU and memory of {self._pod} can't be told: the metrics API has had no figures of it for {STALE:g} s."
+            f"CPU and memory of {self._pod} are unknown: the metrics API has had no figures of it for {STALE:g} s."
         )
         return [f"{lacking} Look at metrics-server."] if late else []
 
@@ -86,11 +86,13 @@ class ResourceMeter:
             found = await self._client.list(POD_METRICS, self._namespace, labels=f"{names.WORKLOAD}={self._workload}")
             self._take(found)
         except ApiError as error:
-            problem = _ABSENT if error.not_found else f"CPU and memory of pods can't be told: {error.message:.300}."
+            problem = _ABSENT if error.not_found else f"CPU and memory of pods are unknown: {error.message:.300}."
         except (aiohttp.ClientError, TimeoutError, OSError) as error:
-            problem = f"CPU and memory of pods can't be told: {error!r:.300}."
+            problem = f"CPU and memory of pods are unknown: {error!r:.300}."
         except (KeyError, TypeError, ValueError, AttributeError) as error:
-            problem = f"CPU and memory of pods can't be told: the metrics API answers otherwise than expected: {error!r:.300}."
+            problem = (
+                f"CPU and memory of pods are unknown: the metrics API returned an unexpected answer: {error!r:.300}."
+            )
         if problem != self._problem:
             if problem:
                 _logger.warning("%s", problem)

@@ -22,7 +22,7 @@ from understudy.ros.rmw import MIDDLEWARE
 _logger = logging.getLogger(__name__)
 
 PERIOD = 2.0
-"""Seconds between looks at who reads. DDS is asked for those only that weren't there at the last one."""
+"""Seconds between looks at who reads. DDS is asked for those only that were not there at the last one."""
 
 WITHIN = 5.0
 """Most seconds that an answer is waited for."""
@@ -31,8 +31,8 @@ AGAIN = 30.0
 """Seconds before it is asked again for those of which it has told nothing."""
 
 SETTLE = 10.0
-"""Seconds for which it must stand before it is said: an instance's address comes a moment after its readers, and a process that
-reads may be started anew.
+"""Seconds for which a finding must last before it is reported: the address of an instance arrives a moment after its readers, and
+a reading process may restart.
 """
 
 CONDITION = "OutputsRead"
@@ -50,7 +50,7 @@ class RobotReaders:
         self._judged: tuple[Judgement | None, float] = (None, 0.0)
         said = notices.status.find(CONDITION)
         self.ungated = said.message if said is not None and said.reason == UNGATED else ""
-        """What is wrong with the readers that the gate doesn't reach; empty for nothing."""
+        """What is wrong with the readers that the gate does not reach; empty for nothing."""
 
     async def run(self) -> None:
         """Look until cancelled. What goes wrong here must not end the monitor."""
@@ -89,7 +89,7 @@ class RobotReaders:
         self._settle(judged, time.monotonic())
 
     async def _ask(self, there: set[bytes]) -> None:
-        """Ask DDS for the readers that are new, and now and then for those of which it hasn't told."""
+        """Ask DDS for the readers that are new, and now and then for those of which it has not told."""
         self._places = {gid: places for gid, places in self._places.items() if gid in there}
         self._asked &= there
         unknown, now = there - self._places.keys(), time.monotonic()
@@ -99,7 +99,7 @@ class RobotReaders:
         try:
             found = await MIDDLEWARE.reader_locators(unknown, self._address, os.environ, within=WITHIN)
         except (OSError, ValueError) as error:
-            _logger.warning("discovery can't be asked where the outputs are read: %s", error)
+            _logger.warning("discovery cannot be asked where the outputs are read: %s", error)
             found = {}
         self._places |= found
         self._again = time.monotonic() + AGAIN

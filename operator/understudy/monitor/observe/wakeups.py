@@ -25,7 +25,7 @@ STALLED = 0.03
 be in its queues yet either, and silence is judged only after as long again."""
 
 STALL_MOST = 0.25
-"""Most seconds that a verdict is put off for a stall: a node that is starved for longer can't be waited for."""
+"""Most seconds that a verdict is put off for a stall: a node that is starved for longer cannot be waited for."""
 
 
 class Wakeups:
@@ -70,11 +70,11 @@ class Looks:
         self._next: float | None = None
 
     def restart(self) -> None:
-        """Something else was done since the last look: the next one isn't late."""
+        """Something else was done since the last look: the next one is not late."""
         self._next = None
 
     def begin(self) -> float:
-        """Begin a look; the time by which it judges. What has arrived until now is seen by it."""
+        """Begin a look. Returns its time in Unix seconds; it covers everything that has arrived until then."""
         self._wake.clear()
         if self._arrivals is not None and self._arrivals.asked:
             self._arrivals.clear()

@@ -88,7 +88,7 @@ class BlackBox:
         self._follow()
         if (ring := self._ring) is None:
             return
-        if self._present and not self._due:  # nothing came of that one
+        if self._present and not self._due:  # that recovery did not happen
             ring.let_go()
         self._present = progress.id
         ring.hold(progress.moments.get("detected", time.time()))

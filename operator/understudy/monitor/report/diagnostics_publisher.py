@@ -63,7 +63,7 @@ class DiagnosticsPublisher:
         self._stream = notices.subscribe()
         self._next = 0.0
         self.problems: list[str] = []
-        """What isn't told and why, with what to do."""
+        """What is not told and why, with what to do."""
 
     def _read(self) -> None:
         """Remember how the status changed since the last call."""
@@ -77,7 +77,7 @@ class DiagnosticsPublisher:
             self._pending.append(now)
             self._changed = True
         elif self._pending and (now.active, now.epoch) == (self._pending[-1].active, self._pending[-1].epoch):
-            # Why it is so is said a moment after that it is so; what is said after the switch belongs to what comes next.
+            # The reason is reported a moment after the state; a report after the switch belongs to the next state.
             self._pending[-1] = now._replace(at=self._pending[-1].at)
 
     async def run(self) -> None:
@@ -110,7 +110,7 @@ class DiagnosticsPublisher:
                 await asyncio.sleep(QUIET)
 
     def _follow(self, settings: MonitorSettings) -> None:
-        """Open what is asked for and wasn't, and close what no longer is."""
+        """Open what is asked for and was not, and close what no longer is."""
         self._settings, self.problems = settings, []
         try:
             if settings.diagnostics and self._diagnostics is None:

@@ -101,7 +101,7 @@ def write(file: IO[bytes], content: Content) -> int:
             except TypeNotInstalled:  # it was, when it was received
                 text = ""
             schemas[track.type] = writer.register_schema(track.type, "ros2msg", text.encode())
-        # The profile requires it of every channel; of a topic of which it isn't known, players offer what is usual.
+        # The profile requires it of every channel; of a topic of which it is not known, players offer what is usual.
         offered = {"offered_qos_profiles": content.offers.get(track.topic) or offers([])}
         channels[track.topic] = writer.register_channel(track.topic, "cdr", schemas[track.type], offered)
     count = 0

@@ -65,7 +65,7 @@ _WAITS = Histogram(
 )
 _CLAIMS = Histogram(
     "understudy_claim_seconds",
-    "How long the claim of a pod of a shared pool took, by what came of it.",
+    "Duration of the claim of a pod of a shared pool, by its result.",
     ["result"],
     buckets=_WRITES,
 )
@@ -180,7 +180,7 @@ def _of_looks(looks: int, overruns: int) -> list[Metric]:
         CounterMetricFamily("understudy_tree_evaluations", "Looks at the health tree.", value=looks),
         CounterMetricFamily(
             "understudy_tree_overruns",
-            "Looks at the health tree that came so late that silence can't be judged by them at once.",
+            "Looks at the health tree that came so late that silence cannot be judged by them at once.",
             value=overruns,
         ),
     ]

@@ -1,7 +1,7 @@
 """Recordings of failures on the disk: a few of them, of a bounded size, each whole or not there at all.
 
-A recording is a file named by its recovery, and beside it what is told of it. The second is written first, and both by a rename, so
-that a monitor that is killed leaves no half of one. Files aren't synced: what a lost node tore is noticed by the checksum.
+A recording is a file that is named after its recovery, with a description beside it. The description is written first, and both
+by a rename, so that a killed monitor leaves no partial file. Files are not synced: the checksum reveals what a lost node tore.
 """
 
 from __future__ import annotations

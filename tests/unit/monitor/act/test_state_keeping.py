@@ -139,8 +139,8 @@ async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkey
     monkeypatch.setattr(pure, "PATIENCE", 0.3)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
     told = (
-        "/amcl_pose: nobody publishes it (state.keep[0] of the policy). What never came is not given to the one that takes "
-        "over: correct it there, or have it published."
+        "/amcl_pose: nobody publishes it (state.keep[0] of the policy). State that was never received is not restored on the "
+        "instance that takes over. Correct the topic there, or publish it."
     )
     assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", told)
     assert monitor.told.events == [("Warning", "StateNeverCame", told)]
@@ -199,7 +199,7 @@ async def test_an_agent_that_does_not_answer_is_told(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
     assert monitor.told.conditions["StateKept"][2] == (
-        "/amcl (lifecycle): its agent isn't connected (state.lifecycle[0] of the policy)."
+        "/amcl (lifecycle): its agent is not connected (state.lifecycle[0] of the policy)."
     )
 
 

@@ -97,7 +97,7 @@ def test_what_can_not_be_watched_is_not_idle() -> None:
     found, record = wellness({"idle": STILL}, "/go"), TopicRecord()
     record.add(time.time())
     found.leave_out(frozenset({"/beat"}))
-    assert busy(found, RecordedObservations({"/beat": record})) == "/beat can't be watched"
+    assert busy(found, RecordedObservations({"/beat": record})) == "/beat cannot be watched"
 
 
 def test_an_idle_tree_that_does_not_load_is_told_by_its_place() -> None:

@@ -126,7 +126,7 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
     enforced.look(NOW)
     clock[0] = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
-    readers.ungated = "The gate doesn't reach who reads /cmd_vel."
+    readers.ungated = "The gate does not reach who reads /cmd_vel."
     assert enforced.judge([ACTIVE, STANDBY]) == ("False", "ReaderWithoutProfile", readers.ungated)
     assert enforced.judge([ACTIVE])[:2] == ("False", "ReaderWithoutProfile"), "where there is no standby too"
     enforced.say(enforced.judge([ACTIVE, STANDBY]))

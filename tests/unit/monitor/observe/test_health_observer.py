@@ -187,7 +187,7 @@ def test_a_condition_over_a_field_that_is_not_there_leaves_the_last_tree_in_forc
     leaf = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percent > 0.15"}
     observer.follow(_policy({"value": leaf}), None)
     (problem,) = observer.problems
-    assert problem.startswith("The policy's health tree doesn't load, the last good one stays in force")
+    assert problem.startswith("The policy's health tree does not load, the last good one stays in force")
     assert "spec.monitoring.yaml.value.holds: found 'percent > 0.15': sensor_msgs/msg/BatteryState has no" in problem
     assert observer.gated == ["/beat", "/cmd_vel"]
 
@@ -368,7 +368,7 @@ def test_what_the_pod_takes_is_asked_for_where_the_tree_needs_it_and_judged(obse
     )
     observer.drain(instances, "w-2")
     assert (meter._pod, meter.usage) == ("w-2", None)
-    meter._problem = "CPU and memory of pods can't be told: because."
+    meter._problem = "CPU and memory of pods are unknown: because."
     assert meter._problem in observer.problems
 
 

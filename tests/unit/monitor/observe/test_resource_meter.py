@@ -113,7 +113,7 @@ async def test_nothing_is_asked_while_nobody_wants_it(api: Any, meter: ResourceM
     ("refusal", "expected"),
     [
         ((404, "the server could not find the requested resource"), "the cluster has no metrics API"),
-        ((403, "pods.metrics.k8s.io is forbidden"), "can't be told: pods.metrics.k8s.io is forbidden."),
+        ((403, "pods.metrics.k8s.io is forbidden"), "are unknown: pods.metrics.k8s.io is forbidden."),
         ((503, "the server is currently unable to handle the request"), "is currently unable to handle"),
     ],
 )
@@ -147,7 +147,7 @@ async def test_figures_that_are_never_made_anew_become_worthless(
     monkeypatch.setattr(resource_meter, "STALE", 0.2)
     await until(lambda: meter.usage is None)
     (problem,) = meter.problems
-    assert problem.startswith("CPU and memory of w-1 can't be told: the metrics API has had no figures of it for 0.2 s")
+    assert problem.startswith("CPU and memory of w-1 are unknown: the metrics API has had no figures of it for 0.2 s")
     monkeypatch.setattr(resource_meter, "STALE", 90.0)
     served.has("w-1", 2, drive=("2", "1Mi"))
     await until(lambda: meter.usage is not None and meter.usage.cpu == 2.0)

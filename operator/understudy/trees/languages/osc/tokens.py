@@ -26,15 +26,13 @@ DEEPEST_BRACKETS = 4
 
 NEWLINE, INDENT, DEDENT = "NEWLINE", "INDENT", "DEDENT"
 
-_TASK = "what only counts while the robot works on a task is said by while_task_active() in the node's with:"
+_TASK = "write while_task_active() in the node's with: for what only counts while the robot works on a task"
 _JUDGES = "a health tree takes no action"
 _DECLARES = (
     "a policy declares nothing but one scenario and its parameters; what there is comes with import osc.understudy"
 )
 _EVERYWHERE = "nothing is declared but one scenario and its parameters; what there is comes with import osc.understudy"
-_EVENTS = (
-    f"{_JUDGES}, and neither waits nor sends events; leave it out. How long something may be missing is said by gap"
-)
+_EVENTS = f"{_JUDGES}, and neither waits nor sends events; leave it out. Use gap for how long something may be missing"
 _CALCULATES = "nothing is calculated; write the value"
 
 REFUSED: Mapping[str, str] = {
@@ -70,7 +68,7 @@ _NO_CALLS = "it calls no functions; leave it out"
 _WAITED = "wait_for() says what to wait for, and timeout() in the with: of a node for how long; leave it out"
 _LOOKED = "a check is evaluated in every period and does not wait; leave it out"
 _BRANCH = "write a one_of: with a serial: in it: first the condition, then what depends on it"
-_COMPARED = "what must hold is said by a condition, such as parameter_is() or value()"
+_COMPARED = "write what must hold as a condition, such as parameter_is() or value()"
 
 
 def _refused(events: str) -> Mapping[str, str]:
