@@ -16,7 +16,7 @@ Found = Mapping[tuple[str, str], Sequence[float]]
 
 
 def measured(watched: Callable[[], AbstractContextManager[Sequence[Role]]], rounds: int, length: float) -> Found:
-    """Measure watchers for ``length`` seconds a round; they are started anew for each."""
+    """Measure watchers for ``length`` seconds a round; they are started again for each."""
     found: dict[tuple[str, str], list[float]] = {}
     for number in range(rounds):
         with watched() as watchers:

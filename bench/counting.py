@@ -8,7 +8,7 @@ from itertools import pairwise
 
 
 def worst_gap(times: Sequence[float], since: float) -> float:
-    """The longest time between two that follow each other, of which the later is after ``since``; 0 where there are none."""
+    """The longest time between two that follow each other, of which the later is after ``since``; 0 if there are none."""
     return max((b - a for a, b in pairwise(times) if b > since), default=0.0)
 
 
@@ -45,6 +45,6 @@ def falls_below(times: Sequence[float], least: int, window: float, since: float)
 
 
 def first_from(times: Sequence[float], moment: float) -> float | None:
-    """The first of them that isn't before a moment; None where there is none."""
+    """The first of them that isn't before a moment; None if there is none."""
     place = bisect_left(times, moment)
     return times[place] if place < len(times) else None

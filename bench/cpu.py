@@ -64,7 +64,7 @@ class Usage:
             elif counter.seconds >= former.seconds:
                 self.used[container] += counter.seconds - former.seconds
             else:
-                self.used[container] += counter.seconds  # restarted: the counter began anew
+                self.used[container] += counter.seconds  # restarted: the counter began again
             self._last[container] = counter
             self._begun = counter.at if self._begun is None else min(self._begun, counter.at)
             self._ended = max(self._ended, counter.at)

@@ -9,7 +9,7 @@ all others.
 
 Lateness is the time of the verdict less the moment at which the failure was one by what is configured: of a gap and a
 rate, when it had passed by the times of receipt; of what a message says, when that was received, and ``for`` had
-passed. Publishers and nodes that end are told apart: the ROS graph is looked at ten times a second.
+passed. Publishers and nodes that end are distinguished: the ROS graph is looked at ten times a second.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from bench.results import Report
 from bench.roles import Role
 
 PREMATURE = 0.001
-"""Seconds by which a verdict may be early, which it isn't but for rounding."""
+"""Seconds that a verdict may be early because of rounding."""
 
 GRAPH = "gone from the ROS graph"
 
@@ -74,7 +74,7 @@ FAILURES = (
 def due(leaf: Leaf, failure: Failure, begun: float, seen: Mapping[str, Any]) -> float | None:
     """When a failure was one by what is configured, of what was received; None where that doesn't say so.
 
-    ``begun`` is when it was made, or the first message that has it was about to be sent; ``seen`` is what was told of the
+    ``begun`` is when it was made, or the first message that has it was about to be sent; ``seen`` is what was reported of the
     verdict. All are Unix seconds.
     """
     arrivals: Sequence[float] = seen["arrivals"]
@@ -154,7 +154,7 @@ class Bench:
             process.signal(signal.SIGCONT)
 
     def _next(self, state: str, judge: Role) -> dict[str, Any]:
-        """What is told when the tree gets into a state."""
+        """What is reported when the tree enters a state."""
         while (told := judge.told(30))["told"] != state:
             self._note([told], f"before it was {state}")
         return told

@@ -5,7 +5,7 @@
 
 Each run is the real code of monitors and operator over a modelled API server, network and cluster, in virtual time
 (tests/unit/interleavings); all of it follows from its seed. To each three runs comes one with a reflex, whose robots' readers are
-modelled too: of seeds from 1,000,000 on. With --seed that one run is made, and all that happened is told.
+modelled too: of seeds from 1,000,000 on. With --seed that one run is made, and everything that happened is printed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ SHARE = 3
 """Runs without a reflex to each one with it."""
 
 UNANSWERED = ("lost", "unanswered", "unheard", "late", "gateway")
-"""What becomes of requests of which their sender doesn't know whether they were carried out."""
+"""What happens to requests whose sender does not know whether they were carried out."""
 
 
 @dataclass

@@ -20,7 +20,7 @@ from bench.counting import least_count, most_count, worst_gap
 from bench.roles import answer, end_with_parent, tell
 
 EVIDENCE = 4.0
-"""Seconds of a topic's receipts that are told with a failure."""
+"""Seconds of a topic's receipts that are reported with a failure."""
 
 
 def judge(
@@ -33,7 +33,7 @@ def judge(
     ip: str = "192.0.2.10",
     leaves: Mapping[str, str] | None = None,
 ) -> None:
-    """Judge until killed, tell of failures, and answer ``received`` and ``seen``; ``record`` turns the black box on and off.
+    """Judge until killed, report failures, and answer ``received`` and ``seen``; ``record`` turns the black box on and off.
 
     Args:
         monitoring: as of a FailurePolicy.
@@ -42,7 +42,7 @@ def judge(
         kept: topics whose state is kept.
         black_box: as of a FailurePolicy.
         ip: of the instance in control; empty where all processes are to count as its own.
-        leaves: the topic of each leaf by its path, whose receipts are told with a failure.
+        leaves: the topic of each leaf by its path, whose receipts are reported with a failure.
     """
     _Judge(monitoring, topics, outputs, kept, black_box, ip, leaves or {}).run()
 

@@ -281,7 +281,7 @@ def own_fault(leaf: Leaf, sends: Sequence[Sequence[float]], at: float) -> str:
 
 
 def senders_fault(told: Mapping[str, Any], roles: Mapping[str, Role]) -> str:
-    """Why an alarm that was told of is true by what the sender itself remembers; empty where it isn't."""
+    """Why a reported alarm is true, according to the sender's own record; empty if it is not."""
     leaf = next(leaf for leaf in LEAVES if leaf.path == told["leaf"])
     if leaf.gap is None and leaf.window is None and leaf.most is None:
         return ""

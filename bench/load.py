@@ -50,7 +50,7 @@ class Load:
             process.wait()
 
     def busy(self) -> float:
-        """Percent of the processor time that there was since its begin which was used."""
+        """Percent of the available processor time that was used since its start."""
         passed = time.monotonic() - self._begun
         return 100 * (processor_seconds()[0] - self._used) / (passed * (os.cpu_count() or 1))
 

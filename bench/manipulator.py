@@ -9,7 +9,7 @@ those of its sensors. Four watch them at the same time:
 
 - ours: the monitor's own view of the robot in the monitor's process with all that it imports, as in `scripts/bench monitor`;
   the velocities are gated, so they have a port of their own.
-- keeping: the same, which also keeps the state of two of the topics, persists it and tells of it.
+- keeping: the same, which also keeps the state of two of the topics, persists it and reports it.
 - recording: as ours, with the black box: all that it received in the last 30 seconds is in its memory.
 - callbacks: an rclpy node that does for each topic what `ros2 topic hz` does: a callback that notes the time, without
   decoding the message, and every second the rate and the least, greatest and spread of the intervals of the last second.

@@ -74,7 +74,7 @@ def main() -> int:
     except KeyboardInterrupt:
         print("ended early: these are the figures so far", flush=True)
     except (Failed, Late) as error:
-        # What was measured until then counts, and what is so now tells why it went no further.
+        # What was measured until then counts, and the present state shows why it went no further.
         print(f"ended early: {error}", flush=True)
         ended = str(error).partition(". ")[0]
     finally:

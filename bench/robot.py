@@ -1,6 +1,6 @@
-"""The traffic of a robot: streams of real messages with the jitter that nodes have, whose sender can be told to misbehave.
+"""The traffic of a robot: streams of real messages with the jitter that nodes have, whose sender can be made to misbehave.
 
-A process publishes some streams in one loop, and remembers when it stamped and sent each message: so that it can be told
+A process publishes some streams in one loop, and remembers when it stamped and sent each message: so that it is known
 later whether a message was late because its sender was.
 """
 
@@ -57,9 +57,9 @@ class _Sender:
         self.spoil = ""
         """What is wrong with its messages; empty where nothing is."""
         self.old = 0.0
-        """Seconds by which its stamps are too old."""
+        """Seconds that its stamps are too old."""
         self.announce = False
-        """Whether the next message is to be told of."""
+        """Whether the next message is to be reported."""
         self.sent: deque[tuple[float, float]] = deque(maxlen=math.ceil(stream.hertz * REMEMBERED))
         """When each was stamped, and when it had been sent (Unix seconds)."""
 
@@ -77,7 +77,7 @@ class _Sender:
 def publish(streams: Sequence[Stream], node: Any, *, answers: Mapping[str, Any] | None = None, seed: int = 0) -> None:
     """Publish them with a node until killed, and do what one is asked to.
 
-    ``set`` changes a stream: its ``hertz``, what is ``spoil``ed in it, how ``old`` its stamps are; the next message is told
+    ``set`` changes a stream: its ``hertz``, what is ``spoil``ed in it, how ``old`` its stamps are; the next message is reported
     of. ``sends`` says when its last messages were stamped and sent. ``answers`` are more.
     """
     end_with_parent()

@@ -6,7 +6,7 @@ On a control plane of its own (a real API server, controllers and scheduler; kwo
 as the process that it is, and monitors with the real code of views, claims, gates and recoveries share some processes, each with
 its own account, connections and watches. Robots come in fleets that have a namespace and a pool of --pool pods each.
 At a tenth, three tenths and all of --robots it measures: at rest, so many failures at once, failures and claims that come
-independently of each other (open-loop: counted from when they were to come), and a start of the operator with all that there is.
+independently of each other (open-loop: counted from when they were to come), and a start of the operator with all objects.
 docs/scale.md has what is simulated, and what the figures mean.
 """
 
@@ -50,10 +50,10 @@ LARGE = 10_000
 """Robots for which figures are extrapolated."""
 
 CHUNK = 100
-"""Robots that a process of monitors is told of in one line."""
+"""Robots that are passed to a process of monitors in one line."""
 
 NODES = "BENCH_SCALE_CONFIG"
-"""Variable by which a process of monitors is told how to reach the API server."""
+"""Variable that holds how a process of monitors reaches the API server."""
 
 
 @dataclass
@@ -274,7 +274,7 @@ class Bench:
             )
 
     def _restart(self, one: Found) -> None:
-        self.say(f"{one.robots} robots: starting the operator anew")
+        self.say(f"{one.robots} robots: starting the operator again")
         before, begun = self._cluster.counted(), time.monotonic()
         with self._operator() as operator:
             self._until(lambda: operator.idle, "the operator to have looked at everything", every=0.2)
@@ -405,10 +405,10 @@ def _writes_of_each(counted: Reading, failovers: int) -> dict[str, dict[str, flo
 
 
 def _exclusive(acknowledged: Sequence[tuple[str, str]], pods: Sequence[cluster.Object]) -> tuple[int, int]:
-    """How many claims were made twice, and how many were lost, by what was acknowledged (UID of the pod, claim) and what is so.
+    """How many claims were made twice, and how many were lost, from what was acknowledged (UID of the pod, claim) and the present state.
 
     Twice: two claims were acknowledged for one pod, or a claim is on two. Lost: it was acknowledged and its pod doesn't have it,
-    or a pod has one that nobody was told of.
+    or a pod has one that nobody knows of.
     """
     has = {pod["metadata"]["uid"]: pod["metadata"]["annotations"][cluster.names.CLAIM] for pod in pods}
     uids, claims = [uid for uid, _ in acknowledged], list(has.values())

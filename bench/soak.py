@@ -4,7 +4,7 @@
 
 A robot at work (bench/leaves.py) is judged by 20 leaves as the monitor does, and nothing is done to it. Beside it a
 process for each core computes without a pause, at the priority of all others. The robot's processes get their share of the
-processor like others, and each remembers when it sent what: where an alarm is told of a message that was late by its
+processor like others, and each remembers when it sent what: if an alarm is raised about a message that was late by its
 sender's own clock, the sender was starved and the alarm is true. It is counted as such, with what the sender says.
 """
 
@@ -39,7 +39,7 @@ class Soak:
     rates: dict[str, list[float]] = field(default_factory=dict)
     """Least rate in Hz over the leaf's window, by topic."""
     late: list[float] = field(default_factory=list)
-    """The most by which a look was later than it was due, in ms."""
+    """The largest delay of a look, in ms."""
     waited: list[float] = field(default_factory=list)
     """The longest that a message waited which is to be looked at as it comes, in ms."""
     memory: list[float] = field(default_factory=list)

@@ -152,7 +152,7 @@ def stop(seed: int, fault: Fault = "stands", speed: float = 0.3, **leaf: str) ->
 
 @dataclass
 class Ordinary:
-    """What came of ordinary driving."""
+    """The result of ordinary driving."""
 
     minutes: float = 0.0
     images: int = 0

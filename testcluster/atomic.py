@@ -65,7 +65,7 @@ def file(destination: Path) -> Iterator[Path]:
 
 
 def write(destination: Path, content: str | bytes, mode: int = 0o644) -> None:
-    """Writes a file, or writes it anew."""
+    """Writes a file, or replaces it."""
     with file(destination) as partial:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
         partial.chmod(mode)

@@ -28,7 +28,7 @@ def run(
     """Runs a program and returns what it wrote to standard output.
 
     Args:
-        check: raise when the program's exit code is not 0; otherwise the output is returned all the same.
+        check: raise when the program's exit code is not 0; otherwise the output is returned anyway.
         env: variables to set on top of this process's own.
         input: text for the program's standard input, which is empty otherwise.
         timeout: seconds after which the program is killed.

@@ -1,6 +1,6 @@
 """What the API server has counted: requests of operator and monitors apart, and all that its watches sent.
 
-Its own metric of requests doesn't say whose they are. The one of flow control says by which FlowSchema, and a schema can select
+Its own metric of requests doesn't say whose they are. The one of flow control names the FlowSchema, and a schema can select
 accounts, verbs and resources: so the bench has one for each kind of request that is counted. They have the priority that
 such requests have anyway.
 """
@@ -88,7 +88,7 @@ def _schema(name: str, precedence: int, subjects: list[Object], verbs: tuple[str
 
 
 def writes(reading: Reading, who: str) -> dict[str, float]:
-    """Writes of ``monitor`` or ``operator`` by kind; of kinds that there were. The operator's lease and dry runs aren't among them."""
+    """Writes of ``monitor`` or ``operator`` by kind, for kinds that occurred. The operator's lease and dry runs aren't among them."""
     kinds = [*(MONITOR if who == "monitor" else OPERATOR), "other"]
     found = {kind: reading.total(DISPATCHED, flow_schema=_name(who, kind)) for kind in kinds if kind != "leases"}
     if who == "operator":

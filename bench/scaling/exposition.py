@@ -34,7 +34,7 @@ class Reading:
         return sums
 
     def since(self, before: Reading) -> Reading:
-        """What came to each sample since another reading; one that is smaller now began anew."""
+        """The increase of each sample since another reading; one that is smaller now was reset."""
         return Reading(
             {
                 key: value - then if value >= (then := before.samples.get(key, 0.0)) else value

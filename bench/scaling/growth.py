@@ -11,7 +11,7 @@ LEAST = 1e-9
 
 
 def exponent(sizes: Sequence[float], values: Sequence[float]) -> float | None:
-    """The power of the size by which the values grow, by least squares of their logarithms; None where one of them is 0.
+    """The power of the size with which the values grow, by least squares of their logarithms; None where one of them is 0.
 
     0: they don't depend on the size, 1: they grow in proportion, 2: with its square.
     """

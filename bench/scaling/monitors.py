@@ -62,7 +62,7 @@ _UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
 class Recording(Notices):
-    """Tells of each recovery as it is recorded."""
+    """Reports each recovery as it is recorded."""
 
     robot = ""
     intended = 0.0

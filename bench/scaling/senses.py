@@ -125,7 +125,7 @@ class Probes(Proof):
 
 
 class AgentConnections:
-    """The agents of a workload's instances: those of its own controller start by themselves, claimed ones when they are told to."""
+    """The agents of a workload's instances: those of its own controller start by themselves, claimed ones when their agent starts them."""
 
     def __init__(self, application: Application) -> None:
         self._application = application

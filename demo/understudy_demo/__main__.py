@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         return _demo(arguments)
     except KeyboardInterrupt:
-        print("\nInterrupted. What is there stays as it is, and scripts/demo begins anew.", flush=True)
+        print("\nInterrupted. Existing objects stay as they are, and scripts/demo begins again.", flush=True)
         return 130
 
 
@@ -71,12 +71,12 @@ def _demo(arguments: list[str] | None) -> int:
         print(play.scene())
         say(f"FAILED: {error}")
         print(
-            "It stays as it is. Where to look on:\n"
+            "It stays as it is. Where to look next:\n"
             f"    {_environment(stage)}\n"
             f"    kubectl -n {NAMESPACE} describe robotworkload {WORKLOAD}\n"
             f"    kubectl -n {NAMESPACE} logs deploy/{WORKLOAD}-monitor\n"
             f"    kubectl -n {system} logs -l app.kubernetes.io/component=operator --prefix --tail=200\n"
-            "and scripts/demo begins anew."
+            "and scripts/demo begins again."
         )
         return 1
 

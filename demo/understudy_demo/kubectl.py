@@ -16,7 +16,7 @@ class CommandFailed(Exception):
         super().__init__(f"{shlex.join(command)}: {said.strip()[-2000:] or 'failed without a word'}")
         self.said = said
         self.status = status
-        """What it exited with; None where it didn't get that far."""
+        """What it exited with; None where it did not get that far."""
 
 
 def run(
@@ -63,7 +63,7 @@ class Kubectl:
         return run(["kubectl", "-n", self.namespace, *arguments], self._environment, stdin=stdin, timeout=timeout)
 
     def get(self, *arguments: str) -> dict[str, Any]:
-        """An object or a list of them; empty where there is none."""
+        """An object or a list of them; empty if there is none."""
         text = self("get", *arguments, "-o", "json", "--ignore-not-found")
         found: dict[str, Any] = json.loads(text) if text.strip() else {}
         return found

@@ -245,7 +245,7 @@ def _with_policy(workload: str, strategy: str) -> str:
 
 
 def _state(workload: dict[str, Any]) -> str:
-    """What a workload's status says, in one line: its columns, and every condition that isn't as it should be."""
+    """What a workload's status says, in one line: its columns, and every condition that is not as it should be."""
     status = workload.get("status") or {}
     said = [f"{column} {status.get(column)}" for column in ("health", "strategy", "standby")]
     said += [
@@ -257,7 +257,7 @@ def _state(workload: dict[str, Any]) -> str:
 
 
 def _why(pods: list[dict[str, Any]]) -> str:
-    """Why pods aren't running, in one line."""
+    """Why pods are not running, in one line."""
     if not pods:
         return "not there"
     for pod in pods:

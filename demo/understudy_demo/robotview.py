@@ -1,4 +1,4 @@
-"""A recovery as the robot saw it: which pod's commands arrived when, and where there were none.
+"""A recovery as the robot saw it: which pod's commands arrived when, and when none arrived.
 
 The cluster's answers say what was intended. Whether two pods ever drove at once, whether a standby leaked through
 before the switch and how long the robot was alone can only be said where commands arrive, so all of it is computed from
@@ -46,7 +46,7 @@ class Motion:
     speed: float
     turn: float
     held: bool
-    """Whether the robot's own command watchdog held it, for want of commands."""
+    """Whether the robot's own command watchdog held it, because no commands arrive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class RobotLog:
     def renamed(self, names: Mapping[str, str]) -> RobotLog:
         """The same with other names for sources; those without one keep theirs.
 
-        A robot whose commands don't say who sent them knows hosts only (``understudy.ros.observe.sample_sources``), not pods.
+        A robot whose commands do not say who sent them knows hosts only (``understudy.ros.observe.sample_sources``), not pods.
         """
         return RobotLog([replace(c, source=names.get(c.source, c.source)) for c in self.commands], self.motions)
 
@@ -220,7 +220,7 @@ def _since(start: float | None, end: float | None) -> float:
 def parse(text: str | Iterable[str]) -> RobotLog:
     """The robot's log from its text or lines.
 
-    Lines that aren't records are left out: a pod's log has others among them, and its first or last one may be cut off.
+    Lines that are not records are left out: a pod's log has others among them, and its first or last one may be cut off.
     """
     log = RobotLog()
     for line in text.splitlines() if isinstance(text, str) else text:

@@ -83,7 +83,7 @@ class Stage:
         if ours:
             self.release_namespace = ours[0]["namespace"]
             if not self._is_demos(ours[0]["name"]):
-                self._say(f"chart: {ours[0]['name']} in {self.release_namespace} isn't the demo's; using it as it is")
+                self._say(f"chart: {ours[0]['name']} in {self.release_namespace} is not the demo's; using it as it is")
                 return
             self._say(f"chart: upgrading {ours[0]['name']} in {self.release_namespace}")
         else:
@@ -104,7 +104,7 @@ class Stage:
         run(command, self.environment, timeout=240)
 
     def _is_demos(self, name: str) -> bool:
-        """Whether an installed release runs the demo's images; another one isn't ours to upgrade."""
+        """Whether an installed release runs the demo's images; another one is not ours to upgrade."""
         command = ["helm", "get", "values", name, "-n", self.release_namespace, "-o", "json"]
         values = json.loads(run(command, self.environment)) or {}
         repository = values.get("images", {}).get("operator", {}).get("repository", "")

@@ -34,7 +34,7 @@ class Image:
         context: the folder that is sent to the builder, with the Dockerfile in it.
         target: the stage of the Dockerfile, or None for the last.
         inputs: what of the context decides the result, relative to it.
-        stages: stages that take long and seldom change; the builder is told to keep them.
+        stages: stages that take long and seldom change; the builder keeps them.
         parent: the name of the image of this repository that it is built on, or None when that is an operating system
         with Python.
     """
@@ -53,7 +53,7 @@ class Image:
 
     @property
     def tag(self) -> str:
-        """The tag, by which the images of one source belong together."""
+        """The tag, which the images of one source share."""
         return self.name.rpartition(":")[2]
 
     def fingerprint(self, *extra: str) -> str:

@@ -11,7 +11,7 @@ from testcluster.shell import CommandFailed, run
 _NAMESPACE = ("-n", "k8s.io")
 
 _FORMER = "-former"
-"""Ending of the name by which an image is kept while its successor is imported."""
+"""Suffix of the name that an image keeps while its successor is imported."""
 
 
 def present(ctr: Sequence[str | Path]) -> dict[str, str]:

@@ -117,9 +117,9 @@ class Buildah(Engine):
         run(*self._command("rmi", "--prune"), check=False)
 
     def _stand_in(self, image: Image) -> dict[str, str]:
-        """The parent without its own code as a build argument, where there is one and the Dockerfile takes it.
+        """The parent without its own code as a build argument, if it exists and the Dockerfile takes it.
 
-        What is built on that needn't be built anew with every change of the code.
+        What is built on that needn't be built again with every change of the code.
         """
         if not image.parent or "ARG DEPENDENCIES_IMAGE" not in (image.context / "Dockerfile").read_text():
             return {}

@@ -22,7 +22,7 @@ def _settings() -> dict[str, str]:
     try:
         listed = run(sys.executable, "-m", "pip", "config", "list")
     except CommandFailed:
-        # This Python has no pip; its variables may be set all the same.
+        # This Python has no pip; its variables may be set anyway.
         listed = ""
     for line in listed.splitlines():
         match = re.fullmatch(r"(?:global|install|:env:)\.([a-z-]+)='(.*)'", line)

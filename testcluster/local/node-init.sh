@@ -47,7 +47,7 @@ until [ -e "$api_ready" ] && [ -e /sys/class/net/eth0 ]; do sleep 0.1; done
 keep kubelet "$hyperkube" kubelet --config="$state/etc/kubelet.yaml" --kubeconfig="$state/etc/kubelet.conf" \
     --hostname-override="$node" --node-ip="$(<"$state/etc/ip")"
 keep kube-proxy "$hyperkube" kube-proxy --config="$state/etc/kube-proxy.yaml"
-# A link that is exchanged when the enforcer is built anew, so that a running node gets the new one.
+# A link that is exchanged when the enforcer is built again, so that a running node gets the new one.
 # Its share of the processors is apart from this node's, where the machine has a group for that.
 keep netpol bash -c '[ -z "$0" ] || echo $$ >"$0/cgroup.procs"; exec "$@"' "$netpol_processors" \
     "$state/etc/understudy-netpol" --kubeconfig "$netpol_kubeconfig" --node "$node"

@@ -227,7 +227,7 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
 
 
 def down(layout: Layout, node: int) -> None:
-    """Cuts a node's power: everything in it dies at once, and nothing is told."""
+    """Cuts a node's power: everything in it dies at once, without notice."""
     first = init(layout, node)
     if first is not None:
         cgroups.freeze(group(layout, node), False)

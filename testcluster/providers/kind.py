@@ -90,7 +90,7 @@ class KindProvider(Provider):
     def up(self) -> None:
         self._require()
         if self._exists() and not self._whole():
-            self._progress(f"cluster {self._cluster}: an earlier run left it unfinished; it is made anew")
+            self._progress(f"cluster {self._cluster}: an earlier run left it unfinished; it is created again")
             self.down()
         if not self._exists():
             with self._progress.step(f"cluster {self._cluster}: making it with kind"):

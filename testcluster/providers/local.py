@@ -66,7 +66,7 @@ class LocalProvider(Provider):
     def up(self) -> None:
         self._require_root()
         with self._locked():
-            # Building comes before anything is made: it takes longest, and most likely fails for want of something on
+            # Building comes before anything is made: it takes longest, and most likely fails because something is missing on
             # the machine.
             programs = tools.ensure(self._progress)
             found = layouts.load(self._cluster)
@@ -92,7 +92,7 @@ class LocalProvider(Provider):
             golden.ensure(programs, self._progress)
         holder = network.up(layout)
         started = [node for node in layout.nodes if nodes.up(layout, node, programs)]
-        # A node that ran all along renews its lease every second; one that was started now counts from its first sign
+        # A node that was running sends its heartbeat every second; one that was started now counts from its first sign
         # of life.
         since = datetime.now(UTC) if started else datetime.now(UTC) - timedelta(seconds=10)
         controlplane.up(layout, programs, certificates, holder)

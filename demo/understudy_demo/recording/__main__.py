@@ -53,7 +53,7 @@ def main(arguments: list[str] | None = None) -> int:
             cast = _recorded(stage, options.images or BUILT, say)
         except (CommandFailed, NotSo, NotShown) as error:
             say(f"FAILED: {error}")
-            say("what was set up stays, and scripts/record begins anew")
+            say("what was set up stays, and scripts/record begins again")
             return 1
         CAST.write_text(to_text(cast))
     SVG.write_text(render(from_text(CAST.read_text())))
@@ -108,7 +108,7 @@ def act(split: Split) -> None:
 
 
 def _fail(split: Split, how: str) -> None:
-    """Until another pod drives, and the status says so."""
+    """Wait until another pod drives and the status reports it."""
     before = _driver(split)
     split.type(f"understudy inject {WORKLOAD} {how} --yes")
     split.until(lambda: _driver(split) not in ("", before), within=60)

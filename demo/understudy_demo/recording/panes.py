@@ -25,7 +25,7 @@ _STROKE = 0.03
 
 
 class NotShown(Exception):
-    """Something that was waited for wasn't shown; the message has what was."""
+    """Something that was waited for was not shown; the message has what was."""
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ class Screen:
         return self._row, min(self._column, self.columns - 1)
 
     def feed(self, text: str) -> None:
-        """Take in what a program wrote; it may end in the middle of a sequence. Raises ValueError where it isn't known."""
+        """Take in what a program wrote; it may end in the middle of a sequence. Raises ValueError where it is not known."""
         text = self._rest + text
         unfinished = _UNFINISHED.search(text)
         self._rest = unfinished[0] if unfinished else ""
@@ -80,7 +80,7 @@ class Screen:
 
     def _put(self, character: str) -> None:
         if unicodedata.east_asian_width(character) in "WF" or unicodedata.combining(character):
-            raise ValueError(f"{character!r} isn't one column wide")
+            raise ValueError(f"{character!r} is not one column wide")
         if self._column >= self.columns:
             if self._wraps:
                 self._column = 0
@@ -125,7 +125,7 @@ class Screen:
                 self._under, self._cells = (self._cells, self._row, self._column), self._blank()
             case "?l", [1049]:
                 self._cells, self._row, self._column = self._under
-            case (("?h" | "?l"), [25 | 2004]):  # the cursor, which isn't drawn by this; pastes that are marked as such
+            case (("?h" | "?l"), [25 | 2004]):  # the cursor, which is not drawn by this; pastes that are marked as such
                 pass
             case _:
                 raise ValueError(f"control sequence {kind!r} with {numbers}")

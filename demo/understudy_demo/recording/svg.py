@@ -12,7 +12,7 @@ from understudy_demo.recording.asciicast import Cast, Frame, frames
 from understudy_demo.recording.screen import Row, Style
 
 HOLD = 4.0
-"""Seconds for which the last frame stands before it begins anew."""
+"""Seconds for which the last frame stands before it begins again."""
 
 _WIDTH, _HEIGHT, _BASE, _SIZE = 9.0, 19, 14, 15
 """Of a character's cell, where in it the text stands, and the size of the letters."""
@@ -34,7 +34,7 @@ _BLOCKS = {
 _PIECES = re.compile(
     rf"(?P<block>[{''.join(_BLOCKS)}])(?P=block)*|[^\s{''.join(_BLOCKS)}]+(?: [^\s{''.join(_BLOCKS)}]+)*"
 )
-"""An area, or words with single blanks between them: how many blanks there are isn't left to who shows it."""
+"""An area, or words with single blanks between them: how many blanks there are is not left to who shows it."""
 
 
 @dataclass(frozen=True)

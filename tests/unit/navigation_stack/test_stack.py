@@ -125,7 +125,7 @@ def test_a_new_instance_is_lost_until_it_is_given_the_pose(site: Site) -> None:
     lost = person.goal(goal)
     site.wait("it is given up", lambda: lost.status is not None)
     assert lost.status == ABORTED
-    assert "it isn't known where the robot is" in lost.result.error_msg
+    assert "it is not known where the robot is" in lost.result.error_msg
     assert not person.believed
     person.told_where(START)
     site.wait("it believes to be at the start", lambda: len(person.believed) > 20)

@@ -49,7 +49,7 @@ class Arm:
         return bool(self._data.ncon == 0)
 
     def solve(self, pose: Pose, *, over: Callable[[], bool] = lambda: False) -> Joints | None:
-        """Joint positions that bring the gripper to a pose, free of collisions; None where there are none.
+        """Joint positions that bring the gripper to a pose, free of collisions; None if there are none.
 
         By damped least squares, from the same beginnings in the same order each time: so every instance that is asked for
         a pose goes to the same joint positions. ``over`` ends the search.

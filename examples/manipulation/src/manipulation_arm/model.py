@@ -1,6 +1,6 @@
 """The arm and its table as MuJoCo has them: of the size of a WidowX 250 with six joints, by its published dimensions.
 
-Each link is a capsule. Gravity is compensated for, as position-controlled servos do it. What can be touched is told by
+Each link is a capsule. Gravity is compensated for, as position-controlled servos do it. What can be touched is determined by
 bits: the table, what stands on it and the arm's own foot are of the kind 1, the links that move of the kind 2, and only
 different kinds meet.
 """

@@ -12,7 +12,7 @@ from manipulation_robot.robot import Robot
 
 
 def main() -> None:
-    """Run the robot until it is told to stop."""
+    """Run the robot until it is asked to stop."""
     rclpy.init()
     until_stopped(Robot(Journal(os.environ.get("ROBOT_LOG"))))
 

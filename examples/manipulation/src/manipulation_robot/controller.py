@@ -18,18 +18,18 @@ class Controller:
         self._commanded: float | None = None
 
     def command(self, positions: Joints, velocities: Joints, *, now: float) -> float:
-        """Take a command; the rad by which the joint that jumps most is sent on at once."""
+        """Take a command; returns the largest step of a joint that is sent at once, in rad."""
         step = float(np.abs(positions - self.positions).max())
         self.positions, self._velocities = positions, velocities
         self._commanded = now
         return step
 
     def stay(self, *, now: float) -> float:
-        """Take a command to stay where it is; the rad by which it is sent on, which is none."""
+        """Take a command to stay where it is; returns the step that is sent, in rad, which is none."""
         return self.command(self.positions, self._velocities * 0.0, now=now)
 
     def held(self, now: float) -> bool:
-        """Whether the arm holds for want of commands."""
+        """Whether the arm holds because no commands arrive."""
         return self._commanded is None or now - self._commanded > HELD
 
     def velocities(self, now: float) -> Joints:

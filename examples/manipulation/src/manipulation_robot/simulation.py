@@ -1,4 +1,4 @@
-"""The arm on its table: physics at 500 Hz, and servos that hold each joint where they are told."""
+"""The arm on its table: physics at 500 Hz, and servos that hold each joint at its target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole trajectories, by the action /arm_controller/follow_joint_trajectory: for planners that don't stream, as MoveIt 2.
+"""Whole trajectories, by the action /arm_controller/follow_joint_trajectory: for planners that do not stream, as MoveIt 2.
 
 The arm goes through the points of one by itself, whether or not who sent it is still there. A newer trajectory, or a
 command on the topic, takes its place.
@@ -29,7 +29,7 @@ class Trajectory:
     """Positions at times, in s from its beginning."""
 
     def __init__(self, start: Joints, times: list[float], positions: list[Joints]) -> None:
-        """It leads from the start to its first point. Raises ValueError where that can't be followed."""
+        """It leads from the start to its first point. Raises ValueError where that cannot be followed."""
         if not times or sorted(set(times)) != times or times[0] < 0:
             raise ValueError("times: they must grow from point to point")
         if times[0] < 1e-9 and np.abs(positions[0] - start).max() > STRAY:
@@ -47,14 +47,14 @@ class Trajectory:
         return np.array([np.interp(seconds, self._times, column) for column in self._positions.T])
 
     def end(self, *, done: bool = False) -> None:
-        """It doesn't count any more."""
+        """It does not count any more."""
         if not self.ended.is_set():
             self.done = done
             self.ended.set()
 
 
 class Trajectories:
-    """The action's server, in a node and a thread of its own. ``follow`` is told each trajectory, ``where`` the arm is."""
+    """The action's server, in a node and a thread of its own. ``follow`` receives each trajectory, ``where`` the position of the arm."""
 
     def __init__(self, follow: Callable[[Trajectory], None], where: Callable[[], Joints]) -> None:
         self._follow, self._where = follow, where

@@ -1,8 +1,8 @@
 """Commands that begin where the arm is, whoever has moved it there.
 
-An instance isn't told when its commands reach the arm, and one that stands by sends them all the time. What it does know
+An instance is not told when its commands reach the arm, and one that stands by sends them all the time. What it does know
 is what the arm follows: the controller says its reference. While that is one of the instance's own last commands, its
-motion goes on as planned. While it isn't, another instance moves the arm, or nobody does, and each command is one step
+motion goes on as planned. While it is not, another instance moves the arm, or nobody does, and each command is one step
 from where the arm is. So the first command that gets through is one step from the last one, and the arm never jumps.
 """
 
@@ -16,10 +16,10 @@ from manipulation_arm import Joints
 from manipulation_stack.motion import Command, Motion
 
 LATELY = 0.1
-"""s: a reference that was commanded longer ago is that of an arm which doesn't follow any more."""
+"""s: a reference that was commanded longer ago is that of an arm which does not follow any more."""
 
 PATIENCE = 1.0
-"""s for which a motion rests, while the arm keeps saying that it doesn't follow, before it is taken back to where the arm is."""
+"""s for which a motion rests, while the arm keeps saying that it does not follow, before it is taken back to where the arm is."""
 
 REMEMBERED = 500
 """Commands that are still known as one's own: those of the last 10 s."""
@@ -43,7 +43,7 @@ class Follower:
         self._unfollowed = 0.0
         self._heard: Command | None = None
         self.strayed = False
-        """Whether the arm isn't on the way: another way is needed, from where it is."""
+        """Whether the arm is not on the way: another way is needed, from where it is."""
 
     @property
     def remaining(self) -> float:
@@ -79,7 +79,7 @@ class Follower:
             place, aside = self._motion.off(reference.positions)
             self.strayed = aside > ASIDE
             if self.strayed:
-                # Where it is by now it hasn't said yet: a moving arm would be called back to where it was.
+                # Where it is by now it has not said yet: a moving arm would be called back to where it was.
                 return None
             self._motion.begin(place, reference.velocities)
             command = self._of_its_own(self._motion.advance(seconds))

@@ -2,7 +2,7 @@
 
 It finds joint positions for the pose and a way to them round what is in the way, and streams the joint commands on
 /arm_controller/joint_trajectory at 50 Hz. Nothing of a motion is kept from goal to goal or from instance to instance:
-each is planned from what the arm says that it follows, and planned anew when the arm is found aside of the way. While it
+each is planned from what the arm says that it follows, and planned again when the arm is found aside of the way. While it
 is active it publishes /manipulation/heartbeat, so that its loss is noticed also when there is nothing to do.
 """
 
@@ -35,7 +35,7 @@ PERIOD = 0.02
 """s between two commands."""
 
 LONGEST = 0.025
-"""s that a command goes on at most, however late it is: on a busy machine the arm is slower, it doesn't take larger steps."""
+"""s that a command goes on at most, however late it is: on a busy machine the arm is slower, it does not take larger steps."""
 
 FEEDBACK = 0.1
 """s between two messages of feedback."""
@@ -51,7 +51,7 @@ KNOWN = 10.0
 
 
 class _Failed(Exception):
-    """A goal can't be reached; a code and why."""
+    """A goal cannot be reached; a code and why."""
 
     def __init__(self, code: int, why: str) -> None:
         super().__init__(why)
@@ -112,7 +112,7 @@ class Mover(managed.Managed):
         self.say(f"to {pose.x:.2f}, {pose.y:.2f}, {pose.z:.2f}")
         target = self._arm.solve(pose, over=lambda: goal.over)
         if target is None and not goal.over:
-            raise _Failed(_Result.NO_IK_SOLUTION, "goal: the arm doesn't reach it, or would touch something there")
+            raise _Failed(_Result.NO_IK_SOLUTION, "goal: the arm does not reach it, or would touch something there")
         return target
 
     def _follow(self, goal: Goal, target: Joints) -> None:
@@ -122,7 +122,7 @@ class Mover(managed.Managed):
             if until(threading.Event(), goal, PERIOD) or goal.over:
                 return
             if time.monotonic() > end:
-                raise _Failed(_Result.UNKNOWN, f"the arm hasn't said where it is for {KNOWN:g} s")
+                raise _Failed(_Result.UNKNOWN, f"the arm has not said where it is for {KNOWN:g} s")
         journey = _Journey(self, goal, target)
         streaming = managed.Loop(PERIOD, journey.step)
         try:
@@ -172,7 +172,7 @@ class _Journey:
         command = self._follower.step(reference, now, min(now - self._last, LONGEST))
         self._last = now
         self._mover.send(command)
-        # Arrived is when the arm is told so, whoever tells it: an instance that stands by arrives when the other one does.
+        # The arm has arrived when it reports it, whoever commanded it: an instance that stands by arrives when the other one does.
         if float(np.abs(reference.positions - self._target).max()) > 1e-3:
             self._at_end = None
         elif self._at_end is None:

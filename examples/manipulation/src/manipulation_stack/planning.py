@@ -34,7 +34,7 @@ def dense(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 def plan(arm: Arm, start: Joints, goal: Joints) -> NDArray[np.float64]:
     """Positions from the start to the goal, all of them free. Raises NoWay.
 
-    A start that isn't free, as of an arm that was stopped closer to something than plans keep off, is left at once.
+    A start that is not free, as of an arm that was stopped closer to something than plans keep off, is left at once.
     """
     straight = dense(np.stack([start, goal]))
     if all(arm.free(joints) for joints in straight[1:]):

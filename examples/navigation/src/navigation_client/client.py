@@ -1,4 +1,4 @@
-"""Sends goals over a NavigateToPose action, one after the other, and writes down what came of each.
+"""Sends goals over a NavigateToPose action, one after the other, and writes down the result of each.
 
 An ordinary action client. It asks once for each goal; only where the server says no to a goal, as a navigator does that
 is not active yet, it asks again a second later. What happens behind the action's name is none of its business.
@@ -46,7 +46,7 @@ class Patience:
 
 @dataclass
 class _Feedback:
-    """What came of feedback on one goal."""
+    """What was received of the feedback on one goal."""
 
     count: int = 0
     last: float = field(default_factory=time.monotonic)

@@ -1,4 +1,4 @@
-"""How a client runs as a command: what it can be told, and its exit status."""
+"""How a client runs as a command: its options, and its exit status."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from navigation_client.client import Client, Patience
 
 
 def parser(client: type[Client], description: str | None) -> argparse.ArgumentParser:
-    """What every client can be told."""
+    """The options of every client."""
     made = argparse.ArgumentParser(prog=client.NAME, description=description)
     made.add_argument("--goals", type=int, default=6, help="how many")
     made.add_argument("--within", type=float, default=300.0, help="seconds that a goal may take")

@@ -13,7 +13,7 @@ from navigation_robot.running import until_stopped
 
 
 def main() -> None:
-    """Run the robot until it is told to stop."""
+    """Run the robot until it is asked to stop."""
     rclpy.init()
     until_stopped(Robot(generate(int(os.environ.get("NAVIGATION_SEED", "7"))), Journal(os.environ.get("ROBOT_LOG"))))
 

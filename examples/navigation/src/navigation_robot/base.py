@@ -47,7 +47,7 @@ class Base:
         self._commanded = now
 
     def held(self, now: float) -> bool:
-        """Whether the watchdog holds the base for want of commands."""
+        """Whether the watchdog holds the base because no commands arrive."""
         return self._commanded is None or now - self._commanded > self._watchdog
 
     def advance(self, now: float, seconds: float) -> tuple[float, float]:

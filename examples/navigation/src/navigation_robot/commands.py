@@ -1,8 +1,8 @@
 """Commands as they arrive, with who sent them and when the middleware received them.
 
-A Twist doesn't say who sent it, and two instances of one navigation stack send the same. The GID of the DDS writer
+A Twist does not say who sent it, and two instances of one navigation stack send the same. The GID of the DDS writer
 tells them apart, and its first four bytes the host (understudy.ros.dds.host_ids says how), which in a cluster is the pod. rclpy
-drops it, so the queue is read with Understudy's reader. That is for the log alone: the robot drives as it is told by
+drops it, so the queue is read with Understudy's reader. That is for the log alone: the robot drives by the commands of
 whoever gets through to it.
 """
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 class Journal:
-    """Appends records; keeps at most two files of ``limit`` bytes. A file that can't be written is said once."""
+    """Appends records; keeps at most two files of ``limit`` bytes. A file that cannot be written is said once."""
 
     def __init__(self, path: str | None, *, limit: int = 64 * 1024 * 1024) -> None:
         self._path = Path(path) if path else None

@@ -20,7 +20,7 @@ from navigation_robot.simulation import BEAMS, FARTHEST, NEAREST
 
 SCAN_PERIOD = 0.1
 
-# What a filter should believe of a pose and of a velocity: x, y and heading; the rest the robot doesn't have.
+# What a filter should believe of a pose and of a velocity: x, y and heading; the rest the robot does not have.
 _POSE_COVARIANCE = np.diag((1e-3, 1e-3, 1e6, 1e6, 1e6, 3e-2)).ravel()
 _TWIST_COVARIANCE = np.diag((1e-4, 1e-6, 1e6, 1e6, 1e6, 1e-3)).ravel()
 

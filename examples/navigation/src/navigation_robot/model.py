@@ -3,7 +3,7 @@
 Two driven wheels beside the middle, two casters before and behind, and a hull that walls stop. The laser sees what is
 in geometry group 1, which the robot is not part of. The hull is a capsule, since MuJoCo knows exactly where one meets
 boxes and pillars; its lower end would reach into the floor, so the hull meets only walls and things, and the wheels only
-the floor (which geometries meet is told by bits: 1 and 2).
+the floor (bits 1 and 2 determine which geometries meet).
 """
 
 from __future__ import annotations

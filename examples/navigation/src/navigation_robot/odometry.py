@@ -1,6 +1,6 @@
 """Wheel odometry: where the robot would be if its wheels told the truth.
 
-They don't: encoders count whole ticks, tyres are a little larger or smaller than believed and stand a little further
+They do not: encoders count whole ticks, tyres are a little larger or smaller than believed and stand a little further
 apart, and wheels slip, which the physics brings by itself. The first two are Borenstein and Feng's systematic errors
 ("Measurement and correction of systematic odometry errors in mobile robots", IEEE Trans. Robotics and Automation 12(6),
 1996), drawn once for a robot.

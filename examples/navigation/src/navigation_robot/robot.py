@@ -1,4 +1,4 @@
-"""The robot: drives as it is told on /cmd_vel, and publishes /odom, /scan, its transforms and where it really is.
+"""The robot: follows the commands on /cmd_vel, and publishes /odom, /scan, its transforms and where it really is.
 
 It writes down every command with its sender, and its motion ten times a second, so that what a failover meant for the
 robot can be read from the robot itself. Which UDP port the reader of /cmd_vel listens on, or which QoS it has, comes

@@ -1,4 +1,4 @@
-"""How a simulated robot runs: tick after tick by the clock, until it is told to stop."""
+"""How a simulated robot runs: tick after tick by the clock, until it is asked to stop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Robot(Protocol):
 
 
 def until_stopped(robot: Robot) -> None:
-    """Run a robot until it is told to stop."""
+    """Run a robot until it is asked to stop."""
     try:
         robot.run()
     except KeyboardInterrupt:

@@ -45,7 +45,7 @@ class Stack:
                 child.send_signal(number)
 
     def run(self) -> int:
-        """Wait for all of them; 0 if they were told to end."""
+        """Wait for all of them; 0 if they were asked to end."""
         while self._children:
             for node, child in list(self._children.items()):
                 if child.poll() is not None:

@@ -1,6 +1,6 @@
 """amcl: where the robot is on the map, by its laser and its odometry.
 
-It has to be told once where the robot is (/initialpose): it searches nearby and nowhere else. Until then it says nothing.
+It needs the robot's pose once (/initialpose): it searches nearby and nowhere else. Until then it says nothing.
 Like Nav2's it takes an initial pose while it is inactive too and uses it when it is activated. Unlike Nav2's it publishes
 the pose for each scan, also while the robot stands, so that silence always means that it is lost.
 """
@@ -45,7 +45,7 @@ MADE_UP_FOR = 0.03
 """m that an initial pose is doubted by where it is known what was driven since."""
 
 AHEAD = 1.0
-"""s by which an initial pose may be ahead of odometry, which is then waited for: who carried it to the present has heard more."""
+"""s that an initial pose may be ahead of odometry. Then odometry is waited for: the sender of the pose has received more."""
 
 _Start = tuple[Pose, Sequence[Sequence[float]], float | None]
 
@@ -99,7 +99,7 @@ class Amcl(managed.Managed):
 
     def activated(self) -> None:
         if self._start is None and self._filter is None:
-            self.get_logger().warning("waits for /initialpose: it can't know where the robot is")
+            self.get_logger().warning("waits for /initialpose: it cannot know where the robot is")
         self._loop = managed.Loop(PERIOD, self._look)
 
     def deactivated(self) -> None:

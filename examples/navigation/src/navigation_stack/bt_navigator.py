@@ -1,7 +1,7 @@
 """bt_navigator: brings the robot to a pose, by the action /navigate_to_pose.
 
 As Nav2's default tree does it: plan, follow, plan again each second; after a failure recover and try again, so many
-times and no more. Where the map says that there is no way, it is given up at once: the map won't change. A newer goal
+times and no more. If the map shows no way, it is given up at once: the map will not change. A newer goal
 takes the place of the one before, which is aborted, and the robot drives on meanwhile. While it is active it publishes
 /navigation/heartbeat, so that its loss is noticed also when there is nothing to do.
 """
@@ -36,7 +36,7 @@ UNKNOWN = 9000
 
 _Plan = ComputePathToPose.Result
 _FINAL = {_Plan.GOAL_OCCUPIED, _Plan.GOAL_OUTSIDE_MAP, _Plan.NO_VALID_PATH}
-"""Error codes of the planner that another try won't change."""
+"""Error codes of the planner that another try will not change."""
 
 
 class _Failed(Exception):
@@ -232,7 +232,7 @@ class _Journey:
         if path is None:
             if self._goal.over:
                 return
-            raise _Failed(ComputePathToPose.Result.TIMEOUT, "the planner doesn't answer")
+            raise _Failed(ComputePathToPose.Result.TIMEOUT, "the planner does not answer")
         self._follow(path)
         planned = told = time.monotonic()
         while not until(self._following.ended, self._goal, FEEDBACK):

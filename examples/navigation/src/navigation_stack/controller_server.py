@@ -27,7 +27,7 @@ FEEDBACK = 0.25
 """s between two messages of feedback."""
 
 HOLD = 2.0
-"""s for which the robot is told to stand after a path: one command can be lost, and a short silence isn't one of a goal."""
+"""s for which the robot is commanded to stand after a path: one command can be lost, and a short silence is not one of a goal."""
 
 STALE = 1.0
 """s after which a scan or a pose is too old to drive by."""
@@ -158,7 +158,7 @@ class ControllerServer(managed.Managed):
         return [pose_of(stamped.pose) for stamped in message.poses]
 
     def _drive(self, goal: Goal) -> tuple[int, str]:
-        """Drive until the goal is reached or over; an error code and text where it can't be."""
+        """Drive until the goal is reached or over; an error code and text where it cannot be."""
         progress = _Progress(
             self.parameter("progress_checker.required_movement_radius", 0.3),
             self.parameter("progress_checker.required_movement_angle", 0.5),
@@ -173,7 +173,7 @@ class ControllerServer(managed.Managed):
             self._whereabouts.take()
             pose, command = self._whereabouts.pose, Command(blocked=True)
             if pose is None or self._whereabouts.age(self._now()) > STALE:
-                trouble = _Result.TF_ERROR, "it isn't known where the robot is: no new /amcl_pose or /odom"
+                trouble = _Result.TF_ERROR, "it is not known where the robot is: no new /amcl_pose or /odom"
             elif abs(self._now() - self._laser.time) > STALE:
                 trouble = _Result.NO_VALID_CONTROL, "the robot is blind: no new /scan"
             else:

@@ -48,7 +48,7 @@ class Sensor:
 
 
 FIRST = 4
-"""Times as many particles as later, around a pose that was told."""
+"""Times as many particles as later, around a given pose."""
 
 
 class ParticleFilter:
@@ -77,7 +77,7 @@ class ParticleFilter:
         self._weights: NDArray[np.float64] = np.full(particles, 1 / particles)
 
     def spread(self, pose: Pose, covariance: Sequence[Sequence[float]]) -> None:
-        """Begin anew around a pose; the covariance is of x, y and heading."""
+        """Begin again around a pose; the covariance is of x, y and heading."""
         matrix = np.asarray(covariance, dtype=float)
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
             raise ValueError(f"covariance: a finite 3 by 3 matrix is needed, found {matrix.tolist()}")

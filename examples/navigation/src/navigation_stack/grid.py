@@ -1,4 +1,4 @@
-"""Occupancy grids: what is free, and how far it is to what isn't."""
+"""Occupancy grids: what is free, and how far it is to what is not."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Grid:
     """A map of cells; row 0 is the lowest y, column 0 the lowest x (as in nav_msgs/OccupancyGrid)."""
 
     cells: NDArray[np.int8]
-    """Occupancy in percent, -1 where it isn't known; rows by columns."""
+    """Occupancy in percent, -1 where it is not known; rows by columns."""
     resolution: float
     """Side of a cell in m."""
     x: float = 0.0

@@ -88,7 +88,7 @@ class LifecycleManager(Node):
             if state == wanted:
                 return True
             if state in transitions:
-                # The answer may be lost or late: the state tells what came of it.
+                # The answer may be lost or late: the state shows the result.
                 request = ChangeState.Request()
                 request.transition.id = transitions[state]
                 _call(self._change[name], request, 2.0)
@@ -118,7 +118,7 @@ def _call(client: Any, request: Any, within: float) -> Any:
 
 
 def main() -> None:
-    """Run until the process is told to end."""
+    """Run until the process is asked to end."""
     rclpy.init()
     executor = MultiThreadedExecutor(num_threads=4)
     executor.add_node(LifecycleManager())

@@ -60,7 +60,7 @@ class Loop:
         self._thread.start()
 
     def stop(self) -> None:
-        """Ends it; the function doesn't run any more afterwards."""
+        """Ends it; the function does not run any more afterwards."""
         self._stopping.set()
         if threading.current_thread() is not self._thread:
             self._thread.join()
@@ -69,7 +69,7 @@ class Loop:
         following = time.monotonic()
         while not self._stopping.is_set():
             self._step()
-            # What was missed isn't made up for: late commands are of no use.
+            # What was missed is not made up for: late commands are of no use.
             following = max(following + self._period, time.monotonic() + self._period / 4)
             self._stopping.wait(following - time.monotonic())
 
@@ -178,7 +178,7 @@ class Managed(LifecycleNode):
 
 
 def run(make: Callable[[], Managed], *, threads: int = 2) -> None:
-    """Run a node until the process is told to end; then it is brought to rest before it leaves the graph."""
+    """Run a node until the process is asked to end; then it is brought to rest before it leaves the graph."""
     ending = {signal.SIGTERM, signal.SIGINT}
     # Taken up by the main thread, where it waits for them. rclpy's own handler would end ROS under a node that works.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)

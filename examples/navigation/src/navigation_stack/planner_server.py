@@ -76,7 +76,7 @@ class PlannerServer(managed.Managed):
         return ("canceled" if goal.canceled else "aborted" if goal.over else "succeeded"), result
 
     def _planned(self, request: Any) -> list[Pose]:
-        """Raises NoPath, or ValueError where it isn't known what from or what to."""
+        """Raises NoPath, or ValueError where it is not known what from or what to."""
         planner = self._planner
         if planner is None:
             raise NoPath("there is no map yet")
@@ -89,7 +89,7 @@ class PlannerServer(managed.Managed):
             self._whereabouts.take()
             start = self._whereabouts.pose
         if start is None:
-            raise ValueError("it isn't known where the robot is: nothing was received on /amcl_pose")
+            raise ValueError("it is not known where the robot is: nothing was received on /amcl_pose")
         return planner.plan(start, pose_of(request.goal.pose))
 
 

@@ -24,11 +24,11 @@ class NoPath(Exception):
 
 
 class StartBlocked(NoPath):
-    """The robot stands where it can't stand."""
+    """The robot stands where it cannot stand."""
 
 
 class GoalBlocked(NoPath):
-    """The goal is where the robot can't stand, and so is everything within the tolerance."""
+    """The goal is where the robot cannot stand, and so is everything within the tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Terrain:
         want = inflation or Inflation()
         self._columns = grid.cells.shape[1] + 2
         keep_away = want.robot_radius + want.margin
-        # Framed by a cell that can't be entered, so that no neighbour is ever outside of the array.
+        # Framed by a cell that cannot be entered, so that no neighbour is ever outside of the array.
         clearance = np.pad(distances(grid.blocked, grid.resolution, max(want.inflation_radius, keep_away)), 1)
         near = np.exp(-want.cost_scaling_factor * (clearance - keep_away))
         near[clearance >= want.inflation_radius] = 0.0
@@ -60,7 +60,7 @@ class Terrain:
         costs[clearance < keep_away] = np.inf
         self._costs: NDArray[np.float64] = costs.astype(np.float64).ravel()
         self.costs: list[float] = self._costs.tolist()
-        """By index; infinite where the robot can't be. A list, since reading single numbers of an array is slow."""
+        """By index; infinite where the robot cannot be. A list, since reading single numbers of an array is slow."""
         diagonal = math.sqrt(2)
         c = self._columns
         self.neighbours = [(1, 1.0), (-1, 1.0), (c, 1.0), (-c, 1.0)] + [
@@ -91,7 +91,7 @@ class Terrain:
         return best[1] if best else None
 
     def along(self, ax: float, ay: float, bx: float, by: float) -> float:
-        """Cost of the straight line between two places, in cells; infinite where it can't be driven."""
+        """Cost of the straight line between two places, in cells; infinite where it cannot be driven."""
         resolution = self.grid.resolution
         length = math.hypot(bx - ax, by - ay) / resolution
         count = max(2, math.ceil(2 * length) + 1)
@@ -160,7 +160,7 @@ class Planner:
     def plan(self, start: Pose, goal: Pose) -> list[Pose]:
         """A path from a pose to a goal, about one pose for each cell. Raises NoPath.
 
-        A goal where the robot can't stand is moved by as much as the tolerance; a start by as much as the robot may be
+        A goal where the robot cannot stand is moved by as much as the tolerance; a start by as much as the robot may be
         off by mistakes of localization.
         """
         terrain = self._terrain

@@ -49,7 +49,7 @@ class Odometry:
         self._poses: deque[Pose] = deque(maxlen=length)
 
     def add(self, time: float, pose: Pose) -> None:
-        """Note a pose at a time, in s. One that isn't later than the last begins a new history: the source restarted."""
+        """Note a pose at a time, in s. One that is not later than the last begins a new history: the source restarted."""
         if self._times and time <= self._times[-1]:
             self._times.clear()
             self._poses.clear()

@@ -45,7 +45,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What the base is told."""
+    """The command to the base."""
 
     linear: float = 0.0
     angular: float = 0.0
@@ -128,7 +128,7 @@ class Pursuit:
         return self._last
 
     def _advance(self, pose: Pose) -> None:
-        """Moves on to the nearest pose of the path that isn't far ahead, so that a loop is not cut short."""
+        """Moves on to the nearest pose of the path that is not far ahead, so that a loop is not cut short."""
         best, here = self._at, self._path[self._at].distance(pose)
         travelled = 0.0
         for number in range(self._at + 1, len(self._path)):
@@ -177,7 +177,7 @@ class Pursuit:
             # Slow enough to stop at the heading.
             math.sqrt(2 * 0.5 * limits.max_angular_accel * abs(off)),
         )
-        # It stops first, since a robot that turns at speed goes where it doesn't look.
+        # It stops first, since a robot that turns at speed goes where it does not look.
         linear = max(0.0, self._last.linear - 2 * limits.max_linear_accel * period)
         self._last = Command(linear if linear > 0.01 else 0.0, math.copysign(most, off))
         return self._last
@@ -192,7 +192,7 @@ class Pursuit:
         near = obstacles[np.abs(obstacles).max(axis=1) < length + keep]
         if not len(near):
             return False
-        # What is within already and gets no nearer is no reason to stand: it couldn't ever leave.
+        # What is within already and gets no nearer is no reason to stand: it could not ever leave.
         now = np.hypot(near[:, 0], near[:, 1])
         along = np.linspace(0.0, length, max(2, math.ceil(length / 0.04)) + 1)[1:]
         if abs(curvature) < 1e-4:

@@ -35,7 +35,7 @@ def processes(module: str) -> Iterator[int]:
 
 
 def main() -> int:
-    """Send it; 1 where a node that was named doesn't run."""
+    """Send it; 1 where a node that was named does not run."""
     parser = argparse.ArgumentParser(prog="send_signal", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("signal", help="its name, such as KILL, STOP or CONT")
     parser.add_argument("node", nargs="*", metavar="NODE", help="which nodes")

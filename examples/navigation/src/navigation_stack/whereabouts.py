@@ -66,7 +66,7 @@ class Whereabouts:
 
     @property
     def pose(self) -> Pose | None:
-        """The pose on the map; None as long as it isn't known."""
+        """The pose on the map; None as long as it is not known."""
         if self._odometry is None:
             return self._last[1] if self._last else None
         latest = self._odometry.history.latest

@@ -75,7 +75,7 @@ class World:
 
     @cached_property
     def map(self) -> Map:
-        """The map that a robot is given. What a laser can't see, it doesn't know: beyond the outer walls."""
+        """The map that a robot is given. What a laser cannot see, it does not know: beyond the outer walls."""
         grid = Grid(
             -MARGIN,
             -MARGIN,

@@ -30,7 +30,7 @@ MOST = 4.0
 """A room with a longer side is halved."""
 
 SECOND_DOOR = 0.35
-"""How probable it is that a wall gets one more door, so that there is more than one way."""
+"""The probability that a wall gets one more door, so that more than one way exists."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -152,7 +152,7 @@ def _age() -> float:
 
 
 def main() -> None:
-    """Run the application until it is told to stop; with DRIVE_MANAGED it waits to be configured and activated."""
+    """Run the application until it is asked to stop; with DRIVE_MANAGED it waits to be configured and activated."""
     rclpy.init()
     kind = ManagedDrive if os.environ.get("DRIVE_MANAGED") else Drive
     drive = kind(os.environ.get("HOSTNAME") or socket.gethostname())

@@ -65,7 +65,7 @@ class Control(Node):
 
 
 def main() -> None:
-    """Run the node until it is told to stop."""
+    """Run the node until it is asked to stop."""
     rclpy.init()
     run(Control(os.environ.get("HOSTNAME") or socket.gethostname()))
 

@@ -79,7 +79,7 @@ class Base:
         self._commanded = now
 
     def held(self, now: float) -> bool:
-        """Whether the watchdog holds the base for want of commands (cmd_vel_timeout of ros2_controllers)."""
+        """Whether the watchdog holds the base because no commands arrive (cmd_vel_timeout of ros2_controllers)."""
         return self._commanded is None or now - self._commanded > self._watchdog
 
     def step(self, now: float) -> Pose:

@@ -30,7 +30,7 @@ class Localization(Node):
 
 
 def main() -> None:
-    """Run the node until it is told to stop."""
+    """Run the node until it is asked to stop."""
     rclpy.init()
     run(Localization())
 

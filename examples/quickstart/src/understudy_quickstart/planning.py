@@ -1,7 +1,7 @@
 """Says which way the robot goes: the second of three nodes of which each depends on the one before (see examples/dependent).
 
 A managed node. Where it begins on the round it decides once, when it is activated: after localization was replaced, and may have put
-the robot somewhere else, it has to be activated anew. Without a pose it has no plan.
+the robot somewhere else, it has to be activated again. Without a pose it has no plan.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Planning(LifecycleNode):
         self._received = 0.0
         self._first: int | None = None
         self._active = False
-        # Of a managed node's own publishers none gives anything while it isn't active; this one is asked only then.
+        # Of a managed node's own publishers none gives anything while it is not active; this one is asked only then.
         self._plans = Node.create_publisher(self, Path, "/plan", 1)
         self.create_subscription(PoseStamped, "/pose", self._placed, 1)
         self.create_timer(1 / 10, self._plan)
@@ -65,7 +65,7 @@ class Planning(LifecycleNode):
 
 
 def main() -> None:
-    """Run the node until it is told to stop."""
+    """Run the node until it is asked to stop."""
     rclpy.init()
     run(Planning())
 

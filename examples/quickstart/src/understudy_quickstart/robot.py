@@ -1,4 +1,4 @@
-"""The robot: drives as it is told on /cmd_vel, and publishes /odom, /scan and a latched /map.
+"""The robot: follows the commands on /cmd_vel, and publishes /odom, /scan and a latched /map.
 
 It writes down every command with the pod that sent it, so that what a failover meant for the robot can be read from the
 robot itself. Nothing in here knows of Understudy: which UDP port the reader of /cmd_vel listens on comes from the DDS
@@ -145,7 +145,7 @@ class Robot(Node):
 
 
 def main() -> None:
-    """Run the robot until it is told to stop. ``ROBOT_LOG`` names the journal's file."""
+    """Run the robot until it is asked to stop. ``ROBOT_LOG`` names the journal's file."""
     rclpy.init()
     robot = Robot(Journal(os.environ.get("ROBOT_LOG")))
     run(robot)

@@ -7,11 +7,11 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 FRESH = 0.3
-"""Seconds after which what the node before said isn't gone by any more, in examples/dependent."""
+"""Seconds after which what the node before said is not gone by any more, in examples/dependent."""
 
 
 def run(node: Node) -> None:
-    """Run a node until it is told to stop."""
+    """Run a node until it is asked to stop."""
     try:
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):

@@ -14,7 +14,7 @@ from tracker_application.smoother import Smoother
 
 
 def main() -> None:
-    """Run until it is told to stop."""
+    """Run until it is asked to stop."""
     rclpy.init()
     name = os.environ.get("HOSTNAME") or socket.gethostname()
     drive, smoother = Drive(name), Smoother(name)

@@ -16,7 +16,7 @@ PERIOD = 0.05
 
 
 class Drive(Node):
-    """Follows the route once it is told where the robot is."""
+    """Follows the route once it knows where the robot is."""
 
     def __init__(self, name: str) -> None:
         super().__init__("drive")

@@ -22,7 +22,7 @@ TIMEOUT = 0.5
 """Age in seconds at which what came in counts no more."""
 
 ACCELERATION, TURN_ACCELERATION = 2.0, 4.0
-"""By which its commands change at most, in m/s2 and rad/s2."""
+"""The largest change of its commands, in m/s2 and rad/s2."""
 
 
 class Smoother(Node):

@@ -10,7 +10,7 @@ from tracker_robot.robot import Robot
 
 
 def main() -> None:
-    """Run until it is told to stop."""
+    """Run until it is asked to stop."""
     cv2.setNumThreads(1)  # an image is small; threads would cost more than they save
     rclpy.init()
     robot = Robot()

@@ -1,4 +1,4 @@
-"""The robot drives as it is told on /cmd_vel and publishes /odom; the camera above it publishes what it sees.
+"""The robot follows the commands on /cmd_vel and publishes /odom; the camera above it publishes what it sees.
 
 What it writes down goes to standard output, one JSON record a line: every command with its sender, and ten times a second
 where it really is and how it moves. Which UDP port the reader of /cmd_vel listens on comes from the DDS profile that the
@@ -55,7 +55,7 @@ class Robot:
     """A simulated robot and a camera, in real time.
 
     Stamps are by the simulation's own clock, which real time drags along: on a busy machine an image comes late, as from a
-    real camera, and doesn't say that the robot was slower.
+    real camera, and does not say that the robot was slower.
     """
 
     def __init__(self) -> None:

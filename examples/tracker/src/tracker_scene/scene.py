@@ -45,7 +45,7 @@ _QUIET = 8 / 6
 """How much larger than the black square a marker is printed: one field of white on each side (4 x 4 fields in a black frame)."""
 
 Fault = Literal["none", "stands", "half speed", "runs on"]
-"""What becomes of commands: they are heeded; the robot stands; drives half as fast; goes on by the last it heeded."""
+"""What happens to commands: the robot follows them; stands; drives at half speed; or continues the last one."""
 
 
 class Pose(NamedTuple):
@@ -91,12 +91,12 @@ class Scene:
         self._heeded = (0.0, 0.0)
         self.fault: Fault = "none"
         self.slip = 0.0
-        """The part of the wheels' motion that doesn't reach the floor."""
+        """The part of the wheels' motion that does not reach the floor."""
         mujoco.mj_step(self._model, self._data, 40)  # down onto its wheels
         self._data.time = 0.0
 
     def drive(self, speed: float, turn: float) -> None:
-        """Command a forward speed in m/s and a turn rate in rad/s; what becomes of it, ``fault`` and ``slip`` say."""
+        """Command a forward speed in m/s and a turn rate in rad/s; ``fault`` and ``slip`` determine its effect."""
         if self.fault == "stands":
             speed = turn = 0.0
         elif self.fault == "half speed":

@@ -97,7 +97,7 @@ func TestARestartTouchesNothing(t *testing.T) {
 	}
 }
 
-// TestAReplacedTableLeaksNothing does the same with a table that cannot be adapted, so that it is written anew each time.
+// TestAReplacedTableLeaksNothing does the same with a table that cannot be adapted, so that it is written again each time.
 // Of the allowed packets one that is being judged at that very moment may be lost.
 func TestAReplacedTableLeaksNothing(t *testing.T) {
 	tampered := false
@@ -199,7 +199,7 @@ func TestTheTableIsRepaired(t *testing.T) {
 }
 
 // TestARefusedTransactionIsMadeGood changes a policy right after the table was deleted by someone else: the kernel refuses
-// the small change, and the enforcer writes everything anew.
+// the small change, and the enforcer writes everything again.
 func TestARefusedTransactionIsMadeGood(t *testing.T) {
 	w := newWorld(t)
 	w.enforce(t)

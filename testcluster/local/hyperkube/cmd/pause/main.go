@@ -1,4 +1,4 @@
-// Command pause is the first process of every pod: it holds the pod's namespaces and does nothing until it is told to end.
+// Command pause is the first process of every pod: it holds the pod's namespaces and does nothing until it is asked to end.
 //
 // Where a pod shares its process namespace, orphans are handed to this process; they are reaped here, or they would stay as zombies.
 package main

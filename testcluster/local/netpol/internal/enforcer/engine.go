@@ -153,7 +153,7 @@ func (g *Engine) apply() error {
 	want := g.render.Render(g.index.Model())
 	have := g.applied
 	if have == nil && !g.failed {
-		// What an earlier run has left is adapted. Without it, or if it cannot be read, the table is written anew.
+		// What an earlier run has left is adapted. Without it, or if it cannot be read, the table is written again.
 		have, _ = g.conn.Dump(ruleset.Table)
 	}
 	batch := nft.Update(ruleset.Table, have, want)

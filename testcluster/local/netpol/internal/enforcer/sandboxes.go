@@ -119,7 +119,7 @@ func (s *sandboxes) follow(file *os.File, known map[string]bool) {
 			switch {
 			case mask&unix.IN_Q_OVERFLOW != 0:
 				if err := s.list(known, true); err != nil {
-					slog.Error("reading CNI results anew", "error", err.Error())
+					slog.Error("reading CNI results again", "error", err.Error())
 				}
 			case mask&(unix.IN_DELETE|unix.IN_MOVED_FROM) != 0:
 				s.forget(name, known)

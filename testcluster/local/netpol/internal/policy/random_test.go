@@ -19,7 +19,7 @@ import (
 	"understudy/testcluster/understudy-netpol/internal/policy"
 )
 
-// cluster is what the API holds; reading a policy from it is done anew for every question, as plainly as possible.
+// cluster is what the API holds; reading a policy from it is done again for every question, as plainly as possible.
 type cluster struct {
 	pods       map[policy.Key]*corev1.Pod
 	namespaces map[string]labels.Set
@@ -275,7 +275,7 @@ func TestRandomChanges(t *testing.T) {
 		}
 		models := []*policy.Model{here.Model(), there.Model()}
 		for n, node := range []string{"here", "there"} {
-			if anew := scratch(node, c); text(models[n]) != text(anew) {
+			if again := scratch(node, c); text(models[n]) != text(anew) {
 				t.Fatalf("step %d (%s): the index of %s has\n%s\nand from scratch it would have\n%s", step, what, node, text(models[n]), text(anew))
 			}
 		}

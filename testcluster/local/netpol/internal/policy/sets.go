@@ -19,7 +19,7 @@ func compareTargets(a, b Target) int {
 }
 
 // collection is a set that hands out sorted, unchanging lists of itself. A few changes are worked into a copy of the last
-// list; after many it is sorted anew, so that the first listing of a large cluster is not quadratic.
+// list; after many it is sorted again, so that the first listing of a large cluster is not quadratic.
 type collection[T comparable] struct {
 	compare func(a, b T) int
 	members map[T]struct{}

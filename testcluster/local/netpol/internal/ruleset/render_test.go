@@ -102,7 +102,7 @@ func TestNothingChangesWithoutAChange(t *testing.T) {
 		t.Errorf("without a change there are %+v", batch.Changes)
 	}
 	if batch := nft.Update(ruleset.Table, have, ruleset.NewRenderer("veth").Render(fleet(t, 20, 20).Model())); !batch.Empty() {
-		t.Errorf("the same cluster seen anew differs by %+v", batch.Changes)
+		t.Errorf("the same cluster seen again differs by %+v", batch.Changes)
 	}
 }
 
