@@ -1,4 +1,4 @@
-"""Processes of nodes.py whose lines can be waited for."""
+"""Processes of nodes.py; a test can wait for their output lines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 
 
 class Process:
-    """A process and what it has said."""
+    """A process and its output."""
 
     def __init__(self, command: Sequence[str], environment: dict[str, str]) -> None:
         self.events: list[dict[str, Any]] = []
@@ -55,7 +55,7 @@ class Process:
 
 
 async def eventually(holds: Callable[[], Any], within: float = 60.0) -> Any:
-    """Wait until it holds; what it returned."""
+    """Wait until the condition is true. Return its value."""
     end = time.monotonic() + within
     while not (value := holds()):
         assert time.monotonic() < end, f"not within {within} s"

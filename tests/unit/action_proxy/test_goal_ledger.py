@@ -1,4 +1,4 @@
-"""The rules of the task proxy: no goal is lost, none is executed after it ended, what was cancelled stays so."""
+"""The rules of the task proxy: no goal is lost, no goal is executed after it ended, and a cancelled goal stays cancelled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The proxy's connection to an agent: what is ordered is done once, and again where it may have been missed."""
+"""The proxy's connection to an agent: an order is sent once, and again if it may have been lost."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class Agent:
 
 
 class Heard:
-    """Who is told, and what is ordered."""
+    """Records the events that the link reports, and provides the orders."""
 
     def __init__(self) -> None:
         self.ordered: list[Order] = []

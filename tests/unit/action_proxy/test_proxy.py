@@ -99,7 +99,7 @@ class Monitor:
         self.tell()
 
     async def healthy(self) -> bool:
-        """What the kubelet is told."""
+        """Returns whether the kubelet's probe succeeds."""
         try:
             reader, writer = await asyncio.open_connection("127.0.0.1", self.port)
         except ConnectionRefusedError:
@@ -237,7 +237,7 @@ async def test_cancel_reject_preempt_and_a_client_that_goes_away(monitor, pods, 
         False,
         True,
     ]
-    # The server let the newer goal replace the older one. Its client is told, and no switch brings it back.
+    # The server replaced the older goal by the newer one. The older goal's client is informed, and no switch sends that goal again.
     await eventually(lambda: client.said("ended", index=0, status=6))
     client.tell("cancel 2")
     await eventually(lambda: client.said("ended", index=2, status=CANCELED))

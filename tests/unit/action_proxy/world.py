@@ -27,7 +27,7 @@ class Instance:
 
 
 class World:
-    """A ledger, instances, and what clients were answered."""
+    """A ledger, instances, and the answers that clients received."""
 
     def __init__(self, on_failover: str = "Resend", *instances: str) -> None:
         self.ledger = GoalLedger()
@@ -107,7 +107,7 @@ class World:
         self.go()
 
     def work(self) -> bool:
-        """Let every instance do what is ordered; whether there was anything."""
+        """Let every instance execute its orders. Return whether there were any."""
         did = False
         for instance in list(self.instances.values()):
             for order in self.ledger.orders(instance.uid):
@@ -165,7 +165,7 @@ class World:
                 self.cancelled.append(answer)
 
     def restart(self) -> None:
-        """The proxy's process is killed and started anew; the monitor tells it what is so."""
+        """Kill the proxy's process and start it again; the monitor sends it the current state."""
         self.ledger = GoalLedger.from_wire(json.loads(json.dumps(self.ledger.to_wire())), self.now)
         self.tell()
 

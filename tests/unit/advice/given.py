@@ -1,4 +1,4 @@
-"""What properties are tried with: any requirements, pools and figures."""
+"""Hypothesis strategies for requirements, pools and figures."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ pools = st.lists(
         Candidate,
         way=st.sampled_from(WAYS[:3]),
         pool=st.sampled_from(["a", "b", "c", "d", "e"]),
-        # Many alike: what is to be told apart by its name alone is where an order is least sure.
+        # Many pools are alike: an order is least stable if only the names differ.
         standbys=st.sampled_from([0.1, 0.5, 1.0, 2.0]),
     ),
     max_size=5,

@@ -48,7 +48,7 @@ async def test_a_held_talker_is_started_and_seen_to_be_up_and_ready(pod: Pod, li
     ready = await link.wait_for(runs, 60)
     assert (await pod.page("/ready"))[0] == 200
     assert begun < ready.started_at < up.process_up_at <= ready.ready_at
-    # Whichever of the two was in the graph last, the agent says so at once.
+    # Whichever of the two was last in the graph, the agent reports it immediately.
     assert up.process_up_at - ups(pod)[0] < 2.0
     assert ready.ready_at - up.process_up_at < 1.0
     assert (ready.phase, ready.reason) == ("Running", "")

@@ -123,7 +123,7 @@ def motion(gid: bytes, **fields: object) -> Motion:
 async def given(
     caller: InstanceCaller, localizer: Callable[[], None], sample: KeptSample
 ) -> tuple[RestoreReport, PoseWithCovarianceStamped]:
-    """What became of it, and what the instance got."""
+    """Returns the result of the restoration, and what the instance received."""
     localizer()
     await caller.bring_to("/localizer", "inactive", WITHIN)
     report = await StateRestorer(lambda: caller).restore(KeptState((sample,)), within=WITHIN)

@@ -1,6 +1,6 @@
 """The chart beside the code: definitions, names and rights are those that the code has; and what Helm itself says of it.
 
-What the templates make of values is said by the suites in charts/understudy/tests (test_suites.py).
+The suites in charts/understudy/tests check what the templates render from values (test_suites.py).
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ def helms() -> Iterator[Any]:
 
 
 def rendering(line: str) -> list[str]:
-    """The arguments by which ``helm template`` renders what a command installs."""
+    """Returns the arguments with which ``helm template`` renders what a command installs."""
     words = iter(shlex.split(line.replace("$REGISTRY", "registry.example"), comments=True)[2:])
     kept = []
     for word in words:

@@ -1,8 +1,9 @@
-"""What is applied to clusters is of the form that its kinds have: the rendered chart, the examples, and what the pages show.
+"""Manifests that are applied to clusters match the schemas of their kinds: the rendered chart, the examples, and the docs.
 
-kubeconform says so of a misspelled field before there is a cluster, and alone does so of kinds that the cluster under test hasn't,
-the Prometheus operator's, and of pods in our own kinds, which an API server sees when they are made. It doesn't default, admit or
-compile: a real API server judges the chart in tests/cluster/test_chart.py, and our kinds in tests/cluster/test_crds.py.
+kubeconform reports a misspelled field before a cluster exists. It is the only check for kinds that the cluster under test does
+not have (those of the Prometheus operator), and for pod templates in our own kinds, which an API server checks when it creates
+the pods. It does not default, admit or compile: a real API server judges the chart in tests/cluster/test_chart.py, and our kinds
+in tests/cluster/test_crds.py.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ def test_a_robot_is_explained_by_what_is_around_it(
 def test_right_after_a_failover_it_goes_by_the_pods_that_there_are_not_by_what_was_said_of_them(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
-    # Its standby is in control now, and nobody has said yet that there is no other.
+    # Its standby is in control now, and no status says yet that no other standby is left.
     item = fleet.well()
     said = {one["type"]: one["status"] for one in item["status"]["conditions"]}
     assert said["Protected"] == "True"

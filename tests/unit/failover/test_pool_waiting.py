@@ -38,7 +38,7 @@ class Robot:
 
 @dataclass
 class Course:
-    """What came of it: who was served when, and how."""
+    """The result of a run: which workload was served when, and how."""
 
     served: dict[int, tuple[float, int]] = field(default_factory=dict)
     """Time and pod by robot."""

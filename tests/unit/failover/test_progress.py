@@ -1,4 +1,4 @@
-"""When the gate was enforced is told by what came through it first; and what a gate tells of a recovery before the status does."""
+"""The first sample that passes the gate gives the time of enforcement; a gate reports a recovery earlier than the status."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def beside(**moments: float) -> Progress:
 
 
 class TestWhatOnlyAGateTellsOf:
-    """A status tells of the recovery beside its gate once that is over, or takes long."""
+    """A status contains the recovery of its gate once the recovery is over, or takes long."""
 
     def test_a_recovery_that_the_status_has_not_is_under_way(self) -> None:
         committed = Committed.of(beside())

@@ -1,4 +1,4 @@
-"""A recovery gives the instance that takes over the state of the last healthy one, and records what became of it."""
+"""A recovery gives the instance that takes over the state of the last healthy one, and records the result."""
 
 from __future__ import annotations
 

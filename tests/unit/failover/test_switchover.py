@@ -247,7 +247,7 @@ async def test_whenever_the_monitor_is_killed_one_instance_drives_and_the_next_m
         except Killed:
             assert store.gate.active in ("w-1", "w-2", "w-9"), f"killed at step {step}"
             assert store.gate.active in store.pods, f"killed at step {step}: who is let through runs"
-            # As the next one does: what was committed is settled, and anything else begun anew.
+            # As the next monitor does: it settles what was committed, and starts everything else again.
             means = World(store).means()
             begun = store.journal if store.journal is not None else store.gate.recovery
             if begun is not None and (begun.result != "Running" or switchover.committed(begun, means)):

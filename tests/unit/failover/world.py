@@ -39,7 +39,7 @@ class Store:
     followed: set[str] = field(default_factory=set)
     """Pods whose agents a connection was asked for."""
     brought_up: list[tuple[str, str]] = field(default_factory=list)
-    """Which pods were brought up by which procedure."""
+    """The pods that were brought up, each with its procedure."""
     unwilling: set[str] = field(default_factory=set)
     """Pods (by name) whose procedures fail."""
     endless: set[str] = field(default_factory=set)
@@ -68,7 +68,7 @@ class Store:
     stocked: set[str] = field(default_factory=set)
     """The shared pools that the operator says have a pod for it."""
     told: list[str] = field(default_factory=list)
-    """What people were told of its waiting for a pod."""
+    """The messages to users about its wait for a pod."""
 
     def add(self, name: str, **values: object) -> Instance:
         pod = replace(Instance(name=name, uid=f"uid-{name}", ip="10.0.0.1", running=True, ready=True), **values)  # type: ignore[arg-type]

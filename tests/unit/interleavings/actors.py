@@ -54,7 +54,7 @@ NAMESPACE = "fleet"
 RESYNC = 30.0
 LEASE = "understudy-operator"
 TIMING = Timing(lasts=4.0, renew_within=2.5, every=1.0)
-"""Of the operators' lease: shorter than it really is, since trouble doesn't last long."""
+"""Duration of the operators' leader lock: shorter than the real one, because failures are short in the model."""
 
 
 class Silent(Recorder):

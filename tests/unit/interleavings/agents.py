@@ -1,6 +1,6 @@
 """What the reflex needs in the pods: the profile that says how strong a process is, and the fence that holds one which is cut off.
 
-Both are the agent's own code, over a folder for the pod's shared volume. Stand-ins are the connections by which the fence
+Both are the agent's own code, over a folder for the pod's shared volume. Stand-ins are the connections with which the fence
 asks whether anybody is there, and the application, which does at once as the shared volume says.
 """
 
@@ -37,7 +37,7 @@ class Questions:
         self._open.append((address, now, self._reaches(address.host)))
 
     def answers(self, now: float) -> list[tuple[Address, float, bool]]:
-        """What became of those that have ended."""
+        """The results of those that have ended."""
         ended = [one for one in self._open if now - one[1] >= (ANSWERS if one[2] else ANSWER)]
         self._open = [one for one in self._open if one not in ended]
         return ended
@@ -90,13 +90,13 @@ class Agent:
     reaches_since: float | None = None
     """Since when what it sends reaches its robot; None while it doesn't."""
     gave_way: int | None = None
-    """The process that ran when the agent was told to give way."""
+    """The process that ran when the agent received the order to give way."""
     believed: bool = False
     """Whether it was let go on last before the gate had shut it out, or before its monitor knew that."""
     unfenced: bool = False
-    """Whether it was cut off last before its agent had been told by a monitor who may answer."""
+    """Whether it was last disconnected before a monitor had sent its agent the list of witnesses."""
     left: bool = False
-    """Whether its processes were told to end, so that readers know."""
+    """Whether its processes were stopped in order, so that readers know."""
     asking: bool = False
     """Whether its fence runs: while everybody answers there is nothing to decide."""
 

@@ -227,7 +227,7 @@ class ApiServer:
 
 
 def told(event: Event, chosen: Callable[[Object], bool]) -> tuple[str, Object] | None:
-    """What a watch tells of a write; None if it's none of its business."""
+    """Returns the event of a watch for a write; None if the watch does not select the object."""
     was = event.old is not None and chosen(event.old)
     if event.new is not None and chosen(event.new):
         return ("MODIFIED" if was else "ADDED"), event.new
@@ -276,7 +276,7 @@ def merged(target: Any, patch: Any) -> Any:
 
 
 def applied(live: Any, before: Any, given: Any) -> Any:
-    """A server-side apply: what this manager gave before and gives no longer goes, what it gives is so."""
+    """A server-side apply: removes the fields that this manager no longer gives, and sets those that it gives."""
     if isinstance(given, dict) and isinstance(live, dict):
         known = before if isinstance(before, dict) else {}
         made = {key: value for key, value in live.items() if key not in known or key in given}

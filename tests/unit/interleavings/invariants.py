@@ -24,7 +24,7 @@ KNOWN = 70.0
 
 
 class Invariants:
-    """Looks at everything; what doesn't hold is told."""
+    """Checks all invariants and reports violations."""
 
     most_through = 1
     """Instances that a gate may let through at once."""
@@ -181,7 +181,7 @@ class Invariants:
                 yield f"{workload} isn't driven"
 
     def _unended(self) -> Iterator[str]:
-        """Recoveries that those who depend on a workload take to be under way, and that nobody goes on with."""
+        """Recoveries that dependents of a workload consider active, and that no monitor continues."""
         for (namespace, workload), item in sorted(self._server.items["robotworkloads"].items()):
             gate = self._server.get("networkpolicies", (namespace, names.gate(workload)))
             found = recoveries.beside(GateRecord.of(gate).recovery) if gate is not None else None

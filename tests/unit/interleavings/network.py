@@ -24,11 +24,11 @@ class Weather:
     refused: float = 0.0
     """The request never arrives, and that is known at once."""
     lost: float = 0.0
-    """The request never arrives, and nobody says so."""
+    """The request never arrives, and the client receives no error."""
     unanswered: float = 0.0
     """It is carried out, and the connection breaks before the answer."""
     unheard: float = 0.0
-    """It is carried out, and nobody says so."""
+    """The request is carried out, and the client receives no answer."""
     late: float = 0.0
     """It is carried out after its sender has given it up."""
     busy: float = 0.0
@@ -85,7 +85,7 @@ class Network:
         return roll * 2.0 if self.choices.random() < self.weather.slow else 0.0005 + roll * 0.006
 
     def fate(self) -> str:
-        """What becomes of a request."""
+        """Returns the fate of a request."""
         roll = self.choices.random()
         weather = self.weather
         for name in ("refused", "lost", "unanswered", "unheard", "late", "busy", "gateway"):
@@ -120,7 +120,7 @@ class Network:
         await future
 
     def count(self, outcome: str) -> None:
-        """Count what became of requests."""
+        """Count the fates of requests."""
         self.outcomes[outcome] = self.outcomes.get(outcome, 0) + 1
 
 

@@ -1,6 +1,6 @@
 """Runs with a reflex: robots whose readers fall over by themselves, and monitors that follow.
 
-The real code of the monitor's reflex and leases, of the strategies, and of the agents' strengths and fences runs over a
+The real code of the monitor's reflex and permits, of the strategies, and of the agents' strengths and fences runs over a
 model of readers with exclusive ownership, of pods, and of a network whose nodes can be cut off. What must hold is said in
 reflexinvariants.py.
 """

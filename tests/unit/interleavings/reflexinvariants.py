@@ -1,14 +1,14 @@
 """What must hold, beside what always must (invariants.py):
 
 - Whom a gate doesn't let through any more, the robot doesn't take any more. The network has a moment to follow, and a pod
-  that was cut off from everybody is held. It may go on until its node has been told where the node was back before it could be
+  that was cut off from everybody is held. It may continue until its node has received the gate if the node was back before it could be
   noticed, where its agent had never heard from a monitor, and where a monitor has let it go on before it was shut out, or
   before that one could know. A pod whose object is gone no policy holds back.
 - A process that starts after its agent was asked to give way is never taken, whoever is late.
 - A gate lets the pod in control through and at most one standby, which is weaker at that moment. Letting one through, or no
   longer, is no commit: neither epoch nor control change. Each commit is of the next epoch, and lets one through alone.
 - A robot whose gate lets a standby through that works and is reached is without commands for the deadline, a period and a moment at
-  most, whatever becomes of the pod in control, the monitor and the API server.
+  most, regardless of what happens to the pod in control, the monitor and the API server.
 - A recovery that began with the reflex leaves the robot to the standby that took over, for as long as that works.
 - Where the network is well and the monitor works, no robot is without commands for long while a standby works.
 
@@ -158,7 +158,7 @@ class ReflexInvariants(Invariants):
 
     def _unnoticed(self, found: Running, shut: float) -> bool:
         """Whether its node may know only an old gate, and nobody could have held the pod: it was cut off so shortly, or before its
-        agent was told who may answer, or was let go on before the commit was made or known.
+        agent received the list of witnesses, or was allowed to continue before the commit was made or known.
         """
         cut, back = self.robots.cut_at.get(found.node, 0.0), self.robots.back_at.get(found.node, 0.0)
         agent = self.robots.agents[found.uid]

@@ -1,7 +1,7 @@
 """Robots whose readers fall over by themselves, and nodes that can be cut off: from everybody, or from some.
 
-A node enforces a gate as it was told last, and one that comes back is told after a while. Strengths and fences are the agents'
-own code (agents.py), readers a model (ownership.py).
+A node enforces the gate that it received last, and receives the present one some time after it is connected again. Strengths
+and fences are the agents' own code (agents.py); readers are a model (ownership.py).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ DISCOVERY = 1.0
 """Most seconds until a new reader has discovered a writer."""
 
 SKEW = 0.2
-"""Most seconds by which nodes' clocks differ."""
+"""Largest difference of the nodes' clocks, in seconds."""
 
 
 @dataclass

@@ -85,7 +85,7 @@ class ReflexProbes(Probes):
 
 
 class ReflexSidecars(AgentConnections):
-    """Agents that say how strong their instances are, and are told who may let them go on."""
+    """Agents that report the strengths of their instances, and receive the list of those who may permit them to continue."""
 
     def __init__(self, *given: Any, **more: Any) -> None:
         super().__init__(*given, **more)

@@ -61,7 +61,7 @@ class Running:
 
 @dataclass
 class Luck:
-    """What becomes of new pods."""
+    """The fates of new pods."""
 
     broken: float = 0.0
     slow: float = 0.1

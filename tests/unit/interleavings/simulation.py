@@ -129,7 +129,7 @@ TROUBLES = {
 
 @dataclass
 class Outcome:
-    """What became of a run."""
+    """The result of a run."""
 
     seed: int
     scene: str
@@ -144,7 +144,7 @@ class Outcome:
     creations: int = 0
     requests: dict[str, int] = field(default_factory=dict)
     reflex: dict[str, int] = field(default_factory=dict)
-    """What came of it, where there is one."""
+    """Its result; None if there is none."""
 
     def __str__(self) -> str:
         told = "\n".join([*self.trace, *(f"DOES NOT HOLD: {fault}" for fault in self.faults)])
@@ -238,13 +238,13 @@ class Simulation:
         self._over = True
 
     def _leader(self) -> str:
-        """The replica that holds the lease; empty where none does."""
+        """Returns the replica that leads; empty if none does."""
         lease = self.server.get("leases", (NAMESPACE, LEASE))
         found: str = lease["spec"]["holderIdentity"] if lease is not None else ""
         return found
 
     def _leads(self, name: str) -> bool:
-        """Whether an operator of that name holds the lease, and lives."""
+        """Returns whether the operator of that name leads and is alive."""
         return any(o.process.name == name and o.replica == self._leader() for o in self.operators)
 
     def _sends(self, process: Process, method: str, path: str) -> None:
@@ -410,7 +410,7 @@ class Simulation:
             self.kill(self.choices.choice(self.operators).process)
 
     def _operator_is_ended(self) -> None:
-        """As when it's upgraded: it lets go of the lease, and the other one acts at once."""
+        """End the leading operator as an upgrade does: it gives up its leadership, and the other one acts immediately."""
         if self.operators:
             operator = self.choices.choice(self.operators)
             self.note(f"{operator.process} is to end")

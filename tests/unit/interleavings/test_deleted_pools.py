@@ -1,4 +1,4 @@
-"""A shared pool is deleted, for good or to be made anew, while pods are claimed from it and all else goes wrong.
+"""A shared pool is deleted, permanently or to be created again, while pods are claimed from it and other failures happen.
 
 Also just after an upgrade. Whoever drives a robot can be commanded by the next monitor: the token of its agent is there, and may be read.
 """
@@ -37,20 +37,20 @@ CAUSES = {cause: often for cause, often in TROUBLES.items() if cause != "pool_is
 
 
 class Unbounded(Invariants):
-    """Free pods of a pool that was deleted are there beside those of the one that was made anew, until they are collected."""
+    """Free pods of a deleted pool exist beside those of the pool that was created again, until they are collected."""
 
     def _created(self, pod: Object, by: str) -> None:
         return
 
 
 class Deleting(Simulation):
-    """A run in which somebody deletes the pool, and may make it anew."""
+    """A run in which somebody deletes the pool, and may create it again."""
 
     causes = CAUSES
 
     def __init__(self, *given: Any, **more: Any) -> None:
         self.seen: Counter[str] = Counter()
-        """How often a pool was deleted, with how many pods claimed; and what became of the Secret."""
+        """How often a pool was deleted, with how many claimed pods, and how often its Secret changed."""
         self._number = 0
         super().__init__(*given, **more)
 
@@ -155,7 +155,7 @@ class Deleting(Simulation):
 
 
 def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> tuple[Outcome, Counter[str]]:
-    """The run of a seed, and what came of its pool's deletion."""
+    """Returns the run of a seed, and the result of its pool's deletion."""
     scene = scene or (SHARED, SCARCE)[seed % 2]
     base = simulation.prepared(scene, Deleting)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,5 +1,5 @@
-"""Situations that come and go in whatever order, while all else goes wrong. What holds without them holds with them, the standbys that
-there are in the end are those of the situation, and no ready one was taken away by which its monitor could have recovered.
+"""Situations start and end in any order while other failures happen. All invariants hold as without situations, the final standbys
+are those of the situation, and no ready standby that the monitor could have used was removed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Situated(Simulation):
 
     def __init__(self, *given: Any, **more: Any) -> None:
         self.seen: Counter[str] = Counter()
-        """What came of it: standbys that were made, let go, and that took over."""
+        """The result: standbys that were created, released, and that took over."""
         super().__init__(*given, **more)
         self.busy: set[str] = set()
         self.robots.busy = self.invariants.busy = self.busy  # type: ignore[attr-defined]
@@ -87,7 +87,7 @@ class Situated(Simulation):
             self._let_go(old, by)
 
     def _let_go(self, pod: Object, by: str) -> None:
-        """None that could take over goes while the monitor was told that it recovers by such a one, but where there is another."""
+        """No standby that could take over is removed while the monitor counts on it, unless there is another one."""
         workload = _labels(pod)[names.WORKLOAD]
         found = self.robots.running.get(pod["metadata"]["uid"])
         told = self.server.get("configmaps", (NAMESPACE, names.settings(workload)))
@@ -107,7 +107,7 @@ class Situated(Simulation):
 
 
 def run(seed: int, *, tracing: bool = False) -> tuple[Outcome, Counter[str]]:
-    """The run of a seed, and what came of situations in it."""
+    """Returns the run of a seed, and the situations in it."""
     base = simulation.prepared(SCENE)
     with tempfile.TemporaryDirectory() as folder:
         made = Situated(SCENE, seed, base, Path(folder), tracing=tracing)

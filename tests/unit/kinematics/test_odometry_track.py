@@ -1,4 +1,4 @@
-"""Odometry is remembered for a while, told between its messages, and given up when it has begun anew."""
+"""Odometry is kept for a limited time, interpolated between its messages, and discarded when its source starts again."""
 
 from __future__ import annotations
 

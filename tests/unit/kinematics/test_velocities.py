@@ -91,7 +91,7 @@ def test_it_is_less_certain_where_the_speed_changes_meanwhile():
 def test_too_little_says_nothing():
     velocities, poses = Velocities(0.5), driven(0.3, 0.0, count=12)
     assert [velocities.add(pose) is not None for pose in poses[:4]] == [False, False, False, True]
-    # Out of sight for longer than the window: it begins anew.
+    # The robot was out of sight for longer than the window: the estimate starts again.
     later = [pose._replace(stamp=pose.stamp + 5) for pose in poses]
     assert [velocities.add(pose) is not None for pose in later[:4]] == [False, False, False, True]
 

@@ -1,4 +1,4 @@
-"""An API server in memory, as far as leases, events and writes of single objects need one."""
+"""An API server in memory, with the functions that leader election, events and writes of single objects need."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Claims by version and by name, also such whose answers are lost: the pod has one owner, and that one knows it."""
+"""Claims by version and by name, including claims whose answers are lost: a pod has one owner, and this owner knows it."""
 
 from __future__ import annotations
 
@@ -50,13 +50,13 @@ async def free_pod(client: MemoryClient, annotations: Object | None = None) -> O
 
 
 def by_name(pod: Object) -> Object:
-    """What a table tells of a pod."""
+    """Returns what a table contains about a pod."""
     [found] = pod_tables.pods(tabled({"metadata": {}, "items": [pod]}), namespace="fleet", labels=HELD)
     return found
 
 
 def whole(pod: Object) -> Object:
-    """What a list tells of it."""
+    """Returns what a list contains about a pod."""
     return pod
 
 

@@ -17,7 +17,7 @@ IDLE = 0.3  # seconds
 
 
 class Server:
-    """Closes connections that are idle, as an API server does, and knows by which it was asked for pods."""
+    """Closes idle connections, as an API server does, and records the connection of each request for pods."""
 
     def __init__(self) -> None:
         self.seen: set[object] = set()

@@ -1,4 +1,4 @@
-"""A local copy that watch and writes keep: neither takes back what the other knows better."""
+"""A local copy that a watch and writes update: neither replaces newer knowledge of the other."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def pod(name: str, version: int, **labels: str) -> Object:
 
 
 class Scripted(Client):
-    """Answers a list as it is told, and then brings what is put into a queue."""
+    """Answers a list with the given objects, and then sends the events from a queue."""
 
     def __init__(self, version: int, *items: Object) -> None:
         self.version, self.items = version, items

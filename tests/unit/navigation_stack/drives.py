@@ -1,4 +1,4 @@
-"""A robot in a generated world without ROS: it drives as it is told, its odometry drifts, its laser is noisy."""
+"""A robot in a generated world without ROS: it follows its commands, its odometry drifts, and its laser is noisy."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def arc(length: float, turn: float) -> Pose:
 
 @dataclass
 class Tour:
-    """What came of a tour: localization errors in m and rad, clearances, where it ended for each goal."""
+    """The result of a tour: localization errors in m and rad, clearances, and the final pose for each goal."""
 
     errors: list[float] = field(default_factory=list)
     turned: list[float] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""Who stands before the robot: tells the stack where it is, sends it goals, and sees where it really is."""
+"""A person in front of the robot: sets the stack's initial pose, sends goals, and knows the true pose."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Site(Run):
         return self.start(name, "-m", name, **more)
 
     def end(self, process: subprocess.Popen[bytes]) -> None:
-        """The stack has processes of its own, which it ends when it is told to end."""
+        """Stop the stack, which then ends its own child processes."""
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
             with suppress(subprocess.TimeoutExpired):
@@ -46,7 +46,7 @@ class Site(Run):
 
 
 DOUBT = 0.35
-"""m and rad by which a person doubts where the robot is."""
+"""Standard deviation in m and rad of a person's estimate of the robot's pose."""
 
 
 class Person:
@@ -147,7 +147,7 @@ class Person:
         self._initial.publish(message)
 
     def restore(self, message: Any) -> None:
-        """Give it a pose that another instance had published, with the time at which it was so."""
+        """Publish a pose that another instance had published, with the time at which it was valid."""
         self._initial.publish(message)
 
     @property

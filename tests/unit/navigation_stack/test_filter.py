@@ -70,7 +70,7 @@ def test_where_the_laser_is_mounted_counts() -> None:
 
 
 def test_a_pose_from_before_a_turn_is_found_anywhere() -> None:
-    """As far off as a robot gets in half a second, doubted as the localization doubts what it is told."""
+    """The error is what a robot drives in half a second; the covariance is that of a pose which the localization receives."""
     world = generate(7)
     grid, chance = charted(world), np.random.default_rng(3)
     lost = []

@@ -31,7 +31,7 @@ class Judged:
         return self.tree.evaluate(self._watching, now=time.time(), since=self.since)
 
     def until_failed(self) -> Verdict:
-        """The first verdict that isn't Healthy; it doesn't come before the deadline that was told."""
+        """Returns the first verdict that is not Healthy, and checks that it does not come before the announced deadline."""
         due, end = None, time.time() + 20
         while (verdict := self.now()).state == "Healthy":
             assert time.time() < end

@@ -1,7 +1,7 @@
-"""A real managed node and what else an instance may serve: ``python managed.py [slow|refusing] ``. Says ``ready`` and runs until killed.
+"""A real managed node and what else an instance may serve: ``python managed.py [slow|refusing]``. Prints ``ready`` and runs until killed.
 
 /managed       lifecycle node with parameters speed (double), label (string), count (integer)
-/switch        std_srvs/SetBool: answers with what it was told
+/switch        std_srvs/SetBool: answers with the value of the request
 /never         std_srvs/Trigger that takes a minute
 /second        std_srvs/Trigger that leaves the first request unanswered
 /initialpose   is subscribed to; what came is published latched on /taken
@@ -77,7 +77,7 @@ def run(kind: str) -> None:
     while True:
         try:
             executor.spin()
-        except RCLError as refused:  # rclpy doesn't answer a transition that there is none of from here: it raises
+        except RCLError as refused:  # rclpy does not answer a transition that this state does not have: it raises
             print(refused, file=sys.stderr, flush=True)
 
 

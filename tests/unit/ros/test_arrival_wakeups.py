@@ -1,4 +1,4 @@
-"""Messages that may be a failure as they come are told of by a descriptor, and all others wait to be looked at."""
+"""A descriptor reports messages that may show a failure when they arrive; all others wait for the next read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a node is there is told by the real ROS graph, and whose nodes count by where they are."""
+"""The real ROS graph shows whether a node exists; its address decides whether it counts."""
 
 from __future__ import annotations
 

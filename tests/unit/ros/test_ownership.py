@@ -147,7 +147,7 @@ def test_a_robots_reader_falls_over_and_the_loser_stays_away(
     fence(primary, False)
     until_from(robot, "primary")
 
-    # Killed, and restarted after it was told to give way: it isn't heard, with no fence at all.
+    # It is killed, and restarted after the request to give way: readers do not accept it, even without a fence.
     first.kill()
     until_from(robot, "fallback")
     WriterStrengths(Path(strong).parent).give_way()

@@ -1,4 +1,4 @@
-"""The parameters of real nodes, by what they tell of changes and by what they answer."""
+"""The parameters of real nodes, from their parameter events and from their answers."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_a_node_that_is_not_there_is_told_so(watching, eventually):
 
 @dataclass
 class Told:
-    """What the instance in control tells of a parameter."""
+    """Returns what the active instance reports about a parameter."""
 
     received: float
     speed: float

@@ -1,4 +1,4 @@
-"""Who publishes a topic is told by the real ROS graph, and whose publishers count by where they are."""
+"""The real ROS graph shows who publishes a topic; the address of a publisher decides whether it counts."""
 
 from __future__ import annotations
 

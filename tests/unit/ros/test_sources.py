@@ -1,4 +1,4 @@
-"""A sample is attributed to the pod that sent it, by the pod's address alone; what can't be told is said."""
+"""A sample is attributed to the pod that sent it, by the pod's address alone; a sample without a known source is reported."""
 
 import itertools
 import json

@@ -220,7 +220,7 @@ def test_a_goal_is_not_active_any_more_when_its_server_is_gone(watching, process
     eventually(lambda: watching.drain() and watching.task(STATUS))
     worker.stdin.write("end\n")
     worker.stdin.flush()
-    # A process that crashes as it ends, which rclpy's now and then does, is missed by its participant's lease of 20 s only.
+    # If a process crashes as it ends, which rclpy's sometimes does, DDS notices only after the lease duration of 20 s.
     eventually(lambda: watching.drain() is not None and watching.task(STATUS) is None, timeout=45)
 
 

@@ -1,4 +1,4 @@
-"""What decides whether an image is built anew, and what pip is told inside a build."""
+"""Which changes cause an image to be built again, and which settings pip has inside a build."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tracker's node makes of images and calibrations that cannot be used: it says so, once, and goes on."""
+"""The tracker's node reports images and calibrations that it cannot use, each problem once, and continues."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def first(count: int) -> int:
 
 
 class ScenarioWriter:
-    """Writes one file; values become parameters of the scenario where a choice says so."""
+    """Writes one file; a choice decides for each value whether it becomes a parameter of the scenario."""
 
     def __init__(self, choose: Choose = first) -> None:
         self._choose = choose

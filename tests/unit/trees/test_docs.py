@@ -1,4 +1,4 @@
-"""What docs/trees.md and docs/procedures.md show is so."""
+"""The examples in docs/trees.md and docs/procedures.md are correct."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Conditions over messages: what they say, when they can't be told, and that nothing else gets in."""
+"""Conditions over messages: their values, when they are undecided, and that nothing but conditions is accepted."""
 
 import ast
 import contextlib

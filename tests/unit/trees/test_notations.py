@@ -1,4 +1,4 @@
-"""Whatever form a health tree is written in, it is loaded by one function, and what is wrong with it can be told in short."""
+"""One function loads a health tree in any of its languages, and summarizes what is wrong with it."""
 
 from __future__ import annotations
 

@@ -272,7 +272,7 @@ TREES = st.recursive(leaves(), above, max_leaves=6)
 
 
 async def trace(found: LoadedProcedure, seed: int) -> list[str]:
-    """What is done to an instance, and what became of it, with nodes called as in the short form."""
+    """The actions on an instance and their results, with the node names of the short form."""
     instance, end = Fickle(seed), "done"
     try:
         await found.tree.run(instance, LONG)

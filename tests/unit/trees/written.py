@@ -31,7 +31,7 @@ def first(count: int) -> int:
 
 
 class Writer:
-    """Writes one file; parts of it become trees of their own where a choice says so."""
+    """Writes one file; a choice decides for each part whether it becomes a separate tree."""
 
     def __init__(self, choose: Choose = first) -> None:
         self._choose = choose

@@ -1,4 +1,4 @@
-"""Watches of kubectl that tell of changes, that end, and that whoever asks hasn't the right to."""
+"""Watches of kubectl: they report changes, they end, and they may be forbidden."""
 
 from __future__ import annotations
 

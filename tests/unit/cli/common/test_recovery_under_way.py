@@ -1,4 +1,4 @@
-"""What a gate tells of a recovery, beside what the status does."""
+"""What a gate says about a recovery, compared with the status."""
 
 from __future__ import annotations
 

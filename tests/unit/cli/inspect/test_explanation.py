@@ -18,7 +18,7 @@ from understudy.kube.client import Object
 
 
 class Nothing:
-    """Answers that there is nothing else."""
+    """Returns no other objects."""
 
     async def find(self, *_: Any) -> Object | None:
         await asyncio.sleep(0)

@@ -74,7 +74,7 @@ def test_everything_for_scripts(
 
 
 def recovering(**changes: Any) -> list[dict[str, Any]]:
-    """The fleet, and a gate that tells of a recovery."""
+    """The fleet, and a gate that records a recovery."""
     return [*fleet.fleet(), fleet.gate(fleet.well(), fleet.under_way(**changes))]
 
 

@@ -91,7 +91,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., str]:
 
 @pytest.fixture
 def cluster(file: Callable[..., str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Path]:
-    """A stand-in for kubectl, which says what it is told to; gives what it was asked."""
+    """Returns a function that installs a script as kubectl; the function returns the file of the requests that the script received."""
 
     def tell(script: str) -> Path:
         asked = tmp_path / "asked"

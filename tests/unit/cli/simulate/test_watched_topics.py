@@ -29,7 +29,7 @@ LONG = 30.0
 
 
 class Publishing:
-    """Says something on a topic, 20 times a second, until it is told not to."""
+    """Publishes on a topic, 20 times a second, until it is stopped."""
 
     def __init__(self, graph: Any, topic: str) -> None:
         from std_msgs.msg import String
