@@ -2,7 +2,7 @@
 
     python -m tests.cluster.contending KUBECONFIG NAMESPACE POOL WHO ROBOT...
 
-Says ``ready`` when all have read what there is, waits for a line, has them contend, and prints what became of them as JSON. WHO is
+Says ``ready`` when all have read the objects, waits for a line, has them contend, and prints the results as JSON. WHO is
 in their claims, since a robot may have several that act for it, as two monitors of one workload would.
 """
 
@@ -25,7 +25,7 @@ from understudy.kube.kubeconfig import load_access
 
 @dataclass
 class Outcome:
-    """What became of one contender."""
+    """The result of one contender."""
 
     robot: str
     claim: str
@@ -104,7 +104,7 @@ def _begin() -> None:
 
 
 def main(kubeconfig: str, namespace: str, pool: str, who: str, *robots: str) -> None:
-    """Contend, and print what became of it."""
+    """Contend, and print the result."""
     outcomes = asyncio.run(contend(load_access(kubeconfig), namespace, pool, who, robots, _begin))
     print(json.dumps([asdict(outcome) for outcome in outcomes]))
 

@@ -1,4 +1,4 @@
-"""Runs inside a pod of the policy tests: answers on its ports, and speaks to others as it is told.
+"""Runs inside a pod of the policy tests: answers on its ports, and sends to others on command.
 
 Started with `kubectl exec -i POD -- python3 -c SOURCE PORT...`; requests and answers are one JSON object per line, so it needs nothing
 from the network it tests. Standard library only.
@@ -97,7 +97,7 @@ def say_again(flow: str) -> bool:
 
 
 def stream(name: str, address: str, port: int, every: float) -> bool:
-    """Sends numbered messages, each with the wall clock in nanoseconds, until it is told to stop."""
+    """Sends numbered messages, each with the wall clock in nanoseconds, until it is asked to stop."""
     talker = connect("udp", address, port)
     stop = threading.Event()
 

@@ -173,7 +173,7 @@ class World:
         """Make these, and only these, the policies of the namespaces."""
         kind = {"apiVersion": "networking.k8s.io/v1", "kind": "NetworkPolicy"}
         for space in self.spaces.values():
-            # Not changed but made anew: a change would keep what the API server has filled in for an earlier one.
+            # Deleted and created again: a change would keep what the API server has filled in for an earlier one.
             for item in self.cluster.list("networking.k8s.io/v1", "NetworkPolicy", space):
                 self.cluster.delete({**kind, "metadata": item["metadata"]})
         for item in wanted:

@@ -1,7 +1,7 @@
 """Many clients at once on a real API server: whoever is first, no pod has two owners, no gate two pods, no pool too many.
 
 The order of things is the API server's here; tests/unit/interleavings go through many more orders, of a model of it. Nothing is
-believed that the contenders say: what was so in between is told by a watch of another client.
+trusted from what the contenders say: a watch of another client shows what happened in between.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class History:
 
 @contextmanager
 def kubelet(fleet: Fleet) -> Iterator[None]:
-    """Says that the pods of the pool are ready, and says so again and again, as kubelets do: their versions grow."""
+    """Reports the pods of the pool as ready, again and again, as kubelets do: their versions grow."""
     stop = threading.Event()
 
     def run() -> None:
@@ -216,7 +216,7 @@ class Elsewhere:
             one.stdin.flush()
 
     def outcomes(self) -> list[Outcome]:
-        """Wait for what becomes of them."""
+        """Wait for their results."""
         told = [one.communicate(timeout=30)[0] for one in self._processes]
         assert [one.returncode for one in self._processes] == [0] * len(self._processes)
         return [Outcome(**found) for text in told for found in json.loads(text)]
@@ -316,7 +316,7 @@ async def fail_together(
 
 
 def test_a_pool_that_many_take_from_is_refilled_and_never_overfilled(fleet: Fleet, tmp_path: Path) -> None:
-    """Also while the operator that leads is told to end, and another one goes on."""
+    """Also while the leading operator is asked to end, and another one takes over."""
     multicast = {"discovery": {"mode": "Multicast"}}
     with ExitStack() as stack:
         operators = {identity: stack.enter_context(process(fleet, identity)) for identity in ("one", "two")}

@@ -757,7 +757,7 @@ def test_a_monitor_keeps_the_right_to_all_policies_until_its_image_has_said_that
 
 
 def told_to_follow(fleet: Fleet, name: str) -> list[str]:
-    """What a monitor is told that its workload depends on."""
+    """The dependencies of its workload that a monitor gets."""
     settings = json.loads(fleet.get("ConfigMap", names.settings(name), CORE)["data"]["settings.json"])
     return [one["name"] for one in settings["upstream"]]
 
@@ -1042,7 +1042,7 @@ def requiring(**requirements: str) -> Object:
 
 
 def chosen(fleet: Fleet) -> list[str]:
-    """What the monitor is told: the pools of the strategies, and Restart."""
+    """The settings that the monitor gets: the pools of the strategies, and Restart."""
     settings = json.loads(fleet.get("ConfigMap", names.settings("w"), CORE)["data"]["settings.json"])
     return [one.get("poolRef", {}).get("name", one["type"]) for one in settings["strategies"]]
 

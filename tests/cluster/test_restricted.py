@@ -1,4 +1,4 @@
-"""Namespaces at Pod Security `restricted`: all that the operator makes is within it, and who isn't is told."""
+"""Namespaces at Pod Security `restricted`: everything that the operator creates conforms, and what does not is reported."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ SERVED = (f"--query.lookback-delta={SCRAPED}s", "--storage.tsdb.retention.time=1
 
 
 def main() -> None:
-    """Make a past, have it served, ask for it and draw what came."""
+    """Make a history of metrics, serve it, query it and draw the result."""
     parser = argparse.ArgumentParser(prog="scripts/dashboards")
     parser.add_argument("--bundle", type=Path, required=True, help="the drawing program, in the folder of its packages")
     parser.add_argument("--out", type=Path, default=Path("docs/images"), help="where pictures go")

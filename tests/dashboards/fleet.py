@@ -59,7 +59,7 @@ class Failure:
 
 
 class Spell(NamedTuple):
-    """A time in which something is so, and for conditions their reason then."""
+    """An interval in which a state holds, and for conditions their reason then."""
 
     begin: float
     end: float

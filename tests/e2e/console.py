@@ -81,7 +81,7 @@ def shell_environment(kubeconfig: Path, folder: Path, *, namespace: str | None =
 
 
 def completed(kubectl: Kubectl, command: str, begun: str, folder: Path) -> list[str]:
-    """What a shell is told that may come next in kubectl's cluster and namespace, after ``understudy COMMAND`` and a word begun."""
+    """The completions that a shell gets in kubectl's cluster and namespace, after ``understudy COMMAND`` and the start of a word."""
     line, answer = " ".join(["understudy", *_command(kubectl, command)[3:], begun]), folder / "answer"
     asked = {
         "_ARGCOMPLETE": "1",

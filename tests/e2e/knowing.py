@@ -1,6 +1,6 @@
-"""An application for a test, run in a pod: what it was told shows in its commands.
+"""An application for a test, run in a pod: its commands show what it received.
 
-It turns on the spot, and drives at the speed that it was told last on /told; before it was told any, at UNTOLD.
+It turns on the spot, and drives at the last speed that it received on /told; before the first one, at UNTOLD.
 """
 
 from __future__ import annotations

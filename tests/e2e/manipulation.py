@@ -1,6 +1,6 @@
 """The manipulation example on the cluster: an arm that is moved from pose to pose while its planner is taken away.
 
-What came of it is read from the same logs as for navigation; the robot's has commands of joints, each with its step from
+The result is read from the same logs as for navigation; the robot's has commands of joints, each with its step from
 the one before, and where the gripper really was.
 """
 

@@ -1,6 +1,6 @@
 """The navigation example on the cluster: a robot that is driven through a list of goals while its stack is taken away.
 
-What came of it is read from three logs: the robot's (commands with their senders, where it really was), the client's (its
+The result is read from three logs: the robot's (commands with their senders, where it really was), the client's (its
 goals and their results) and the workload's status.
 """
 
@@ -39,7 +39,7 @@ GOAL_TOLERANCE = 0.25
 """Metres from the goal that the stack's controller calls reached; what it believes, so localization's error adds to it."""
 
 LOCALIZING = re.compile(r"localizing from (?P<x>-?[\d.]+), (?P<y>-?[\d.]+), heading -?[\d.]+ at (?P<time>[\d.]+)")
-"""What the stack's localization logs with the first pose after it was told where it is."""
+"""What the stack's localization logs with the first pose after it received its own."""
 
 LOCATE = """
 import math, sys, time
@@ -155,7 +155,7 @@ class Navigator(Robot):
         self.kubectl.apply(found)
 
     def wait_ready(self, within: float = 240.0) -> str:
-        """Wait until the stack is healthy and its first strategy's means are there; the pod in control."""
+        """Wait until the stack is healthy and its first strategy's resources are available. Returns the active pod."""
 
         def ready() -> str | None:
             status = self.status()
@@ -223,7 +223,7 @@ class Navigator(Robot):
         return float(said[1])
 
     def first_localization_error(self, pod: str, since: float) -> float:
-        """How far a pod's localization was off in the first pose that it said after it was told where it is, in metres.
+        """How far a pod's localization was off in the first pose that it published after it received its own, in metres.
 
         Told since that moment (unix seconds); by its own log, which says that pose and its time.
         """

@@ -41,7 +41,7 @@ class Monitor:
     ended: float
     recoveries: Sequence[Recovery]
     restarted: float | None = None
-    """When its container began anew in the same pod."""
+    """When its container restarted in the same pod."""
     scraped: float = 0.0
     """From when on it was scraped."""
     namespace: str = "fleet"

@@ -126,7 +126,7 @@ class Robot:
         return pod
 
     def wait_protected(self, within: float = 120.0) -> str:
-        """Wait until it's driven and its first strategy's means are there; the pod in control."""
+        """Wait until it's driven and its first strategy's resources are available. Returns the active pod."""
         pod = self.wait_driven(within)
         eventually(
             lambda: self.condition("Protected").get("status") == "True",
@@ -190,7 +190,7 @@ class Robot:
         """
         time.sleep(first)
         awaited = f"--for=jsonpath={{.status.recoveryCount}}={self._recovered_before + number}"
-        with suppress(Failed):  # what is so after it counts
+        with suppress(Failed):  # the state after it counts
             self.kubectl("wait", f"robotworkload/{self.name}", awaited, f"--timeout={within:g}s", timeout=2 * within)
         return self.wait_recovered(number, within)
 

@@ -1,6 +1,6 @@
 """The tracker's example on the cluster: a robot with a marker on it, a camera above it, and what the tracker makes of its images.
 
-What came of it is read from the robot's log (commands with their senders, where it really was), from what the tracker
+The result is read from the robot's log (commands with their senders, where it really was), from what the tracker
 publishes, and from the workload's status.
 """
 

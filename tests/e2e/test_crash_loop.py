@@ -1,5 +1,5 @@
 """An application that ends again and again right after its start, seen from the robot: another strategy has its turn, and
-when none is left that is told, and nothing thrashes.
+when none is left, that is reported, and nothing thrashes.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ from tests.e2e.test_strategies import assert_handed_over
 APPLICATION = Path(__file__).with_name("knowing.py")
 
 UNTOLD, FIRST, SECOND = 0.01, 0.02, 0.03
-"""Speeds in metres per second: of the application that was told none (see knowing.py), and what the robot says."""
+"""Speeds in metres per second: of the application that received none (see knowing.py), and the one that the robot publishes."""
 
 PERIOD = 2
 """Seconds between two times at which a standby is given what is new."""
@@ -37,7 +37,7 @@ for _ in range(20):
 
 
 def application(workload: Object) -> None:
-    """The workload drives by what it was told, and brings itself up."""
+    """The workload drives at the speed that it received, and brings itself up."""
     spec = workload["spec"]["template"]["spec"]
     container = spec["containers"][0]
     container["command"] = ["python3", "/application/knowing.py"]

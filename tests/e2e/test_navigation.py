@@ -67,7 +67,7 @@ def test_all_goals_are_reached_though_the_stack_is_lost_twice(navigator: Navigat
         recovery = navigator.wait_recovered(number, within=150)
         assert recovery.strategy == CONFIGURATIONS[configuration], recovery
         assert recovery.old == active
-        if configuration != "executing":  # which is told nothing: it has a localization of its own
+        if configuration != "executing":  # which receives nothing: it has a localization of its own
             first = navigator.first_localization_error(recovery.new, recovery.moments["decided"])
             print(f"{configuration} {number}: the first pose is off by {first:.3f} m; {navigator.carried(number)}")
             assert first < LOCALIZATION

@@ -98,7 +98,7 @@ def test_without_kubelet_and_runtime_the_robot_is_driven_on_and_taken_over_when_
         what=f"Kubernetes gives up {old}",
         note=robot.describe,
     )
-    time.sleep(5)  # nothing comes of it
+    time.sleep(5)  # nothing happens
     assert_undisturbed(robot, old, lost)
     assert robot.status()["active"] == old
 

@@ -11,7 +11,7 @@ SILENCE = "120s"
 
 
 def looking_at(pod: Object) -> list[Object]:
-    """A policy that begins anew where this leaf fails, and hardly looks at the outputs."""
+    """A policy that restarts if this leaf fails, and hardly looks at the outputs."""
     [policy] = patient(manifest("strategies/restart.yaml"), gap=SILENCE)
     policy["spec"]["monitoring"]["yaml"]["parallel"].append({"pod": pod})
     return [policy]

@@ -65,7 +65,7 @@ def robot(kubectl: Kubectl) -> Robot:
 
 
 def protect(robot: Robot, **spec: object) -> str:
-    """Have it protected by a pool; the pod in control."""
+    """Protect it by a pool. Returns the active pod."""
     robot.kubectl.apply(pool_of(robot, **spec))
     robot.kubectl.apply(robot.objects(policy=POOL))
     return robot.wait_protected()

@@ -120,7 +120,7 @@ ADDED = ("spec", "monitor", "resources")
 """A field that the earlier version of the chart doesn't know."""
 
 NEW = ["registry"]
-"""The Secrets by which images are pulled in production."""
+"""The Secrets with which images are pulled in production."""
 
 
 @pytest.fixture
@@ -174,7 +174,7 @@ def fields(definition: Object, *path: str) -> Object:
 
 
 def secrets(pod_template: Object) -> list[str]:
-    """The Secrets by which the images of a pod or a template are pulled."""
+    """The Secrets with which the images of a pod or a template are pulled."""
     return [secret["name"] for secret in pod_template["spec"].get("imagePullSecrets") or []]
 
 

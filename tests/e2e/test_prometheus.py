@@ -38,7 +38,7 @@ SELDOM = (
     "understudy_tree_overruns", 'result!="Recovered"', "== 0", "GateEnforced",
 )  # fmt: skip
 """What this robot has nothing of: no pool is shared, no state is kept, its policy has no budget, nothing was held, a look may never have
-been late, no recovery failed, nothing is amiss; and whether its gate is enforced isn't known for a while after a failover."""
+been late, no recovery failed, nothing is wrong; and for a while after a failover it is unknown whether its gate is enforced."""
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_the_alerts_are_well_formed_and_fire_when_they_should(programs: Path, tm
 
 
 def past(begin: float, end: float) -> Operator:
-    """Of robots whose monitors live on, begin, end and begin anew in a period, whatever that does to their counters."""
+    """Robots whose monitors run on, start, end and restart in a period, whatever that does to their counters."""
     hour, middle, before = 3600.0, (begin + end) / 2, begin - 3600.0
     monitors = [
         Monitor(

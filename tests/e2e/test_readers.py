@@ -1,4 +1,4 @@
-"""A robot that was started without its DDS profile is told of, and so is that it was cured."""
+"""A robot that was started without its DDS profile is reported, and so is its correction."""
 
 from __future__ import annotations
 

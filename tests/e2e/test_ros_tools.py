@@ -1,4 +1,4 @@
-"""What ROS tools in the robot's graph are told of a workload, read as they read it."""
+"""What ROS tools in the robot's graph learn about a workload, read as they read it."""
 
 from __future__ import annotations
 

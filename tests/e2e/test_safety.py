@@ -1,4 +1,4 @@
-"""While nobody drives the robot it is told the policy's safe command, and only then."""
+"""While nobody drives the robot it receives the policy's safe command, and only then."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kept state: taken of a healthy instance and of the robot, given to the one that takes over; what can't be is told."""
+"""Kept state: taken of a healthy instance and of the robot, restored on the instance that takes over, or reported as not restored."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def test_kept_state_outlasts_the_monitors_container(keeping: Robot) -> None:
         what="the monitor's container is restarted",
         note=keeping.describe,
     )
-    # Ages are told anew only by the next monitor.
+    # Only the next monitor publishes ages again.
     eventually(
         lambda: any(line.count("watching") for line in keeping.kubectl("logs", monitor, "-c", "monitor").splitlines()),
         within=60,
@@ -140,7 +140,7 @@ def test_kept_state_outlasts_the_monitors_container(keeping: Robot) -> None:
     )
     keeping.wait_protected()
     wait_kept(keeping, "Topic /note", "Topic /map", "Lifecycle /drive")
-    # Nobody has said it again. It was said for two seconds, and the first of them may be what was told before.
+    # Nobody has said it again. It was said for two seconds, and the first of them may be an earlier one.
     was, taken = (datetime.fromisoformat(entry["takenAt"]) for entry in (before, kept(keeping)["Topic /note"]))
     assert was <= taken <= was + timedelta(seconds=10)
 

@@ -20,7 +20,7 @@ PERIOD = 0.05
 """Seconds between two commands of the quickstart's application."""
 
 BUSY = 0.1
-"""Seconds by which a command may be late on a machine that is busy with other things."""
+"""Seconds that a command may be late on a machine that is busy with other things."""
 
 
 @pytest.fixture

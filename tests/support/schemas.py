@@ -84,7 +84,7 @@ def of_definitions(definitions: Iterable[Path], out: Path, kubernetes: Path) -> 
         spec = yaml.safe_load(path.read_text())["spec"]
         for version in spec["versions"]:
             schema = closed(version["schema"]["openAPIV3Schema"])
-            # Every kind has these, whether its definition says so or not.
+            # Every kind has these, even if its definition does not name them.
             own = {"apiVersion": {"type": "string"}, "kind": {"type": "string"}, "metadata": reference(_METADATA)}
             schema["properties"] |= own
             for fields, name in _LEFT_TO_KUBERNETES.items():
@@ -124,7 +124,7 @@ def _of_kubernetes(documents: Iterable[Path], out: Path) -> None:
     for name, definition in definitions.items():
         for kind in definition.get("x-kubernetes-group-version-kind", []):
             reference = {"$ref": f"../{_ALL}#/components/schemas/{name}"}
-            # Where there is no group kubeconform takes the version for it.
+            # kubeconform takes the version for a missing group.
             _write(out, kind["group"] or kind["version"], kind["kind"], kind["version"], reference)
 
 

@@ -1,4 +1,4 @@
-"""Strategies that are left to be chosen: what is kept, what the monitor is told, and what the statuses say."""
+"""Strategies that are left to be chosen: what is kept, what the monitor gets, and what the statuses report."""
 
 from __future__ import annotations
 

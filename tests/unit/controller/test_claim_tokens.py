@@ -1,4 +1,4 @@
-"""Whoever drives a robot can be commanded by its monitor, whatever becomes of the pool that it was claimed from."""
+"""A monitor can command the active instance, regardless of the pool that it was claimed from."""
 
 from __future__ import annotations
 
@@ -322,7 +322,7 @@ class Reading:
 
 @pytest.mark.parametrize("there", [False, True])
 async def test_of_a_pool_that_was_made_anew_it_is_found_out_whether_the_token_is_there_still(there: bool) -> None:
-    # The operator deletes it with the last pod of the pool before, or it goes with their namespace: only a list tells of that.
+    # The operator deletes it with the last pod of the pool before, or it goes with their namespace: only a list shows that.
     store, before = Store(), secret()
     before["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
     anew = {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-anew", "creationTimestamp": "2026-01-01T00:01:00Z"}}
@@ -349,7 +349,7 @@ async def test_of_a_token_that_was_made_for_the_pool_nothing_is_asked() -> None:
 
 
 async def test_a_pool_that_is_gone_has_others_forgotten_once_and_not_with_each_change_of_its_pods() -> None:
-    # Whose names begin alike: what is known of them would be found out anew, by a write, and a dispute with somebody else never be told.
+    # Their names begin alike: the operator would find out about them again, with a write, and never report a conflict with somebody else.
     store, client = Store(), MemoryClient()
     working = Executor(client, store, Expectations(), may_write=lambda: True)
     reconciler = Reconciler(

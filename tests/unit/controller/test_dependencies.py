@@ -1,4 +1,4 @@
-"""What workloads depend on: circles, names with nothing behind them, and what a monitor is told and may read."""
+"""What workloads depend on: circles, names with nothing behind them, and what a monitor gets and may read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the operator tells of workloads and pools by metrics."""
+"""The operator's metrics of workloads and pools."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""By which Secrets the pods are pulled that have the monitor's image in them, and which of them go last."""
+"""Which Secrets pull the pods that contain the monitor's image, and which of them are removed last."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nodes that are drained: whose evictions wait, for how long, and what the monitor is told."""
+"""Nodes that are drained: whose evictions wait, for how long, and what the monitor gets."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def world(*strategies: str, **spec: Any) -> World:
 
 
 def told(made: World) -> Drain | None:
-    """What the monitor is told."""
+    """The drain that the monitor gets."""
     text = applied(made.plan(), "configmaps")["w-settings"]["data"]["settings.json"]
     found = json.loads(text).get("drain")
     return Drain.model_validate(found) if found else None

@@ -1,4 +1,4 @@
-"""What the operator makes of procedures: mistakes are told where they stand, and monitors learn what pools want."""
+"""What the operator makes of procedures: mistakes are reported with their place, and monitors learn what pools need."""
 
 from __future__ import annotations
 

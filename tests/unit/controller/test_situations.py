@@ -371,7 +371,7 @@ def test_in_whatever_order_situations_and_standbys_come_there_is_no_moment_witho
 
 
 def _told_before(made: World) -> list[str]:
-    """The pools of the strategies that the monitor was told last, and Restart."""
+    """The pools of the strategies that the monitor got last, and Restart."""
     text = made.owned[("configmaps", "w-settings")]["data"]["settings.json"]
     strategies = WorkloadSettings.model_validate_json(text).strategies or []
     return [one.pool_ref.name if one.pool_ref is not None else one.type for one in strategies]

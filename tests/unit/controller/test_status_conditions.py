@@ -1,4 +1,4 @@
-"""What users are told, and of what by an Event."""
+"""What users see in statuses, and what raises an Event."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Templates as people write them: what isn't there is left out or null, and what has another shape is told."""
+"""Templates as people write them: what is missing is left out or null, and what has another shape is reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An admission webhook of somebody that doesn't answer and has to be asked: it is told, and tried again."""
+"""An admission webhook that must be called and does not answer is reported, and the request is tried again."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plura
     reconciler, _ = reconciling_with(client, heard)
     key = Key(plural, item["metadata"]["namespace"], "w" if plural == "robotworkloads" else "spare")
     for _ in range(3):
-        with pytest.raises(ApiError, match="failed calling webhook"):  # by which it is tried again, later each time
+        with pytest.raises(ApiError, match="failed calling webhook"):  # so it is tried again, later each time
             await reconciler.reconcile(key)
     assert len(client.told) == 1, "what it fails by differs, and isn't news"
     conditions = {one["type"]: one for one in client.told[0]["status"]["conditions"]}

@@ -1,4 +1,4 @@
-"""Watches go on where they ended, and begin anew where nobody knows any more what came since."""
+"""Watches continue where they ended, and list again if the changes since then are no longer known."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def told(kind: str, name: str, version: int) -> Event:
 
 
 class Scripted(Client):
-    """Watches of pods that bring some events and then end as they are told; all others are silent."""
+    """Watches of pods that bring some events and then end on command; all others are silent."""
 
     def __init__(self, *scripts: tuple[Sequence[Event], Exception | None]) -> None:
         self._scripts = iter(scripts)

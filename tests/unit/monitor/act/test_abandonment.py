@@ -1,4 +1,4 @@
-"""What stands beside the gate of a recovery that was given up says so, whatever the API server does meanwhile; nothing newer is touched."""
+"""The record beside the gate of an abandoned recovery is marked, whatever the API server does meanwhile; nothing newer is touched."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The monitor tells the task proxy what is so, and reports what it hears."""
+"""The monitor sends the state of control to the action proxy, and reports what it receives."""
 
 from __future__ import annotations
 

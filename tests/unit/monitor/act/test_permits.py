@@ -1,4 +1,4 @@
-"""What becomes of an instance that was cut off, and who may show that one isn't."""
+"""What happens to an instance that was cut off, and who may prove that one is not."""
 
 from __future__ import annotations
 
@@ -268,7 +268,7 @@ async def test_one_that_was_replaced_is_told_so_as_long_as_it_is_there() -> None
     task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.words("uid-a"))
     committed, world.current.progress = world.current.progress, None
-    for told in (committed, recovery(Instance("p", "uid-p"))):  # by the gate, which tells of the last one only
+    for told in (committed, recovery(Instance("p", "uid-p"))):  # by the gate, which names the last one only
         world.commit(replace(AFTER, recovery=told))
         count = len(agents.words("uid-a"))
         await eventually(lambda count=count: len(agents.words("uid-a")) > count + 1)  # type: ignore[misc]

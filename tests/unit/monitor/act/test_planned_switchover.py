@@ -88,7 +88,7 @@ class Scene:
         return self.world.means()
 
     async def looked(self, within: float = 1.0) -> Prepared | None:
-        """What comes of it within a while, in which the loop looks again and again."""
+        """The result after a while, in which the loop looks again and again."""
         end = time.monotonic() + within
         while time.monotonic() < end:
             if (found := self.look()) is not None:

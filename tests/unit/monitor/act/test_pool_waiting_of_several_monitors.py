@@ -37,7 +37,7 @@ from understudy.monitor.observe.wakeups import Wakeups
 
 POOL = "spare"
 LAG = 0.03
-"""Most seconds after which a watch tells of a write."""
+"""Maximum seconds after which a watch reports a write."""
 
 
 @pytest.fixture(autouse=True)
@@ -58,7 +58,7 @@ class Cluster(MemoryClient):
         self._pods: list[Event] = []
         self._written = asyncio.Event()
         self.asked: list[str] = []
-        """By which labels pods were asked for, and watched."""
+        """The labels that selected pods in lists and watches."""
 
     async def create(self, resource: Resource, namespace: str | None, body: Object, *, dry_run: bool = False) -> Object:
         made = await super().create(resource, namespace, body)
@@ -82,7 +82,7 @@ class Cluster(MemoryClient):
         fields: str | None = None,
         cached: bool = False,
     ) -> Object:
-        """Of pods: what else there is monitors are told of without asking."""
+        """Only pods: monitors learn of other objects without asking."""
         self.asked.append(labels or "")
         await asyncio.sleep(self._random.uniform(0, LAG / 3))
         chosen = selecting(labels, fields)

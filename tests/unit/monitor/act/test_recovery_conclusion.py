@@ -24,7 +24,7 @@ COMMITTED = NOW - 0.3
 
 
 class World:
-    """The end of a recovery by which w-1 has come to drive."""
+    """The end of a recovery that activated w-1."""
 
     def __init__(self, **more: Any) -> None:
         self.policy = policy(**more)

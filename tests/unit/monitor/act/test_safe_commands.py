@@ -1,4 +1,4 @@
-"""What the robot is told while nobody drives it: when it begins and ends, and that it comes by real DDS."""
+"""Safe commands while nobody drives the robot: when they begin and end, and that they arrive over real DDS."""
 
 from __future__ import annotations
 

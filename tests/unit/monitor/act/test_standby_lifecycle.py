@@ -148,7 +148,7 @@ def test_strategies_bring_up_what_is_not_driving_yet() -> None:
 
 
 class Sidecars:
-    """Agents that do as they are told."""
+    """Agents that do what is requested."""
 
     def __init__(self) -> None:
         self.ran: list[tuple[str, str]] = []

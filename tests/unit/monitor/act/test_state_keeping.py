@@ -1,4 +1,4 @@
-"""The monitor keeps state of real topics, over its own restart, tells of it, and keeps standbys up with it."""
+"""The monitor keeps state of real topics, over its own restart, reports it, and keeps standbys up to date with it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pause: who has asked for it, why and until when is told once, and once when it is over, however that comes."""
+"""A pause: its owner, reason and end are reported once, and its end once, whatever ends it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What came to nothing is put off, longer each time, but not once what was wrong may have been corrected; and it is told."""
+"""A recovery without success is reported and tried again later, longer each time, but at once if its cause may have been corrected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The monitor's connections to agents: by which token they are made."""
+"""The monitor's connections to agents: the token that they use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A reader that the gate can't reach is told; one that isn't the robot's is no alarm."""
+"""A reader that the gate cannot reach is reported; one that is not the robot's is no alarm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The monitor looks at the moment that it is told, sooner where a message comes, and never too often."""
+"""The monitor looks at its deadline, sooner if a message arrives, and never too often."""
 
 from __future__ import annotations
 

@@ -104,7 +104,7 @@ def give_pools(server: Server, *pools: Readiness) -> None:
 
 
 def gap(view: ClusterView) -> str | None:
-    """By which one knows the policies of these tests apart."""
+    """The name that distinguishes the policies of these tests."""
     return view.policy.monitoring.yaml["topic"]["gap"] if view.policy and view.policy.monitoring.yaml else None
 
 

@@ -1,4 +1,4 @@
-"""What the monitor tells of the watched topics by metrics."""
+"""The monitor's metrics of the watched topics."""
 
 from __future__ import annotations
 

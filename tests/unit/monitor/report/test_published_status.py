@@ -359,7 +359,7 @@ def health(api: Applied) -> str:
 
 
 async def test_a_recovery_is_told_in_one_write_once_it_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The record beside the gate tells of it meanwhile: in a burst, in which each takes longer, that would be a write for each robot."""
+    """The record beside the gate reports it meanwhile: in a burst, in which each takes longer, that would be a write for each robot."""
     async with running(monkeypatch) as (api, found):
         with recovering(found):
             await asyncio.sleep(0.05)
