@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tempfile
 import tokenize
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +23,6 @@ from typing import Any
 import yaml
 
 REPOSITORY = Path(__file__).resolve().parent.parent
-BACKLOG = REPOSITORY / "styles" / "backlog"
 READ = (
     *(
         "README.md",
@@ -81,28 +79,10 @@ def main(arguments: list[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     paths = [Path(path).resolve() for path in given.paths] or [REPOSITORY / path for path in READ]
     findings = check(files(path for path in paths if path.exists()))
-    waiting = [] if given.paths else backlog()
-    shown = [one for one in findings if given.warnings or one.severity == "error"]
-    for one in shown:
-        if not _in(one.path, waiting):
+    for one in findings:
+        if given.warnings or one.severity == "error":
             print(f"{one.path}:{one.line}: {one.message} ({one.severity}, {one.rule})")
-    later = Counter(
-        next(entry for entry in waiting if _in(one.path, [entry]))
-        for one in findings
-        if one.severity == "error" and _in(one.path, waiting)
-    )
-    for entry in waiting:
-        print(
-            f"backlog: {entry}: {later[entry]} errors"
-            if later[entry]
-            else f"backlog: {entry} is clean: remove it from styles/backlog"
-        )
-    return any(one.severity == "error" and not _in(one.path, waiting) for one in findings)
-
-
-def backlog() -> list[str]:
-    """Folders and files whose findings do not fail the check yet."""
-    return [line for line in BACKLOG.read_text().splitlines() if line and not line.startswith("#")]
+    return any(one.severity == "error" for one in findings)
 
 
 def _in(path: str, folders: Iterable[str]) -> bool:
