@@ -89,7 +89,7 @@ DRIVES = st.lists(st.tuples(st.floats(0.1, 3.0), st.sampled_from([-0.3, 0.0, 0.1
     slip=st.floats(-0.15, 0.15),
     seed=st.integers(0, 1000),
 )
-def test_a_robot_within_what_is_allowed_is_never_at_fault(drive, delay, acceleration, slip, seed):
+def test_a_robot_within_its_limits_never_fails(drive, delay, acceleration, slip, seed):
     random = np.random.default_rng(seed)
     robot = Robot(delay, acceleration, slip)
     assert watch(robot, steps(drive), 12.0, noise=lambda: float(random.normal(0, 0.005))) is None
@@ -97,28 +97,28 @@ def test_a_robot_within_what_is_allowed_is_never_at_fault(drive, delay, accelera
 
 @settings(max_examples=20, deadline=None)
 @given(drive=DRIVES, lag=st.floats(0.02, 0.2), gaps=st.lists(st.floats(0, 12), max_size=4))
-def test_nor_one_that_lags_and_is_out_of_sight_now_and_then(drive, lag, gaps):
+def test_a_robot_that_lags_and_is_sometimes_out_of_sight_never_fails(drive, lag, gaps):
     robot = Robot(0.1, 5.0, lag=lag)
     hidden = lambda now: not any(gap <= now < gap + 1.5 for gap in gaps)  # noqa: E731
     assert watch(robot, steps(drive), 12.0, visible=hidden) is None
 
 
 @pytest.mark.parametrize("speed", [0.3, -0.3, 0.6])
-def test_a_robot_that_stands_is_found_within_a_second(speed):
+def test_a_standing_robot_is_detected_within_a_second(speed):
     for stops in (4.0, 4.03, 4.07):
         found = watch(Robot(0.1, 1.0, stops=stops), lambda now: speed, 8.0)
         assert found is not None
         assert 0.2 < found - stops < 0.9
 
 
-def test_a_robot_that_never_begins_to_move_is_found_too():
+def test_a_robot_that_never_starts_to_move_is_detected():
     found = watch(Robot(0.1, 1.0, stops=0.0), lambda now: 0.3 if now > 1 else 0.0, 8.0)
     assert found is not None
     # The longest delay, the window, the slowest acceleration, and the test itself.
     assert found < 1 + 0.3 + 0.5 + 0.3 / 0.5 + 0.7
 
 
-def test_a_robot_that_moves_without_being_told_to_is_found():
+def test_a_robot_that_moves_without_a_command_is_detected():
     following = CommandFollowing(ALLOWED)
     for tick in range(60):
         following.command(tick * PERIOD, forward(0.0))
@@ -139,7 +139,7 @@ def turning(
     return following
 
 
-def test_turning_and_driving_sideways_are_compared_as_well():
+def test_rotation_and_sideways_motion_are_compared_too():
     said = Motion(0.2, 0.1, 0.5)
     assert turning(CommandFollowing(ALLOWED), said, said).discrepancy(4.0) is None
     found = turning(CommandFollowing(ALLOWED), said._replace(turn=-0.5), said).discrepancy(4.0)
@@ -150,7 +150,7 @@ def test_turning_and_driving_sideways_are_compared_as_well():
     assert found.component == "sideways"
 
 
-def test_one_that_was_found_recovers_when_it_follows_again():
+def test_a_detected_robot_recovers_when_it_follows_again():
     robot = Robot(0.1, 1.0, stops=4.0)
     following = CommandFollowing(ALLOWED)
     assert watch(robot, lambda now: 0.3, 5.0, following=following) is not None
@@ -161,7 +161,7 @@ def test_one_that_was_found_recovers_when_it_follows_again():
     assert 4.0 < well < 4.5, "it was last well when it stopped"
 
 
-def test_what_is_out_of_sight_cannot_be_told_and_begins_anew():
+def test_a_robot_out_of_sight_is_undecided_and_evidence_starts_again():
     following = CommandFollowing(ALLOWED)
     found = watch(Robot(0.1, 1.0, stops=4.0), lambda now: 0.3, 5.2, following=following)
     assert found is not None
@@ -175,7 +175,7 @@ def test_what_is_out_of_sight_cannot_be_told_and_begins_anew():
     assert following.discrepancy(later) is None, "one look is not enough"
 
 
-def test_before_a_command_and_with_none_for_long_any_motion_may_be():
+def test_without_a_recent_command_any_motion_is_allowed():
     following = CommandFollowing(ALLOWED)
     for tick in range(50):
         following.see(tick * IMAGE, forward(0.5), CERTAIN)
@@ -188,7 +188,7 @@ def test_before_a_command_and_with_none_for_long_any_motion_may_be():
     assert following.discrepancy(9.0) is None
 
 
-def test_what_it_did_before_the_first_command_takes_time_to_end():
+def test_motion_from_before_the_first_command_may_take_time_to_end():
     following = CommandFollowing(ALLOWED)
     for tick in range(100):
         now = tick * PERIOD
@@ -197,7 +197,7 @@ def test_what_it_did_before_the_first_command_takes_time_to_end():
         assert following.discrepancy(now + 0.01) is None
 
 
-def test_a_single_wild_observation_is_no_failure():
+def test_a_single_outlier_is_no_failure():
     following = turning(CommandFollowing(ALLOWED), forward(0.3), forward(0.3))
     following.see(4.1, forward(-50.0), CERTAIN)
     assert following.discrepancy(4.1) is None
@@ -205,7 +205,7 @@ def test_a_single_wild_observation_is_no_failure():
     assert following.discrepancy(8.0) is None
 
 
-def test_what_is_uncertain_takes_longer():
+def test_an_uncertain_observation_delays_the_detection():
     def seconds(variance: float) -> float:
         following = turning(CommandFollowing(ALLOWED), forward(0.3), forward(0.3))
         for tick in range(1000):
@@ -235,7 +235,7 @@ def test_a_step_of_the_clock_changes_nothing():
     assert times[plain] == pytest.approx(times[moved])
 
 
-def test_chance_passes_the_threshold_no_more_often_than_promised():
+def test_noise_exceeds_the_threshold_no_more_often_than_the_bound():
     """By Lorden's bound, once in exp(h) independent observations at most; here also for those that overlap."""
     random = np.random.default_rng(3)
     h, sigma, least, overlap, count = 3.0, 0.02, 0.06, 5, 60_000
@@ -257,7 +257,7 @@ def test_chance_passes_the_threshold_no_more_often_than_promised():
     commands=st.lists(st.tuples(st.floats(0, 0.6), st.floats(-1, 1)), min_size=1, max_size=40),
     after=st.floats(0, 3),
 )
-def test_what_is_forgotten_of_the_commands_never_counted(commands, after):
+def test_discarded_commands_had_no_influence(commands, after):
     """The bounds are those of all commands there ever were."""
     reach, slack, acceleration = Reach(0.5, 0.8), 0.8, 0.5
     pieces: list[tuple[float, float]] = []

@@ -45,27 +45,27 @@ def moment(seconds: float) -> tuple[int, int]:
     return START + round(seconds * SECOND), START + round((seconds + 0.01) * SECOND)
 
 
-def test_between_two_messages_it_is_between_them() -> None:
+def test_a_pose_between_two_messages_is_interpolated() -> None:
     found = followed(*drive()).at(*moment(1.04))
     assert found is not None
     assert found.pose.x == pytest.approx(0.52)
     assert found.driven == pytest.approx(0.52, abs=MARK_STEP)
 
 
-def test_on_an_arc_it_is_told_to_a_few_millimetres() -> None:
+def test_a_pose_on_an_arc_is_exact_to_a_few_millimetres() -> None:
     found = followed(*drive(0.5, 1.0, period=0.2)).at(*moment(1.1))
     assert found is not None
     assert found.pose.place == pytest.approx((0.5 * math.sin(1.1), 0.5 * (1 - math.cos(1.1)), 0.0), abs=0.004)
     assert found.pose.angle == pytest.approx(1.1)
 
 
-def test_the_exact_moment_of_a_message_is_that() -> None:
+def test_the_pose_at_the_time_of_a_message_is_that_of_the_message() -> None:
     found = followed(*drive()).at(*moment(2.0))
     assert found is not None
     assert found.pose.x == pytest.approx(1.0)
 
 
-def test_messages_without_a_stamp_go_by_when_they_came() -> None:
+def test_messages_without_a_stamp_use_their_arrival_time() -> None:
     track = followed(*(point(planar(0.05 * i), 0.1 * i, stamped=False) for i in range(20)))
     found = track.at(0, moment(0.55)[1])
     assert found is not None
@@ -74,7 +74,7 @@ def test_messages_without_a_stamp_go_by_when_they_came() -> None:
     assert by_receipt == found, "a stamp says nothing where odometry has none"
 
 
-def test_a_moment_to_come_is_waited_for_and_then_told_by_the_last() -> None:
+def test_a_future_time_is_awaited_and_then_uses_the_last_message() -> None:
     track = followed(*drive())
     assert track.at(*moment(3.09)) is None
     last = track.at(*moment(3.09), last=True)
@@ -82,7 +82,7 @@ def test_a_moment_to_come_is_waited_for_and_then_told_by_the_last() -> None:
     assert track.at(*moment(3.5), last=True) is None
 
 
-def test_what_was_long_ago_is_not_known() -> None:
+def test_a_pose_from_before_the_track_is_unknown() -> None:
     track = followed(*drive())
     assert track.at(*moment(-0.5)) is None
     assert track.at(*moment(-0.01)) is None, "before the first message nobody knows how it moved"
@@ -96,7 +96,7 @@ def test_memory_is_bounded() -> None:
     assert len(track._points) == LENGTH
 
 
-def test_the_way_is_added_up_where_the_place_is_the_same_again() -> None:
+def test_the_distance_is_the_length_of_the_path_not_of_the_displacement() -> None:
     track = followed(*drive(0.5, 1.0, seconds=2 * math.pi, period=math.pi / 60))
     present = track.present
     assert present is not None
@@ -105,7 +105,7 @@ def test_the_way_is_added_up_where_the_place_is_the_same_again() -> None:
     assert present.turned == pytest.approx(2 * math.pi, rel=0.01)
 
 
-def test_noise_of_a_robot_that_stands_is_no_way() -> None:
+def test_noise_of_a_standing_robot_adds_no_distance() -> None:
     track = followed(*(point(planar(0.004 * (i % 3), 0.003 * (i % 2)), 0.1 * i) for i in range(100)))
     assert track.present is not None
     assert track.present.driven == 0.0
@@ -127,7 +127,7 @@ def test_noise_of_a_robot_that_stands_is_no_way() -> None:
         ),
     ],
 )
-def test_a_new_beginning_is_noticed_and_nothing_of_before_is_told(after: Point, reason: str) -> None:
+def test_a_restart_of_odometry_is_detected_and_discards_the_track(after: Point, reason: str) -> None:
     track = followed(*drive())
     assert track.add(after) == reason
     assert track.at(*moment(2.0)) is None
@@ -148,7 +148,7 @@ def test_a_new_beginning_is_noticed_and_nothing_of_before_is_told(after: Point, 
         pytest.param([*drive(0.3, 2.0, seconds=10.0, period=0.1)], id="round and round"),
     ],
 )
-def test_what_robots_do_is_no_new_beginning(points: list[Point]) -> None:
+def test_ordinary_motion_is_no_restart_of_odometry(points: list[Point]) -> None:
     followed(*points)
 
 
@@ -159,7 +159,7 @@ def test_time_without_a_message_is_counted() -> None:
     assert track.present.driven == pytest.approx(2.05, abs=2 * MARK_STEP)
 
 
-def test_it_goes_on_after_a_restart() -> None:
+def test_a_track_continues_after_a_restart_of_the_process() -> None:
     before = followed(*drive())
     track = Track.unpack(before.pack())
     assert (track.last, track.present) == (before.last, before.present)
@@ -169,17 +169,17 @@ def test_it_goes_on_after_a_restart() -> None:
     assert track.add(point(planar(0.0), 5.1, writer=b"x" * 16)) == "it comes from another publisher"
 
 
-def test_an_empty_track_outlasts_a_restart_as_one() -> None:
+def test_an_empty_track_stays_empty_after_a_restart() -> None:
     assert Track.unpack(Track().pack()).last is None
 
 
 @pytest.mark.parametrize("data", [b"x", b"\xff" * 200, b"\0" * 150])
-def test_what_is_damaged_is_refused(data: bytes) -> None:
+def test_damaged_data_is_refused(data: bytes) -> None:
     with pytest.raises(ValueError, match="bytes are no track"):
         Track.unpack(data)
 
 
-def test_a_clock_that_is_set_moves_when_it_came_and_not_what_it_says() -> None:
+def test_a_clock_step_moves_arrival_times_but_not_stamps() -> None:
     track = followed(*(point(planar(0.05 * i), 0.1 * i, stamped=False) for i in range(20)))
     track.shift(100.0)
     assert track.at(0, moment(0.5)[1]) is None

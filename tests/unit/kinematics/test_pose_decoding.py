@@ -29,7 +29,7 @@ def message(type_name: str, frame: str = "odom", child: str = "base_link") -> An
 @pytest.mark.parametrize("type_name", POSE_TYPES)
 @pytest.mark.parametrize("frame", ["", "o", "odom", "odom_", "robot_1/odometry/frame", "karte_ä"])
 @pytest.mark.parametrize("child", ["", "base_link", "robot_1/base"])
-def test_what_ros_serializes_is_read(type_name: str, frame: str, child: str) -> None:
+def test_messages_that_ros_serialized_are_read(type_name: str, frame: str, child: str) -> None:
     serialization = pytest.importorskip("rclpy.serialization")
     said = read(type_name, serialization.serialize_message(message(type_name, frame, child)))
     assert (said.stamp, said.frame) == (STAMP, frame)
@@ -39,7 +39,7 @@ def test_what_ros_serializes_is_read(type_name: str, frame: str, child: str) -> 
 
 @pytest.mark.ros
 @pytest.mark.parametrize("type_name", POSE_TYPES)
-def test_what_is_cut_off_is_refused(type_name: str) -> None:
+def test_truncated_messages_are_refused(type_name: str) -> None:
     serialization = pytest.importorskip("rclpy.serialization")
     data = serialization.serialize_message(message(type_name))
     for length in range(0, 80):
@@ -58,7 +58,7 @@ def test_the_other_byte_order_is_read_too() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"\0\1", b"\0\7\0\0" + bytes(200), b"\0\1\0\0" + bytes(4)])
-def test_what_is_no_message_is_refused(data: bytes) -> None:
+def test_invalid_data_is_refused(data: bytes) -> None:
     with pytest.raises(ValueError, match=r"plain CDR|no message|no geometry"):
         read("geometry_msgs/msg/PoseStamped", data)
 

@@ -47,7 +47,7 @@ def driven(pose: Pose, speed: float, turn: float, seconds: float, steps: int = 4
 
 @settings(deadline=None, max_examples=60)
 @given(poses(), poses(), poses())
-def test_joining_is_a_group(a: Pose, b: Pose, c: Pose) -> None:
+def test_poses_form_a_group_under_composition(a: Pose, b: Pose, c: Pose) -> None:
     assert same(a.then(a.inverse()), HERE)
     assert same(a.inverse().then(a), HERE)
     assert same(a.then(b).then(c), a.then(b.then(c)))
@@ -56,20 +56,20 @@ def test_joining_is_a_group(a: Pose, b: Pose, c: Pose) -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(poses(), poses(), poses(), poses())
-def test_what_odometry_calls_its_origin_has_no_say(kept: Pose, then: Pose, now: Pose, origin: Pose) -> None:
+def test_the_origin_of_odometry_has_no_influence(kept: Pose, then: Pose, now: Pose, origin: Pose) -> None:
     assert same(carried(kept, then, now), carried(kept, origin.then(then), origin.then(now)))
 
 
 @settings(deadline=None, max_examples=60)
 @given(poses(), poses(), poses())
-def test_on_a_frame_of_its_own_it_is_the_pose_in_that_frame(origin: Pose, then: Pose, now: Pose) -> None:
+def test_a_pose_propagated_in_its_own_frame_equals_the_pose_in_that_frame(origin: Pose, then: Pose, now: Pose) -> None:
     """Where the map and odometry only differ by a transform that doesn't change, the map's present pose is known exactly."""
     assert same(carried(origin.then(then), then, now), origin.then(now))
 
 
 @settings(deadline=None, max_examples=60)
 @given(poses(), poses(), st.floats(0.0, 1.0))
-def test_on_the_way_to_another_pose(a: Pose, b: Pose, part: float) -> None:
+def test_interpolation_reaches_both_poses(a: Pose, b: Pose, part: float) -> None:
     between = a.towards(b, part)
     assert same(a.towards(b, 0.0), a)
     assert same(a.towards(b, 1.0), b)
@@ -99,7 +99,7 @@ def test_a_pose_on_the_map_moves_as_the_robot_drives(
     assert math.remainder(heading(reached) - to[2], math.tau) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_turn_is_about_the_axis_that_it_says() -> None:
+def test_a_rotation_is_about_its_axis() -> None:
     """A quarter about z takes x to y; then a quarter about the body's own x takes its y up."""
     quarter = math.sqrt(0.5)
     about_z, about_x = Pose(0, 0, 0, 0, 0, quarter, quarter), Pose(0, 0, 0, quarter, 0, 0, quarter)
@@ -108,7 +108,7 @@ def test_a_turn_is_about_the_axis_that_it_says() -> None:
     assert about_x.then(about_z).turned((1, 0, 0)) == pytest.approx((0, 0, 1))
 
 
-def test_a_quaternion_and_its_negative_are_the_same_turn() -> None:
+def test_a_quaternion_and_its_negative_are_the_same_rotation() -> None:
     a, b = planar(1.0, 2.0, 0.4), planar(2.0, 2.0, 0.6)
     negative = Pose(b.x, b.y, b.z, -b.qx, -b.qy, -b.qz, -b.qw)
     assert same(a.towards(negative, 0.5), a.towards(b, 0.5))
@@ -133,7 +133,7 @@ def test_many_steps_stay_a_rotation() -> None:
         [0.0, 0.0, 0.0, 1.0],
     ],
 )
-def test_what_is_no_pose_is_refused(values: list[float]) -> None:
+def test_an_invalid_pose_is_refused(values: list[float]) -> None:
     with pytest.raises(ValueError, match=r"is no (pose|rotation)"):
         Pose.of(values)
 
@@ -145,7 +145,7 @@ def diagonal(*values: float) -> list[float]:
     return [values[i] if i == j else 0.0 for i in range(6) for j in range(6)]
 
 
-def test_a_doubt_in_the_heading_becomes_one_to_the_side() -> None:
+def test_uncertainty_of_the_heading_becomes_lateral_uncertainty() -> None:
     """After 2 m along x, 0.1 rad are 0.2 m in y; the rest is what odometry is doubted by."""
     before = diagonal(0.04, 0.04, 0, 0, 0, 0.01)
     after = grown(before, planar(0, 0, 0), planar(2, 0, 0), driven=2.0, turned=0.0)
@@ -157,7 +157,7 @@ def test_a_doubt_in_the_heading_becomes_one_to_the_side() -> None:
     assert [after[7 * i] for i in (2, 3, 4)] == [0.0, 0.0, 0.0], "a planar robot doesn't begin to fly"
 
 
-def test_it_is_what_samples_spread_to() -> None:
+def test_the_covariance_equals_that_of_propagated_samples() -> None:
     """Monte Carlo: poses drawn from the covariance, each carried, against the covariance that is reckoned."""
     chance = random.Random(4)
     sigma = (0.1, 0.2, 0.15, 0.02, 0.03, 0.05)
@@ -177,14 +177,14 @@ def test_it_is_what_samples_spread_to() -> None:
             assert found == pytest.approx(reckoned[6 * i + j], rel=0.15, abs=0.002)
 
 
-def test_what_is_said_to_be_unknown_stays_so() -> None:
+def test_an_unknown_covariance_stays_unknown() -> None:
     unknown = [-1.0, *[0.0] * 35]
     assert grown(unknown, HERE, planar(1, 0, 0), driven=1.0, turned=0.0) == unknown
 
 
 @settings(deadline=None, max_examples=40)
 @given(poses(), poses(), st.floats(0, 50), st.floats(0, 10))
-def test_it_never_shrinks_and_stays_symmetric(a: Pose, b: Pose, metres: float, radians: float) -> None:
+def test_the_covariance_never_shrinks_and_stays_symmetric(a: Pose, b: Pose, metres: float, radians: float) -> None:
     before = diagonal(0.1, 0.1, 0.1, 0.01, 0.01, 0.01)
     after = grown(before, a, b, driven=metres, turned=radians)
     for i in range(6):

@@ -44,7 +44,7 @@ def last(velocities: Velocities, poses: list[Seen]) -> Velocity | None:
     turn=st.floats(-1, 1),
     start=st.floats(-math.pi, math.pi),
 )
-def test_even_motion_is_told_in_the_robots_own_frame(speed: float, turn: float, start: float):
+def test_constant_motion_is_measured_in_the_robot_frame(speed: float, turn: float, start: float):
     found = last(Velocities(0.5), driven(speed, turn, start))
     assert found is not None
     # A line through a part of a circle is shorter than it: by 1 % at 1 rad/s and half a second.
@@ -53,13 +53,13 @@ def test_even_motion_is_told_in_the_robots_own_frame(speed: float, turn: float, 
     assert found.turn == pytest.approx(turn, abs=1e-6)
 
 
-def test_a_heading_that_passes_half_a_turn_has_no_step_in_it():
+def test_a_heading_that_passes_180_degrees_causes_no_jump():
     found = last(Velocities(0.5), driven(0.2, 0.8, math.pi - 0.1))
     assert found is not None
     assert found.turn == pytest.approx(0.8)
 
 
-def test_what_it_says_of_its_uncertainty_is_so():
+def test_the_reported_uncertainty_is_correct():
     random = np.random.default_rng(1)
     errors, stated = [], []
     for _ in range(2000):
@@ -77,7 +77,7 @@ def test_what_it_says_of_its_uncertainty_is_so():
     assert (ratio < 1.4).all()
 
 
-def test_it_is_less_certain_where_the_speed_changes_meanwhile():
+def test_the_uncertainty_is_larger_while_the_speed_changes():
     even = last(Velocities(0.5), driven(0.3, 0.0))
     braking = driven(0.3, 0.0)
     braking[3:] = [pose._replace(x=braking[2].x) for pose in braking[3:]]
@@ -88,7 +88,7 @@ def test_it_is_less_certain_where_the_speed_changes_meanwhile():
     assert stopped.covariance[0][0] > 10 * even.covariance[0][0]
 
 
-def test_too_little_says_nothing():
+def test_too_few_poses_give_no_velocity():
     velocities, poses = Velocities(0.5), driven(0.3, 0.0, count=12)
     assert [velocities.add(pose) is not None for pose in poses[:4]] == [False, False, False, True]
     # The robot was out of sight for longer than the window: the estimate starts again.
@@ -96,7 +96,7 @@ def test_too_little_says_nothing():
     assert [velocities.add(pose) is not None for pose in later[:4]] == [False, False, False, True]
 
 
-def test_a_clock_that_goes_back_begins_anew():
+def test_a_clock_that_goes_back_starts_the_estimate_again():
     velocities = Velocities(0.5)
     last(velocities, driven(0.3, 0.0))
     again = [pose._replace(stamp=pose.stamp - 50) for pose in driven(-0.3, 0.0)]
@@ -108,7 +108,7 @@ def test_a_clock_that_goes_back_begins_anew():
 
 @settings(max_examples=50)
 @given(stamps=st.lists(st.floats(0, 1e9), max_size=30), value=st.floats(-1e4, 1e4))
-def test_whatever_the_stamps_it_says_numbers_or_nothing(stamps: list[float], value: float):
+def test_any_stamps_give_finite_numbers_or_nothing(stamps: list[float], value: float):
     velocities = Velocities(0.5)
     for stamp in stamps:
         found = velocities.add(seen(stamp, value, -value, value))

@@ -70,29 +70,29 @@ async def link(agent):
     await made.close()
 
 
-def test_a_status_survives_the_wire():
+def test_a_status_is_unchanged_by_encoding_and_decoding():
     assert AgentStatus.from_wire(wire.decode(wire.encode(STATUS.to_wire()))) == STATUS
     assert AgentStatus.from_wire({"phase": "Held", "ready": False, "newer": 1}) == AgentStatus()
 
 
 @pytest.mark.parametrize("data", [{}, {"phase": "Held"}, {"phase": "Held", "ready": 1, "outputs": {"/x": 1}}])
-def test_what_is_no_status_is_refused(data):
+def test_an_invalid_status_is_refused(data):
     with pytest.raises(ProtocolError, match="not a status"):
         AgentStatus.from_wire(data)
 
 
 @pytest.mark.parametrize("line", [b"", b"x", b"[]", b"1", b"[" * 100_000, b"\xff"])
-def test_what_is_no_message_is_refused(line):
+def test_invalid_data_is_refused(line):
     with pytest.raises(ProtocolError):
         wire.decode(line)
 
 
-def test_a_message_too_long_is_not_sent():
+def test_a_message_that_is_too_long_is_not_sent():
     with pytest.raises(ProtocolError, match="33554432"):
         wire.encode({"tree": "x" * wire.MAX_LINE})
 
 
-def test_the_mac_depends_on_all_of_it():
+def test_the_mac_depends_on_every_input():
     assert (
         len(
             {
@@ -107,7 +107,7 @@ def test_the_mac_depends_on_all_of_it():
     )
 
 
-async def test_connects_and_knows_the_status(link):
+async def test_the_link_connects_and_receives_the_status(link):
     assert not link.connected
     await link.wait_connected(2)
     assert link.status == STATUS
@@ -115,7 +115,7 @@ async def test_connects_and_knows_the_status(link):
     assert await link.wait_for(lambda s: s.ready, 1) == STATUS
 
 
-async def test_connects_as_soon_as_there_is_an_agent(agent):
+async def test_the_link_connects_as_soon_as_an_agent_listens(agent):
     await agent.close()
     await agent.server.wait_closed()
     link = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "")
@@ -128,7 +128,7 @@ async def test_connects_as_soon_as_there_is_an_agent(agent):
     await link.close()
 
 
-async def test_a_lost_connection_fails_what_is_in_flight_at_once(agent, link):
+async def test_a_lost_connection_fails_pending_requests_at_once(agent, link):
     async def die(reader, writer):
         await say(writer)
         await reader.readline()
@@ -145,7 +145,7 @@ async def test_a_lost_connection_fails_what_is_in_flight_at_once(agent, link):
     assert agent.sessions >= 2
 
 
-async def test_a_silent_agent_is_taken_for_gone(agent, link, monkeypatch):
+async def test_a_silent_agent_counts_as_disconnected(agent, link, monkeypatch):
     monkeypatch.setattr(wire, "SILENCE", 0.3)
 
     async def fall_silent(reader, writer):
@@ -164,7 +164,7 @@ async def test_a_silent_agent_is_taken_for_gone(agent, link, monkeypatch):
     assert changes[:2] == [True, False]
 
 
-async def test_a_refusal_is_said(agent, link):
+async def test_a_refusal_is_reported(agent, link):
     async def refuse(reader, writer):
         writer.write(wire.encode({"error": "claimed by other"}))
         await writer.drain()
@@ -198,7 +198,7 @@ async def test_an_error_is_an_answer_to_its_request(agent, link):
 
 
 @pytest.mark.parametrize("said", [b"x\n", b"[]\n", b'{"status": 1}\n', b"\xff\n", b"x" * (2 << 20)])
-async def test_nonsense_ends_the_session_and_not_the_link(agent, link, said):
+async def test_invalid_data_ends_the_session_but_not_the_link(agent, link, said):
     async def talk(reader, writer):
         await say(writer)
         writer.write(said)
@@ -212,7 +212,7 @@ async def test_nonsense_ends_the_session_and_not_the_link(agent, link, said):
         await again.wait()
 
 
-async def test_an_answer_to_nothing_is_passed_over(agent, link):
+async def test_an_answer_without_a_request_is_ignored(agent, link):
     async def talk(reader, writer):
         await say(writer)
         for number in (99, "x", [], None):
@@ -226,13 +226,13 @@ async def test_an_answer_to_nothing_is_passed_over(agent, link):
     assert agent.sessions == 1
 
 
-async def test_another_protocol_is_said(agent, link):
+async def test_another_protocol_version_is_reported(agent, link):
     agent.greeting = {"nonce": "n", "version": 9}
     with pytest.raises(AgentGone, match="expected a greeting of version 1"):
         await link.wait_connected(0.5)
 
 
-async def test_wait_for_says_what_was_last(link):
+async def test_wait_for_reports_the_last_state_when_it_times_out(link):
     with pytest.raises(TimeoutError, match=r"agent p: not within 0\.5 s: Running"):
         await link.wait_for(lambda s: s.phase == "Held", 0.5)
 
@@ -248,7 +248,7 @@ async def test_a_listener_that_fails_does_not_end_the_link(agent):
     await link.close()
 
 
-async def test_close_ends_it(agent, link):
+async def test_close_ends_the_link(agent, link):
     await link.wait_connected(2)
     asking = asyncio.create_task(link.ask())
     await asyncio.sleep(0)

@@ -67,7 +67,7 @@ async def claimed(client: MemoryClient, pod: Object, by: str = "w") -> Object:
 @pytest.mark.parametrize("told", [whole, by_name])
 @pytest.mark.parametrize("carried_out", [True, False])
 @pytest.mark.parametrize("error", UNANSWERED, ids=repr)
-async def test_a_claim_without_an_answer_ends_with_the_pod_claimed_once(
+async def test_a_pod_is_claimed_once_although_the_answer_is_lost(
     error: Exception, carried_out: bool, told: Callable[[Object], Object]
 ) -> None:
     client = Lossy((error, carried_out))
@@ -79,7 +79,7 @@ async def test_a_claim_without_an_answer_ends_with_the_pod_claimed_once(
 
 
 @pytest.mark.parametrize("told", [whole, by_name])
-async def test_a_pod_that_another_workload_got_meanwhile_is_not_taken_for_ours(
+async def test_a_pod_that_another_workload_claimed_meanwhile_is_not_ours(
     told: Callable[[Object], Object],
 ) -> None:
     client = Lossy((TimeoutError(), False))
@@ -96,7 +96,7 @@ async def test_a_pod_that_another_workload_got_meanwhile_is_not_taken_for_ours(
 
 
 @pytest.mark.parametrize("told", [whole, by_name])
-async def test_of_two_claims_the_first_has_the_pod(told: Callable[[Object], Object]) -> None:
+async def test_the_first_of_two_claims_gets_the_pod(told: Callable[[Object], Object]) -> None:
     client = MemoryClient()
     pod = told(await free_pod(client))
     first = await claimed(client, pod, by="v")
@@ -106,7 +106,7 @@ async def test_of_two_claims_the_first_has_the_pod(told: Callable[[Object], Obje
     assert client.items[PLACE] == first
 
 
-async def test_a_pod_that_is_known_by_name_is_claimed_by_one_write_though_it_has_changed() -> None:
+async def test_a_pod_known_by_name_is_claimed_with_one_write_although_it_has_changed() -> None:
     client = MemoryClient()
     pod = by_name(await free_pod(client))
     await client.patch(PODS, "fleet", "spare-1", {"status": {"phase": "Running"}})
@@ -121,7 +121,7 @@ async def test_a_pod_that_is_known_by_name_is_claimed_by_one_write_though_it_has
     ]
 
 
-async def test_a_pod_that_is_known_by_name_and_has_no_annotations_is_claimed_all_the_same() -> None:
+async def test_a_pod_known_by_name_is_claimed_if_it_has_no_annotations() -> None:
     client = MemoryClient()
     pod = by_name(await free_pod(client))
     del client.items[PLACE]["metadata"]["annotations"]
@@ -129,7 +129,7 @@ async def test_a_pod_that_is_known_by_name_and_has_no_annotations_is_claimed_all
     assert found["metadata"]["annotations"][names.CLAIM] == "uid-w/1"
 
 
-async def test_a_pod_of_another_pool_that_has_the_name_now_is_not_claimed() -> None:
+async def test_a_pod_of_another_pool_with_the_same_name_is_not_claimed() -> None:
     client = MemoryClient()
     pod = by_name(await free_pod(client))
     client.items[PLACE]["metadata"]["labels"][names.POOL] = "others"
@@ -138,7 +138,7 @@ async def test_a_pod_of_another_pool_that_has_the_name_now_is_not_claimed() -> N
     assert names.WORKLOAD not in client.items[PLACE]["metadata"]["labels"]
 
 
-async def test_a_pod_that_is_being_deleted_is_no_pod_to_go_on_with() -> None:
+async def test_a_claimed_pod_that_is_being_deleted_is_not_used() -> None:
     client = MemoryClient()
     pod = by_name(await free_pod(client))
     client.items[PLACE]["metadata"]["deletionTimestamp"] = "2026-01-01T00:00:30Z"
@@ -147,7 +147,7 @@ async def test_a_pod_that_is_being_deleted_is_no_pod_to_go_on_with() -> None:
     assert refused.value.not_found
 
 
-async def test_what_the_api_server_refuses_for_good_is_not_tried_again() -> None:
+async def test_a_permanent_refusal_of_the_api_server_is_not_retried() -> None:
     client = Lossy((ApiError(403, "Forbidden", "not yours"), False))
     with pytest.raises(ApiError) as refused:
         await claimed(client, await free_pod(client))
@@ -155,7 +155,7 @@ async def test_what_the_api_server_refuses_for_good_is_not_tried_again() -> None
     assert [method for method, _, _ in client.requests] == ["POST"]
 
 
-async def test_a_question_is_asked_until_it_is_answered_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_request_is_repeated_until_it_is_answered_or_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claims, "RETRY_FIRST", 0.001)
     answers: list[Exception | str] = [TimeoutError(), ApiError(429, "TooManyRequests", "busy"), "pods"]
 
@@ -172,7 +172,7 @@ async def test_a_question_is_asked_until_it_is_answered_or_refused(monkeypatch: 
     assert answers == ["pods"], "it isn't asked again"
 
 
-def test_the_parts_of_a_pool_have_about_as_many_pods_each() -> None:
+def test_the_parts_of_a_pool_have_about_equal_sizes() -> None:
     counted = Counter(claims.part(f"spare-{number}") for number in range(1600))
     assert len(counted) == claims.PARTS
     assert 60 < min(counted.values()) <= max(counted.values()) < 140

@@ -62,13 +62,13 @@ async def test_an_event_is_about_its_object(recorder: Recorder, client: MemoryCl
     assert event["reportingComponent"] == event["source"]["component"] == "understudy-operator"
 
 
-async def test_a_reference_will_do_for_an_object(recorder: Recorder, client: MemoryClient) -> None:
+async def test_an_event_accepts_a_reference_instead_of_an_object(recorder: Recorder, client: MemoryClient) -> None:
     reference = {"kind": "Pod", "name": "p", "namespace": "fleet", "uid": "u"}
     await recorder.normal(reference, "Claimed", "")
     assert stored(client)[0]["involvedObject"] == reference
 
 
-async def test_the_same_again_counts_up(recorder: Recorder, client: MemoryClient, clock: Clock) -> None:
+async def test_a_repeated_event_increases_the_count(recorder: Recorder, client: MemoryClient, clock: Clock) -> None:
     for _ in range(4):
         await recorder.warning(TARGET, "StandbyNotReady", "not ready")
         clock.now += 60
@@ -76,7 +76,7 @@ async def test_the_same_again_counts_up(recorder: Recorder, client: MemoryClient
     assert event["count"] == 4
 
 
-async def test_a_burst_of_the_same_is_two_writes_and_nothing_is_lost(
+async def test_a_burst_of_equal_events_takes_two_writes_and_loses_none(
     recorder: Recorder, client: MemoryClient, clock: Clock
 ) -> None:
     for _ in range(100):
@@ -99,7 +99,7 @@ async def test_many_messages_of_one_reason_become_one_event(
     assert combined["count"] == 10
 
 
-async def test_one_object_can_not_flood(recorder: Recorder, client: MemoryClient, clock: Clock) -> None:
+async def test_events_of_one_object_are_rate_limited(recorder: Recorder, client: MemoryClient, clock: Clock) -> None:
     for i in range(500):
         await recorder.warning(TARGET, f"Reason{i}", "message")
     assert len(client.requests) == events.BURST
@@ -108,7 +108,7 @@ async def test_one_object_can_not_flood(recorder: Recorder, client: MemoryClient
     assert len(client.requests) == events.BURST + 1
 
 
-async def test_an_event_that_was_forgotten_is_made_anew(recorder: Recorder, client: MemoryClient, clock: Clock) -> None:
+async def test_an_expired_event_is_created_again(recorder: Recorder, client: MemoryClient, clock: Clock) -> None:
     await recorder.warning(TARGET, "StandbyNotReady", "not ready")
     client.items.clear()
     clock.now += 7200
@@ -118,7 +118,7 @@ async def test_an_event_that_was_forgotten_is_made_anew(recorder: Recorder, clie
 
 
 @pytest.mark.parametrize("error", [ApiError(500, "InternalError", "no"), TimeoutError(), OSError("refused")])
-async def test_a_failure_to_write_is_nobodys_problem(
+async def test_a_failed_write_of_an_event_raises_nothing(
     recorder: Recorder, client: MemoryClient, clock: Clock, error: Exception
 ) -> None:
     client.failing = lambda method, name: error
@@ -129,6 +129,6 @@ async def test_a_failure_to_write_is_nobodys_problem(
     assert stored(client)[0]["count"] == 2
 
 
-async def test_a_long_message_is_cut_to_what_the_api_server_takes(recorder: Recorder, client: MemoryClient) -> None:
+async def test_a_long_message_is_cut_to_the_limit_of_the_api_server(recorder: Recorder, client: MemoryClient) -> None:
     await recorder.warning(TARGET, "TemplateInvalid", "x" * 5000)
     assert len(stored(client)[0]["message"]) <= events.MESSAGE_MOST

@@ -52,7 +52,7 @@ class Opened:
         return await self.kind.admit(self.client, "fleet", "w", over=over, admitted=standby, admitted_uid=uid)
 
 
-def test_each_kind_that_a_workload_may_ask_for_is_there_under_its_own_name() -> None:
+def test_every_gate_kind_of_the_api_has_an_implementation() -> None:
     assert set(registry.KINDS) == set(get_args(Gate.model_fields["kind"].annotation))
     assert all(name == kind.kind for name, kind in registry.KINDS.items())
     assert registry.DEFAULT is registry.of({"metadata": {"name": "w"}})
@@ -67,7 +67,7 @@ async def test_a_new_gate_is_closed_at_the_epoch_it_is_given(kind: GateKind) -> 
 
 
 @every_kind
-async def test_a_commit_lets_through_one_instance_and_no_other(kind: GateKind) -> None:
+async def test_a_commit_admits_exactly_one_instance(kind: GateKind) -> None:
     gate = Opened(kind)
     await gate.create()
     for epoch, active in enumerate(["a", "b", ""], start=1):
@@ -77,7 +77,7 @@ async def test_a_commit_lets_through_one_instance_and_no_other(kind: GateKind) -
 
 
 @every_kind
-async def test_of_two_commits_over_the_same_record_one_is_refused(kind: GateKind) -> None:
+async def test_the_second_of_two_commits_over_the_same_record_is_refused(kind: GateKind) -> None:
     gate = Opened(kind)
     await gate.create()
     before = await gate.record()
@@ -89,7 +89,7 @@ async def test_of_two_commits_over_the_same_record_one_is_refused(kind: GateKind
 
 
 @every_kind
-async def test_an_admitted_standby_is_let_through_at_the_same_epoch_until_the_next_commit(kind: GateKind) -> None:
+async def test_a_standby_is_admitted_without_a_new_epoch_until_the_next_commit(kind: GateKind) -> None:
     gate = Opened(kind)
     await gate.create()
     await gate.commit("a")
@@ -110,7 +110,7 @@ async def test_a_closed_gate_admits_no_standby(kind: GateKind) -> None:
 
 
 @every_kind
-async def test_the_end_of_a_recovery_changes_no_control_and_ends_the_wait_for_a_pool(kind: GateKind) -> None:
+async def test_the_end_of_a_recovery_keeps_control_and_ends_the_wait_for_a_pool(kind: GateKind) -> None:
     gate = Opened(kind)
     await gate.create()
     waiting = await gate.commit("a", recovery="{}", waits_for="spare")
@@ -123,7 +123,7 @@ async def test_the_end_of_a_recovery_changes_no_control_and_ends_the_wait_for_a_
 
 
 @every_kind
-async def test_repair_restores_owner_and_labels_and_leaves_control_alone(kind: GateKind) -> None:
+async def test_repair_restores_owner_and_labels_and_keeps_control(kind: GateKind) -> None:
     gate = Opened(kind)
     await gate.create()
     await gate.commit("a")
@@ -136,12 +136,12 @@ async def test_repair_restores_owner_and_labels_and_leaves_control_alone(kind: G
 
 
 @every_kind
-def test_a_monitor_may_change_its_own_gate_only(kind: GateKind) -> None:
+def test_a_monitor_may_change_only_its_own_gate(kind: GateKind) -> None:
     for rule in kind.monitor_rules("w"):
         assert "patch" not in rule["verbs"] or rule["resourceNames"] == [names.gate("w")]
 
 
-def test_instances_reach_everything_but_gated_ports_and_each_other() -> None:
+def test_instances_reach_everything_except_gated_ports_and_each_other() -> None:
     ((_, found),) = GATE.companions("w", ["192.168.7.0/24"], None)
     spec = found["spec"]
     assert spec["podSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}

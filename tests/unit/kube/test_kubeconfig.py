@@ -70,7 +70,7 @@ async def served(handler: Server) -> TestServer:
     return server
 
 
-async def test_a_credential_plugin_gives_the_token_once_while_it_is_valid(tmp_path: Path) -> None:
+async def test_a_credential_plugin_is_called_once_while_its_token_is_valid(tmp_path: Path) -> None:
     handler, later = Server(), (datetime.now(UTC) + timedelta(hours=1)).strftime("%Y-%m-%dT%H:%M:%SZ")
     server = await served(handler)
     path = kubeconfig(tmp_path, str(server.make_url("")), plugin(tmp_path, later))
@@ -93,7 +93,7 @@ async def test_a_token_is_renewed_before_it_expires(tmp_path: Path) -> None:
     assert handler.tokens == ["Bearer token-2"]
 
 
-async def test_after_a_401_the_plugin_is_asked_again(tmp_path: Path) -> None:
+async def test_the_plugin_is_called_again_after_a_401(tmp_path: Path) -> None:
     handler = Server()
     handler.accepted = "Bearer token-2"
     server = await served(handler)
@@ -111,13 +111,13 @@ def test_a_static_token_needs_no_plugin(tmp_path: Path) -> None:
     assert (access.server, access.token, access.plugin) == ("https://127.0.0.1:6443", "fixed", None)
 
 
-def test_a_plugin_that_fails_is_an_error_and_not_an_anonymous_user(tmp_path: Path) -> None:
+def test_a_failing_plugin_is_an_error_and_does_not_lead_to_anonymous_requests(tmp_path: Path) -> None:
     broken = {"apiVersion": "client.authentication.k8s.io/v1", "command": "false", "interactiveMode": "Never"}
     with pytest.raises(KubeconfigError, match="credential plugin"):
         load_access(kubeconfig(tmp_path, "https://127.0.0.1:6443", {"exec": broken}))
 
 
-def test_a_kubeconfig_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_missing_kubeconfig_is_reported_with_its_name(tmp_path: Path) -> None:
     with pytest.raises(KubeconfigError, match="missing"):
         load_access(str(tmp_path / "missing"))
 

@@ -22,7 +22,7 @@ def holder(client: MemoryClient) -> str:
     return found
 
 
-async def test_the_first_candidate_gets_it() -> None:
+async def test_the_first_candidate_leads() -> None:
     client = MemoryClient()
     lease = candidate(client, "a")
     await asyncio.wait_for(lease.acquire(), 1)
@@ -30,7 +30,7 @@ async def test_the_first_candidate_gets_it() -> None:
     assert holder(client) == "a"
 
 
-async def test_of_many_that_come_at_once_one_gets_it() -> None:
+async def test_one_of_many_simultaneous_candidates_leads() -> None:
     client = MemoryClient()
     leases = [candidate(client, str(i)) for i in range(5)]
     tasks = [asyncio.create_task(lease.acquire()) for lease in leases]
@@ -40,7 +40,7 @@ async def test_of_many_that_come_at_once_one_gets_it() -> None:
         task.cancel()
 
 
-async def test_a_kept_lease_is_not_taken_over() -> None:
+async def test_a_renewed_lease_is_not_taken_over() -> None:
     client = MemoryClient()
     first, second = candidate(client, "a"), candidate(client, "b")
     await first.acquire()
@@ -52,7 +52,7 @@ async def test_a_kept_lease_is_not_taken_over() -> None:
     waiting.cancel()
 
 
-async def test_an_abandoned_lease_is_taken_over_when_it_was_seen_unchanged_for_its_time() -> None:
+async def test_an_abandoned_lease_is_taken_over_after_it_was_unchanged_for_its_duration() -> None:
     client = MemoryClient()
     first, second = candidate(client, "a"), candidate(client, "b")
     await first.acquire()
@@ -81,7 +81,7 @@ async def test_a_released_lease_is_free_at_once() -> None:
     await asyncio.wait_for(second.acquire(), 0.5)
 
 
-async def test_a_holder_that_can_not_renew_gives_up_before_another_may_begin() -> None:
+async def test_a_leader_that_cannot_renew_stops_before_another_may_start() -> None:
     client = MemoryClient()
     lease = candidate(client, "a")
     await lease.acquire()
@@ -93,7 +93,7 @@ async def test_a_holder_that_can_not_renew_gives_up_before_another_may_begin() -
     assert not lease.held
 
 
-async def test_a_holder_whose_requests_hang_gives_up_too() -> None:
+async def test_a_leader_whose_requests_hang_stops_too() -> None:
     client = MemoryClient()
     lease = candidate(client, "a")
     await lease.acquire()
@@ -130,7 +130,7 @@ async def test_a_short_outage_is_survived() -> None:
     keeping.cancel()
 
 
-async def test_a_holder_that_was_robbed_gives_up_at_once() -> None:
+async def test_a_leader_whose_lease_was_taken_stops_at_once() -> None:
     client = MemoryClient()
     lease = candidate(client, "a")
     await lease.acquire()

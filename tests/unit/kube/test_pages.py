@@ -62,14 +62,14 @@ async def names(client: Client, limit: int) -> list[list[str]]:
     return [[item["metadata"]["name"] for item in part.items()] async for part in parts]
 
 
-async def test_every_part_is_asked_for_where_the_last_one_ended() -> None:
+async def test_each_page_is_requested_from_the_end_of_the_previous_one() -> None:
     server = Server(7)
     assert await names(server, 3) == [["w-000", "w-001", "w-002"], ["w-003", "w-004", "w-005"], ["w-006"]]
     assert [asked.get("continue") for asked in server.asked] == [None, "3", "6"]
     assert {asked["labelSelector"] for asked in server.asked} == {"app"}
 
 
-async def test_a_short_list_is_one_part() -> None:
+async def test_a_short_list_has_one_page() -> None:
     assert await names(Server(3), 3) == [["w-000", "w-001", "w-002"]]
     assert await names(Server(0), 3) == [[]]
 
@@ -85,7 +85,7 @@ ROBOTS: Object = {
 @pytest.mark.parametrize("keys", [list(ROBOTS), sorted(ROBOTS)], ids=["built-in", "custom"])
 @pytest.mark.parametrize("separators", [(",", ":"), (", ", ": ")], ids=["compact", "spaced"])
 @pytest.mark.parametrize("indent", [None, 1])
-def test_a_list_is_read_as_it_is_whoever_wrote_it(
+def test_a_list_is_read_in_any_order_of_its_fields(
     keys: list[str], separators: tuple[str, str], indent: int | None
 ) -> None:
     """Lists of custom resources have their metadata behind the objects."""
@@ -106,7 +106,7 @@ def only_pods(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resync, "LISTED", ((PODS, ("app",)), (CONFIG_MAPS, (None,))))
 
 
-async def test_everything_is_listed_whole_whatever_its_parts(only_pods: None) -> None:
+async def test_every_list_is_complete_for_any_page_size(only_pods: None) -> None:
     server, store = Server(1001), Store()
     lists = Lists(server, store, ())
     sights = await lists.resync()
@@ -115,9 +115,7 @@ async def test_everything_is_listed_whole_whatever_its_parts(only_pods: None) ->
     assert not await lists.resync(), "nothing has changed"
 
 
-async def test_a_list_that_is_not_urgent_rests_after_each_part(
-    only_pods: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_background_list_pauses_after_each_page(only_pods: None, monkeypatch: pytest.MonkeyPatch) -> None:
     rests: list[float] = []
 
     async def sleep(seconds: float) -> None:
@@ -137,7 +135,7 @@ async def test_a_list_that_is_not_urgent_rests_after_each_part(
     assert len(store.all(PODS)) == 600
 
 
-async def test_a_list_that_is_not_urgent_stands_back_while_watches_bring_something_but_not_for_good(
+async def test_a_background_list_yields_to_watches_but_not_forever(
     only_pods: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock, slept, until = Clock(), 0.0, 0.0
@@ -160,7 +158,7 @@ async def test_a_list_that_is_not_urgent_stands_back_while_watches_bring_somethi
         assert least <= slept <= most
 
 
-async def test_only_what_has_changed_is_decoded_again(only_pods: None, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_only_changed_objects_are_decoded_again(only_pods: None, monkeypatch: pytest.MonkeyPatch) -> None:
     decoded = []
     items = Part.items
 
@@ -180,7 +178,7 @@ async def test_only_what_has_changed_is_decoded_again(only_pods: None, monkeypat
     assert decoded == [f"w-{number}" for number in range(250, 500)], "the part that it is in"
 
 
-async def test_a_list_that_is_the_same_again_repairs_what_a_watch_told_wrongly(only_pods: None) -> None:
+async def test_an_unchanged_list_corrects_a_wrong_watch_event(only_pods: None) -> None:
     server, store = Server(3), Store()
     lists = Lists(server, store, ())
     await lists.resync()
@@ -196,7 +194,7 @@ async def test_a_list_that_is_the_same_again_repairs_what_a_watch_told_wrongly(o
     assert found["metadata"]["resourceVersion"] == str(server.version)
 
 
-async def test_what_a_list_remembers_is_what_the_store_has(only_pods: None) -> None:
+async def test_a_list_shares_its_objects_with_the_store(only_pods: None) -> None:
     """Or every object of a fleet would be in memory twice."""
     server, store = Server(3), Store()
     lists = Lists(server, store, ())

@@ -36,12 +36,12 @@ def pods(answer: Object) -> list[Object]:
         ({"Status": "NotReady"}, "False"),
     ],
 )
-def test_a_pod_is_ready_where_all_that_it_shows_is(cells: dict[str, str], ready: str) -> None:
+def test_the_ready_condition_of_a_pod_comes_from_its_table_row(cells: dict[str, str], ready: str) -> None:
     [pod] = pods(table(**cells))
     assert pod["status"]["conditions"] == [{"type": "Ready", "status": ready}]
 
 
-def test_a_pod_has_its_name_its_node_and_what_was_asked_for() -> None:
+def test_a_pod_has_its_name_node_and_requested_fields() -> None:
     [pod] = pods(table())
     assert pod["metadata"] == {
         "name": "spare-x7k2p",
@@ -57,7 +57,7 @@ def test_an_empty_table_has_no_pods(rows: Any) -> None:
     assert pods({**table(), "rows": rows}) == []
 
 
-def test_a_server_that_has_no_tables_is_understood_too() -> None:
+def test_a_server_without_table_support_is_supported() -> None:
     items = [{"metadata": {"name": "spare-1"}}]
     assert pods({"kind": "PodList", "items": items}) == items
     assert pods({"kind": "PodList", "items": None}) == []

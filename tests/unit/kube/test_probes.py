@@ -36,7 +36,7 @@ def send(receiver):
         yield lambda datagram: sock.sendto(datagram, ("127.0.0.1", receiver.port))
 
 
-def test_a_datagram_is_as_agreed():
+def test_a_datagram_has_the_agreed_format():
     datagram = probes.encode(UID, 7, 1_700_000_000_123_456_789)
     assert datagram == b"USP1" + UID.encode() + (7).to_bytes(8, "big") + (1_700_000_000_123_456_789).to_bytes(8, "big")
     assert probes.decode(datagram) == Probe(UID, 7, pytest.approx(1_700_000_000.123456789))
@@ -53,16 +53,16 @@ def test_a_datagram_is_as_agreed():
         probes.encode(UID, 1, 1) + b"x",
     ],
 )
-def test_other_datagrams_are_none(datagram):
+def test_other_datagrams_are_ignored(datagram):
     assert probes.decode(datagram) is None
 
 
-def test_a_uid_is_36_long():
+def test_a_uid_has_36_characters():
     with pytest.raises(ValueError, match="pod UID 'abc' has 3 bytes"):
         ProbeSender("abc")
 
 
-async def test_arrivals_are_noted_by_pod(receiver, send):
+async def test_arrivals_are_recorded_per_pod(receiver, send):
     begun = time.time()
     for _ in range(3):
         send(probes.encode(UID, 1, 1))
@@ -79,7 +79,7 @@ async def test_arrivals_are_noted_by_pod(receiver, send):
     assert receiver.count_since("nobody", 0) == 0
 
 
-async def test_wait_goes_by_the_time_given(receiver, send):
+async def test_wait_ignores_arrivals_before_the_given_time(receiver, send):
     send(probes.encode(UID, 1, 1))
     first = await receiver.wait(UID, 0, 1)
     await asyncio.sleep(0.01)
@@ -95,7 +95,7 @@ async def test_wait_goes_by_the_time_given(receiver, send):
         await receiver.wait(UID, time.time() + 60, 0.05)
 
 
-async def test_arrival_is_when_it_came_and_not_when_it_was_looked_at(receiver, send):
+async def test_the_arrival_time_is_that_of_receipt_not_of_reading(receiver, send):
     send(probes.encode(OTHER, 1, 1))  # the kernel begins to stamp with the first socket that wants it
     await receiver.wait(OTHER, 0, 1)
     sent = time.time()
@@ -117,14 +117,14 @@ async def test_memory_is_bounded(receiver):
     assert receiver.count_since(UID, 0) == ProbeReceiver.ARRIVALS
 
 
-async def test_a_clock_that_goes_back_is_followed(receiver):
+async def test_arrival_times_follow_a_clock_that_is_set_back(receiver):
     for arrival in (100.0, 101.0, 100.999, 50.0, 51.0):
         receiver._note(UID, arrival)
         assert receiver.last(UID) == max(arrival, 101.0 if arrival > 60 and arrival != 100.0 else 0)
     assert receiver.count_since(UID, 0) == 2
 
 
-async def test_one_a_second_once_aimed(receiver, sender):
+async def test_one_probe_a_second_is_sent_once_a_target_is_set(receiver, sender):
     sender.run()
     await asyncio.sleep(0.05)
     sender.aim("127.0.0.1", receiver.port)
@@ -136,7 +136,7 @@ async def test_one_a_second_once_aimed(receiver, sender):
         await receiver.wait(UID, second + 0.001, 1.3)
 
 
-async def test_a_burst_is_as_long_as_asked_and_gets_coarser(receiver, sender):
+async def test_a_burst_has_the_requested_duration_and_becomes_slower(receiver, sender):
     sender.aim("127.0.0.1", receiver.port)
     begun, cpu = time.time(), time.process_time()
     sender.burst(0.002, 1.0)
@@ -155,7 +155,7 @@ async def test_a_burst_is_as_long_as_asked_and_gets_coarser(receiver, sender):
     assert receiver.count_since(UID, 0) == len(arrivals)
 
 
-async def test_a_burst_that_nobody_waits_for_wakes_the_process_seldom(receiver, sender):
+async def test_a_burst_without_a_waiter_rarely_wakes_the_process(receiver, sender):
     sender.aim("127.0.0.1", receiver.port)
     taken = 0
     take = receiver._take
@@ -172,7 +172,7 @@ async def test_a_burst_that_nobody_waits_for_wakes_the_process_seldom(receiver, 
     assert receiver.count_since(UID, 0) > 30
 
 
-async def test_one_that_waits_is_told_at_once_though_nobody_did(receiver, send, monkeypatch):
+async def test_a_new_waiter_receives_an_arrival_at_once_after_nobody_waited(receiver, send, monkeypatch):
     monkeypatch.setattr(probes, "REST", 30.0)
     send(probes.encode(OTHER, 1, 1))
     await asyncio.sleep(0.05)
@@ -212,7 +212,7 @@ def test_bursts_are_bounded(sender, interval, duration):
         sender.burst(interval, duration)
 
 
-def test_an_aim_is_an_address(sender):
+def test_a_target_must_be_an_address(sender):
     with pytest.raises(RuntimeError, match="no address"):
         sender.burst(0.001, 1)
     with pytest.raises(ValueError, match=r"robot\.example"):
@@ -222,7 +222,7 @@ def test_an_aim_is_an_address(sender):
     assert sender.target is None
 
 
-async def test_what_cannot_be_sent_is_lost_and_nothing_else(sender):
+async def test_a_probe_that_cannot_be_sent_is_lost_without_other_effects(sender):
     sender.aim("127.0.0.1", 1)  # answers with "connection refused"
     sender.burst(0.001, 0.1)
     sender.aim("ff02::1", 1)  # needs a scope

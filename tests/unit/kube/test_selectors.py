@@ -25,7 +25,7 @@ def test_a_selector_matches_by_all_its_requirements(selector: Object, labels: di
 
 
 @pytest.mark.parametrize("labels", [{}, {"a": "1"}, {"a": "2"}, {"b": "1"}, {"a": "1", "b": "x"}])
-def test_the_opposite_of_a_requirement_matches_exactly_what_the_requirement_does_not(labels: dict[str, str]) -> None:
+def test_a_negated_requirement_matches_exactly_the_other_labels(labels: dict[str, str]) -> None:
     for requirement in selectors.requirements(
         {
             "matchLabels": {"a": "1"},
@@ -41,7 +41,7 @@ def test_the_opposite_of_a_requirement_matches_exactly_what_the_requirement_does
         assert matched is not opposite
 
 
-def test_text_is_as_requests_take_it() -> None:
+def test_the_text_of_a_selector_is_in_the_format_of_requests() -> None:
     selector = {
         "matchLabels": {"a": "1"},
         "matchExpressions": [

@@ -30,7 +30,7 @@ def test_differences(live: Any, desired: Any, found: list[str]) -> None:
     assert apply.differences(live, desired) == found
 
 
-def test_a_stamp_tells_of_a_field_that_was_taken_back() -> None:
+def test_a_changed_stamp_shows_that_a_field_was_withdrawn() -> None:
     with_both = apply.stamped({"metadata": {"name": "x"}, "spec": {"a": 1, "b": 2}})
     with_one = apply.stamped({"metadata": {"name": "x"}, "spec": {"a": 1}})
     assert apply.differences(with_both, with_one) == [f".metadata.annotations.{apply.APPLIED}"]
@@ -47,7 +47,7 @@ def owned(uid: str) -> Object:
     return {"kind": "Secret", "metadata": {"name": "w-agent", "ownerReferences": [owner]}}
 
 
-async def test_creating_twice_finds_the_first() -> None:
+async def test_creating_an_object_twice_returns_the_first_one() -> None:
     client = MemoryClient()
     first = await apply.create(client, SECRETS, "fleet", owned("u1"))
     second = await apply.create(client, SECRETS, "fleet", owned("u1"))
@@ -55,7 +55,7 @@ async def test_creating_twice_finds_the_first() -> None:
 
 
 @pytest.mark.parametrize("foreign", [owned("u2"), {"kind": "Secret", "metadata": {"name": "w-agent"}}])
-async def test_an_object_of_somebody_else_is_left_alone_and_named(foreign: Object) -> None:
+async def test_an_object_of_another_owner_is_unchanged_and_reported(foreign: Object) -> None:
     client = MemoryClient()
     await client.create(SECRETS, "fleet", foreign)
     before = dict(client.items)

@@ -36,7 +36,7 @@ async def server() -> AsyncIterator[str]:
     await runner.cleanup()
 
 
-async def test_requests_are_counted_by_what_came_of_them_and_watches_by_when_they_told(server: str) -> None:
+async def test_requests_are_counted_by_result_and_the_times_of_watch_events_are_recorded(server: str) -> None:
     registry = CollectorRegistry()
 
     def requests(method: str, code: str) -> float | None:

@@ -32,6 +32,6 @@ BODY: Object = {
         (".status.none.of.these", BODY["status"]),
     ],
 )
-def test_a_field_is_left_out_where_the_api_server_says_that_it_is(field: str, left: Object) -> None:
+def test_a_field_that_the_api_server_reports_as_undeclared_is_removed(field: str, left: Object) -> None:
     assert without(BODY, [field]) == {"status": left}
     assert BODY["status"]["gate"] == {"epoch": 1, "key": "x"}, "the object itself stays as it is"

@@ -64,7 +64,7 @@ async def warmed(client: Client) -> AsyncIterator[None]:
         await asyncio.gather(task, return_exceptions=True)
 
 
-async def test_after_a_rest_two_requests_at_once_need_no_new_connection(server: Server) -> None:
+async def test_two_simultaneous_requests_after_an_idle_time_need_no_new_connection(server: Server) -> None:
     async with Client(Access(server.address, ssl.create_default_context())) as client:
         async with warmed(client):
             await asyncio.sleep(3 * IDLE)
@@ -76,7 +76,7 @@ async def test_after_a_rest_two_requests_at_once_need_no_new_connection(server: 
         assert server.asked[-1] is False, "without it the server has closed them"
 
 
-async def test_a_refusal_serves_as_well(server: Server) -> None:
+async def test_a_refused_request_keeps_the_connection_open_too(server: Server) -> None:
     server.status = 403
     async with Client(Access(server.address, ssl.create_default_context())) as client, warmed(client):
         await asyncio.sleep(3 * IDLE)
@@ -86,7 +86,7 @@ async def test_a_refusal_serves_as_well(server: Server) -> None:
     assert server.asked == [True]
 
 
-async def test_it_goes_on_while_the_api_server_is_away() -> None:
+async def test_warming_continues_while_the_api_server_is_unavailable() -> None:
     async with Client(Access("http://127.0.0.2:1", ssl.create_default_context())) as client:
         task = asyncio.create_task(keep_warm(client, 2, every=0.01))
         await asyncio.sleep(0.1)

@@ -31,7 +31,7 @@ async def asked_for(watches: int, lifetime: int | None = None) -> list[int]:
     return found
 
 
-async def test_each_watch_ends_at_another_time() -> None:
+async def test_the_watches_end_at_different_times() -> None:
     """Else a thousand monitors that were started by one upgrade would ask for all of theirs at once, every five minutes."""
     found = await asked_for(40)
     assert len(set(found)) > 10
@@ -39,5 +39,5 @@ async def test_each_watch_ends_at_another_time() -> None:
     assert max(found) <= LIFETIME[1]
 
 
-async def test_one_whose_lifetime_is_given_has_that() -> None:
+async def test_a_given_lifetime_is_used() -> None:
     assert await asked_for(2, 7) == [7, 7]

@@ -54,7 +54,7 @@ def known(reflector: Reflector) -> dict[str, str]:
     return {name: item["metadata"]["resourceVersion"] for name, item in reflector.items.items()}
 
 
-async def test_a_watch_that_is_late_takes_nothing_of_our_own_writes_back() -> None:
+async def test_a_late_watch_event_does_not_undo_our_own_write() -> None:
     client = Scripted(5, pod("a", 5))
     async with following(client) as reflector:
         await reflector.synced.wait()
@@ -67,7 +67,7 @@ async def test_a_watch_that_is_late_takes_nothing_of_our_own_writes_back() -> No
         assert known(reflector) == {"a": "8"}
 
 
-async def test_an_answer_that_is_late_does_not_bring_back_what_is_gone() -> None:
+async def test_a_late_answer_does_not_restore_a_deleted_object() -> None:
     client = Scripted(5, pod("a", 5))
     async with following(client) as reflector:
         await reflector.synced.wait()
@@ -76,7 +76,7 @@ async def test_an_answer_that_is_late_does_not_bring_back_what_is_gone() -> None
         assert known(reflector) == {}
 
 
-async def test_a_new_object_of_a_gone_one_s_name_is_not_taken_away_with_it() -> None:
+async def test_a_new_object_with_the_name_of_a_deleted_one_is_kept() -> None:
     client = Scripted(5, pod("a", 5))
     async with following(client) as reflector:
         await reflector.synced.wait()
@@ -85,7 +85,7 @@ async def test_a_new_object_of_a_gone_one_s_name_is_not_taken_away_with_it() -> 
         assert known(reflector) == {"a": "10"}
 
 
-async def test_what_is_written_while_a_list_is_under_way_may_be_newer_than_it() -> None:
+async def test_a_write_during_a_list_may_be_newer_than_the_list() -> None:
     client = Scripted(5, pod("a", 4), pod("b", 5))
     client.may_answer.clear()
     async with following(client) as reflector:
@@ -99,7 +99,7 @@ async def test_what_is_written_while_a_list_is_under_way_may_be_newer_than_it() 
         assert known(reflector) == {"a": "6", "b": "5", "c": "7"}
 
 
-async def test_what_a_bookmark_has_passed_is_known() -> None:
+async def test_a_bookmark_confirms_all_earlier_versions() -> None:
     client = Scripted(5)
     async with following(client) as reflector:
         await reflector.synced.wait()
@@ -110,7 +110,7 @@ async def test_what_a_bookmark_has_passed_is_known() -> None:
         assert known(reflector) == {"a": "21"}
 
 
-async def test_of_several_the_first_that_changes_is_enough_and_nobody_goes_on_waiting_for_the_others() -> None:
+async def test_the_first_change_of_several_ends_the_wait_for_all() -> None:
     class Source:
         def __init__(self) -> None:
             self.event, self.waiting = asyncio.Event(), 0
@@ -133,7 +133,7 @@ async def test_of_several_the_first_that_changes_is_enough_and_nobody_goes_on_wa
     assert [source.waiting for source in sources] == [0, 0]
 
 
-async def test_a_change_between_asking_for_it_and_waiting_for_it_is_not_missed() -> None:
+async def test_a_change_between_the_request_and_the_wait_is_not_missed() -> None:
     client = Scripted(5)
     async with following(client) as reflector:
         await reflector.synced.wait()

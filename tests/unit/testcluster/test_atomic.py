@@ -21,7 +21,7 @@ def test_a_folder_appears_when_it_is_complete(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [tmp_path / "made"]
 
 
-def test_nothing_stays_of_what_failed(tmp_path: Path) -> None:
+def test_nothing_remains_after_a_failure(tmp_path: Path) -> None:
     def begin_folder() -> None:
         with atomic.folder(tmp_path / "made") as partial:
             (partial / "file").write_text("content")
@@ -38,7 +38,7 @@ def test_nothing_stays_of_what_failed(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_fails_to_be_written_anew_keeps_its_content(tmp_path: Path) -> None:
+def test_a_file_keeps_its_content_if_writing_it_again_fails(tmp_path: Path) -> None:
     atomic.write(tmp_path / "file", "former")
 
     def fail() -> None:
@@ -51,7 +51,7 @@ def test_a_file_that_fails_to_be_written_anew_keeps_its_content(tmp_path: Path) 
     assert (tmp_path / "file").read_text() == "former"
 
 
-def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path: Path) -> None:
+def test_the_next_writer_removes_the_files_of_a_killed_one(tmp_path: Path) -> None:
     killed = (
         "import os, sys; from pathlib import Path; from testcluster import atomic\n"
         "with atomic.folder(Path(sys.argv[1])) as partial: (partial / 'file').touch(); os.kill(os.getpid(), 9)"
@@ -63,7 +63,7 @@ def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path: Path) -> Non
     assert list(tmp_path.iterdir()) == [tmp_path / "made"]
 
 
-def test_what_a_living_writer_makes_is_left_alone(tmp_path: Path) -> None:
+def test_the_files_of_a_running_writer_are_kept(tmp_path: Path) -> None:
     with atomic.file(tmp_path / "file") as first:
         with atomic.file(tmp_path / "file") as second:
             assert first.exists()
@@ -71,7 +71,7 @@ def test_what_a_living_writer_makes_is_left_alone(tmp_path: Path) -> None:
         assert first.exists()
 
 
-def test_a_link_is_pointed_elsewhere(tmp_path: Path) -> None:
+def test_an_existing_link_can_point_to_another_target(tmp_path: Path) -> None:
     atomic.link(tmp_path / "link", tmp_path / "one")
     atomic.link(tmp_path / "link", tmp_path / "other")
     assert (tmp_path / "link").readlink() == tmp_path / "other"

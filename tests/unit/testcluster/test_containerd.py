@@ -40,14 +40,14 @@ def asked(ctr: Path) -> list[str]:
     return [line.split("/", 1)[0] for line in ctr.with_name("ctr.log").read_text().splitlines()]
 
 
-def test_an_image_that_is_there_is_left_alone(ctr: Path, tmp_path: Path) -> None:
+def test_an_existing_image_is_not_imported_again(ctr: Path, tmp_path: Path) -> None:
     (image,) = store.add(archive(tmp_path / "image.tar", [b"code"]))
     ctr.with_name("ctr.images").write_text(f"{image.name} type {image.digest}\n")
     assert containerd.load([ctr], [image]) == []
     assert not [line for line in asked(ctr) if "import" in line]
 
 
-def test_the_former_image_is_kept_while_its_successor_is_imported(ctr: Path, tmp_path: Path) -> None:
+def test_the_previous_image_is_kept_while_the_next_one_is_imported(ctr: Path, tmp_path: Path) -> None:
     (image,) = store.add(archive(tmp_path / "image.tar", [b"code"]))
     ctr.with_name("ctr.images").write_text(f"{image.name} type sha256:former\n")
     assert containerd.load([ctr], [image]) == [image]
@@ -55,7 +55,7 @@ def test_the_former_image_is_kept_while_its_successor_is_imported(ctr: Path, tmp
     assert words == ["list", "tag", "list", "import", "remove"]
 
 
-def test_parts_that_were_garbage_are_brought_once_more(ctr: Path, tmp_path: Path) -> None:
+def test_layers_that_were_garbage_collected_are_sent_again(ctr: Path, tmp_path: Path) -> None:
     (image,) = store.add(archive(tmp_path / "image.tar", [b"system", b"code"]))
     with store.archive([image], []) as whole:
         everything = blobs(whole)

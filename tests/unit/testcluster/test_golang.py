@@ -37,18 +37,18 @@ def test_sources_and_flags_decide_a_build_and_tests_do_not(module: Path) -> None
     assert golang.fingerprint(module, "-flag") != before
 
 
-def test_a_compiler_says_its_version(tmp_path: Path) -> None:
+def test_the_version_of_a_compiler_is_read(tmp_path: Path) -> None:
     assert golang.version(str(compiler(tmp_path / "go", "1.26.3"))) == (1, 26)
     assert golang.version(str(tmp_path / "missing")) is None
 
 
-def test_an_old_compiler_is_passed_over(tmp_path: Path) -> None:
+def test_an_old_compiler_is_ignored(tmp_path: Path) -> None:
     old, new = compiler(tmp_path / "old" / "go", "1.19.8"), compiler(tmp_path / "new" / "go", "1.24.0")
     assert golang._usable([old, None, new]) == str(new)
     assert golang._usable([old]) is None
 
 
-def test_a_build_that_is_there_is_used_without_a_compiler(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_existing_build_is_used_without_a_compiler(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def none(progress: Progress) -> str:
         raise AssertionError("no compiler is needed")
 
@@ -58,7 +58,7 @@ def test_a_build_that_is_there_is_used_without_a_compiler(module: Path, monkeypa
     assert golang.build("thing", module, ["."], [], Progress(), "a second") == built
 
 
-def test_a_program_that_does_not_compile_is_reported_with_the_compilers_words(
+def test_a_compile_error_is_reported_with_the_compiler_output(
     module: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     go = tmp_path / "go"

@@ -21,7 +21,7 @@ def image(tmp_path: Path) -> Image:
     return Image("localhost/understudy-thing:dev", tmp_path, None, ("Dockerfile", "code"))
 
 
-def test_only_what_an_image_is_made_of_decides(image: Image) -> None:
+def test_the_tag_of_an_image_depends_only_on_its_sources(image: Image) -> None:
     before = image.fingerprint("base")
     (image.context / "notes.txt").write_text("changed")
     (image.context / "code" / "__pycache__").mkdir()
@@ -30,7 +30,7 @@ def test_only_what_an_image_is_made_of_decides(image: Image) -> None:
 
 
 @pytest.mark.parametrize("change", ["content", "name", "mode", "new", "base"])
-def test_any_change_of_what_an_image_is_made_of_counts(image: Image, change: str) -> None:
+def test_any_change_of_its_sources_changes_the_tag_of_an_image(image: Image, change: str) -> None:
     before = image.fingerprint("base")
     module = image.context / "code" / "package" / "module.py"
     if change == "content":
@@ -83,7 +83,7 @@ def test_images_of_an_earlier_commit_are_built_from_its_files_and_have_a_tag_of_
     assert {image.tag for image in catalog.images()} == {"dev"}
 
 
-def test_a_commit_is_laid_out_once(history: Path) -> None:
+def test_a_commit_is_checked_out_once(history: Path) -> None:
     first = commits.lay_out("HEAD^")
     (first.folder / "mark").touch()
     assert commits.lay_out("HEAD^") == first
@@ -91,7 +91,7 @@ def test_a_commit_is_laid_out_once(history: Path) -> None:
     assert commits.lay_out("HEAD") != first
 
 
-def test_a_commit_that_a_clone_without_history_lacks_is_told_of(
+def test_a_commit_that_a_shallow_clone_lacks_is_reported(
     history: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = subprocess.run(["git", "-C", str(history), "rev-parse", "HEAD^"], capture_output=True, text=True, check=True)

@@ -31,7 +31,7 @@ def made(name: str) -> Layout:
     return decided
 
 
-def test_what_was_decided_is_read_again() -> None:
+def test_a_layout_is_stored_and_read_again() -> None:
     assert layout.load("one") is None
     decided = made("one")
     assert layout.load("one") == decided
@@ -56,7 +56,7 @@ def test_a_network_that_the_machine_reaches_is_not_taken(machine: list[ipaddress
     assert not made("one").network.overlaps(machine[0])
 
 
-def test_all_parts_of_a_cluster_lie_in_its_network_and_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_addresses_of_a_cluster_are_in_its_network_and_distinct(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERSTUDY_CLUSTER_NODES", str(layout.MAX_NODES))
     decided = made("one")
     parts = [decided.services, *(decided.pod_network(node) for node in decided.nodes)]
@@ -79,7 +79,7 @@ def test_all_parts_of_a_cluster_lie_in_its_network_and_apart(monkeypatch: pytest
         ("UNDERSTUDY_CLUSTER_NODES", "32", "a number from 0 to"),
     ],
 )
-def test_a_setting_that_cannot_be_used_is_named(
+def test_an_invalid_setting_is_reported_with_its_name(
     monkeypatch: pytest.MonkeyPatch, variable: str, value: str, said: str
 ) -> None:
     monkeypatch.setenv(variable, value)
@@ -88,7 +88,7 @@ def test_a_setting_that_cannot_be_used_is_named(
     assert f"{variable}={value}" in str(refused.value)
 
 
-def test_a_network_that_is_in_use_is_refused_when_it_is_asked_for(
+def test_a_requested_network_that_is_in_use_is_refused(
     monkeypatch: pytest.MonkeyPatch, machine: list[ipaddress.IPv4Network]
 ) -> None:
     machine.append(ipaddress.IPv4Network("10.20.0.0/16"))
@@ -97,6 +97,6 @@ def test_a_network_that_is_in_use_is_refused_when_it_is_asked_for(
         layout.decide("one")
 
 
-def test_an_unknown_node_is_refused_with_those_there_are() -> None:
+def test_an_unknown_node_is_refused_with_the_list_of_nodes() -> None:
     with pytest.raises(BadSetting, match="no node 'node9'; it has node1, node2, node3"):
         layout.node_number("node9", made("one"))

@@ -57,7 +57,7 @@ def _notes(folder: Path) -> list[str]:
     return (folder / "notes").read_text().splitlines()
 
 
-def test_the_first_makes_it_and_the_last_puts_things_back(tmp_path: Path) -> None:
+def test_the_first_process_creates_the_resource_and_the_last_one_restores_the_previous_state(tmp_path: Path) -> None:
     first, second = Holder(tmp_path, "first"), Holder(tmp_path, "second")
     first.let_go()
     assert _notes(tmp_path) == ["first makes"]
@@ -65,14 +65,14 @@ def test_the_first_makes_it_and_the_last_puts_things_back(tmp_path: Path) -> Non
     assert _notes(tmp_path) == ["first makes", "second puts back what was before first"]
 
 
-def test_one_that_is_killed_holds_it_no_longer(tmp_path: Path) -> None:
+def test_a_killed_process_no_longer_holds_the_resource(tmp_path: Path) -> None:
     first, second = Holder(tmp_path, "first"), Holder(tmp_path, "second")
     first.kill()
     second.let_go()
     assert _notes(tmp_path) == ["first makes", "second puts back what was before first"]
 
 
-def test_what_could_not_be_made_is_not_put_back_and_the_next_one_tries(tmp_path: Path) -> None:
+def test_a_failed_creation_is_not_undone_and_the_next_process_tries_again(tmp_path: Path) -> None:
     def fail() -> None:
         raise ValueError("no")
 

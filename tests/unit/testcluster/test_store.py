@@ -31,7 +31,7 @@ def test_an_archive_for_a_node_that_has_nothing_holds_every_part(tmp_path: Path)
     assert not path.exists()
 
 
-def test_two_nodes_that_lack_the_same_get_an_archive_each(tmp_path: Path) -> None:
+def test_two_nodes_that_lack_the_same_layers_get_separate_archives(tmp_path: Path) -> None:
     (reference,) = store.add(archive(tmp_path / "image.tar", [b"system", b"code"]))
     with store.archive([reference], []) as first:
         with store.archive([reference], []) as second:
@@ -40,7 +40,7 @@ def test_two_nodes_that_lack_the_same_get_an_archive_each(tmp_path: Path) -> Non
             assert whole.getmembers()
 
 
-def test_an_archive_leaves_out_what_the_node_has(tmp_path: Path) -> None:
+def test_an_archive_omits_layers_that_the_node_has(tmp_path: Path) -> None:
     store.add(archive(tmp_path / "image.tar", [b"system", b"code"]))
     (changed,) = store.add(archive(tmp_path / "image.tar", [b"system", b"other code"]))
     with store.archive([changed], [digest(b"system"), digest(b"code")]) as path:
@@ -48,14 +48,14 @@ def test_an_archive_leaves_out_what_the_node_has(tmp_path: Path) -> None:
         assert digest(b"other code") in blobs(path)
 
 
-def test_a_name_stands_for_the_last_image_that_was_added(tmp_path: Path) -> None:
+def test_a_name_refers_to_the_last_added_image(tmp_path: Path) -> None:
     store.add(archive(tmp_path / "image.tar", [b"code"]))
     (changed,) = store.add(archive(tmp_path / "image.tar", [b"other code"]))
     assert store.references() == [changed]
     assert store.get("localhost/thing:dev") == changed
 
 
-def test_layers_that_no_image_has_any_more_are_removed(tmp_path: Path) -> None:
+def test_unused_layers_are_removed(tmp_path: Path) -> None:
     (former,) = store.add(archive(tmp_path / "image.tar", [b"system", b"code"]))
     (changed,) = store.add(archive(tmp_path / "image.tar", [b"system", b"other code"]))
     store.prune()
@@ -65,7 +65,7 @@ def test_layers_that_no_image_has_any_more_are_removed(tmp_path: Path) -> None:
         pass
 
 
-def test_a_layer_with_other_contents_than_the_image_says_is_refused(tmp_path: Path) -> None:
+def test_a_layer_with_a_wrong_digest_is_refused(tmp_path: Path) -> None:
     with pytest.raises(store.NotAnImage, match=r"layer 0\.tar has the hash sha256:.*configuration says sha256:"):
         store.add(archive(tmp_path / "image.tar", [b"forged"], said=[digest(b"code")]))
     assert store.references() == []

@@ -43,7 +43,7 @@ def changed(**changes: Any) -> str:
     return yaml.safe_dump({**yaml.safe_load(WRITTEN), **changes})
 
 
-def test_what_was_measured_is_read():
+def test_a_measured_calibration_is_read():
     found = load(WRITTEN, "a.yaml")
     assert (found.width, found.height, found.fisheye) == (640, 480, False)
     np.testing.assert_array_equal(found.matrix, [[512.5, 0, 321.25], [0, 511.75, 238.5], [0, 0, 1]])
@@ -72,7 +72,7 @@ def test_what_was_measured_is_read():
         (changed(distortion_model=[1]), "a.yaml: distortion_model: found [1]; give a name such as plumb_bob"),
     ],
 )
-def test_a_mistake_is_named_with_its_field(text: str, expected: str):
+def test_a_mistake_is_reported_with_its_field(text: str, expected: str):
     with pytest.raises(ConfigurationError) as caught:
         load(text, "a.yaml")
     assert str(caught.value).startswith(expected)
@@ -87,7 +87,7 @@ def test_a_mistake_is_named_with_its_field(text: str, expected: str):
         max_leaves=9,
     ),
 )
-def test_whatever_it_says_it_can_be_used_or_is_refused_in_words(key: str, value: object):
+def test_any_calibration_file_is_used_or_refused_with_a_message(key: str, value: object):
     text = changed(**{key: value})
     said = "a.yaml"
     try:
@@ -99,7 +99,9 @@ def test_whatever_it_says_it_can_be_used_or_is_refused_in_words(key: str, value:
     assert said.startswith("a.yaml")
 
 
-def test_it_lies_beside_the_trackers_file_and_is_checked_with_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_calibration_beside_the_configuration_is_checked_with_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     file, beside = tmp_path / "tracker.yaml", tmp_path / "ceiling.yaml"
     file.write_text(
         "camera: {device: {path: /dev/video0, calibration: ceiling.yaml}, pose: {x: 0, y: 0, z: 3, pitch: 1.5708}}\n"

@@ -124,22 +124,20 @@ def test_a_rendered_video_becomes_poses(filmed: tuple[Path, list[Any]], footage:
     assert [place.x for place in places] == sorted(place.x for place in places), "each is a later one"
 
 
-def test_no_more_images_are_looked_at_than_was_asked_for(
-    filmed: tuple[Path, list[Any]], footage: Callable[..., Footage]
-):
+def test_no_more_images_are_processed_than_requested(filmed: tuple[Path, list[Any]], footage: Callable[..., Footage]):
     found = footage(filmed[0], rate=4.0)
     stamps = [next_of(found).stamp for _ in range(4)]
     assert all(later - earlier > 0.2e9 for earlier, later in itertools.pairwise(stamps))
 
 
-def test_a_numbered_sequence_of_pictures_is_a_video_too(tmp_path: Path, footage: Callable[..., Footage]):
+def test_a_numbered_sequence_of_pictures_is_read_as_a_video(tmp_path: Path, footage: Callable[..., Footage]):
     for index in range(5):
         cv2.imwrite(str(tmp_path / f"image{index:03d}.png"), np.full((48, 64, 3), 20 * index, np.uint8))
     found = footage(tmp_path / "image%03d.png", rate=50.0)
     assert next_of(found).image.shape == (48, 64)
 
 
-def test_a_camera_that_goes_is_found_again(
+def test_a_camera_that_disconnects_is_opened_again(
     filmed: tuple[Path, list[Any]], tmp_path: Path, footage: Callable[..., Footage]
 ):
     there = tmp_path / "video0"
@@ -156,16 +154,16 @@ def test_a_camera_that_goes_is_found_again(
     assert next_of(found)
 
 
-def test_opencv_reads_v4l_here():
+def test_opencv_is_built_with_v4l():
     assert cv2.CAP_V4L2 in cv2.videoio_registry.getCameraBackends()
 
 
-def test_a_device_that_is_no_camera_is_named(footage: Callable[..., Footage]):
+def test_a_device_that_is_not_a_camera_is_reported(footage: Callable[..., Footage]):
     said = trouble_of(footage("/dev/null"))
     assert said.startswith("camera.device.path: /dev/null gives no images: another program has it, or it is no camera")
 
 
-def test_a_file_that_is_no_video_is_named(tmp_path: Path, footage: Callable[..., Footage]):
+def test_a_file_that_is_not_a_video_is_reported(tmp_path: Path, footage: Callable[..., Footage]):
     file = tmp_path / "notes.txt"
     file.write_text("no video")
     said = trouble_of(footage(file))
@@ -182,7 +180,7 @@ def test_a_file_that_is_no_video_is_named(tmp_path: Path, footage: Callable[...,
         (errno.EIO, "Input/output error$"),
     ],
 )
-def test_why_it_cannot_be_opened_is_said_with_the_way_out(number: int, expected: str):
+def test_a_camera_that_cannot_be_opened_is_reported_with_a_solution(number: int, expected: str):
     said = refused("/dev/video0", OSError(number, os.strerror(number)))
     assert re.match(f"camera.device.path: /dev/video0 cannot be opened: {expected}", said)
 
@@ -206,7 +204,7 @@ def test_why_it_cannot_be_opened_is_said_with_the_way_out(number: int, expected:
         ),
     ],
 )
-def test_a_mistake_in_the_file_is_named_with_its_field(camera: str, expected: str):
+def test_a_mistake_in_the_file_is_reported_with_its_field(camera: str, expected: str):
     with pytest.raises(ConfigurationError) as caught:
         load(f"camera: {camera}\nmarkers: [{{name: robot, id: 7, size: 0.2, height: 0.25}}]", "a.yaml")
     assert str(caught.value).startswith(f"a.yaml: {expected}")

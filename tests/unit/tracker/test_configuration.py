@@ -36,7 +36,7 @@ def with_(path: str, value: str) -> str:
     return yaml.safe_dump(found)
 
 
-def test_what_is_left_out_has_a_sensible_value():
+def test_omitted_fields_have_defaults():
     found = load(GOOD)
     (marker,) = found.markers
     assert found.camera.calibration == "/ceiling/camera_info"
@@ -84,14 +84,14 @@ def test_what_is_left_out_has_a_sensible_value():
         pytest.param("[" * 5000, "a.yaml: lists and mappings are nested too deeply", id="deep"),
     ],
 )
-def test_a_mistake_is_named_with_its_field(text: str, expected: str):
+def test_a_mistake_is_reported_with_its_field(text: str, expected: str):
     with pytest.raises(ConfigurationError) as caught:
         load(text, "a.yaml")
     pattern = re.escape(expected).replace(r"\.\*", ".*")
     assert any(re.match(f"(a.yaml: )?{pattern}", line) for line in str(caught.value).splitlines()), str(caught.value)
 
 
-def test_all_mistakes_are_named_at_once():
+def test_all_mistakes_are_reported_at_once():
     with pytest.raises(ConfigurationError) as caught:
         load("camera: {image: image}\nmarkers: [{name: robot}]", "a.yaml")
     assert [line.split(":")[1].strip() for line in str(caught.value).splitlines()] == [
@@ -102,7 +102,7 @@ def test_all_mistakes_are_named_at_once():
     ]
 
 
-def test_the_command_says_what_is_wrong_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_reports_what_is_wrong_with_its_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     file = tmp_path / "tracker.yaml"
     assert main([str(file), "--check"]) == 2
     assert (
@@ -149,7 +149,7 @@ def used_or_refused(text: str) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(found=ANYTHING)
-def test_whatever_the_file_says_it_can_be_used_or_is_refused_in_words(found: object):
+def test_any_file_is_used_or_refused_with_a_message(found: object):
     used_or_refused(yaml.safe_dump(found, allow_unicode=True))
 
 
@@ -158,7 +158,7 @@ def test_whatever_the_file_says_it_can_be_used_or_is_refused_in_words(found: obj
     place=st.sampled_from(["camera", "camera.pose", "markers", "markers.0", "markers.0.mounted", "window"]),
     found=ANYTHING,
 )
-def test_nor_does_a_part_that_is_something_else_do_harm(place: str, found: object):
+def test_a_part_of_a_wrong_type_is_refused_with_a_message(place: str, found: object):
     text = yaml.safe_load(GOOD)
     *above, last = [int(part) if part.isdigit() else part for part in place.split(".")]
     part = text

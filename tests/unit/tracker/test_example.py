@@ -84,7 +84,7 @@ def eventually(holds: Callable[[], object], what: str) -> None:
         time.sleep(0.02)
 
 
-def test_a_robot_that_stands_by_a_wrong_remapping_is_seen_from_outside_only(
+def test_only_the_camera_detects_a_robot_that_stands_due_to_a_wrong_remapping(
     running: Running, watching: Any, tmp_path: Path
 ):
     from understudy_demo import robotview

@@ -49,7 +49,7 @@ def before(pose: CameraPose) -> tuple[float, float]:
     heading=st.floats(-math.pi, math.pi),
     mounted=st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-math.pi, math.pi)),
 )
-def test_the_robot_is_where_it_is(camera, dx, dy, heading, mounted):
+def test_the_pose_of_the_robot_is_exact(camera, dx, dy, heading, mounted):
     pose, calibration = camera
     (x, y), view = before(pose), view_of(pose)
     x, y = x + dx, y + dy
@@ -65,7 +65,7 @@ def test_the_robot_is_where_it_is(camera, dx, dy, heading, mounted):
 
 
 @pytest.mark.parametrize("camera", [DOWN, TILTED])
-def test_what_it_says_of_its_uncertainty_is_so(camera: CameraPose):
+def test_the_reported_uncertainty_is_correct(camera: CameraPose):
     random, noise = np.random.default_rng(4), 0.3
     view, (x, y) = view_of(camera), before(camera)
     corners = seen(square(0.2, x, y, 0.25, 0.5), view, PLAIN)
@@ -75,7 +75,7 @@ def test_what_it_says_of_its_uncertainty_is_so(camera: CameraPose):
     np.testing.assert_allclose(stated / spread, 1.0, atol=0.1)
 
 
-def test_straight_down_a_yaw_of_zero_has_the_worlds_x_at_the_images_top():
+def test_a_camera_that_looks_down_with_yaw_zero_shows_x_at_the_top():
     view = view_of(CameraPose(x=0, y=0, z=3, pitch=math.pi / 2))
     ((left, _), (right, _)) = seen(np.array([[0.0, 0.5, 0.0], [0.0, -0.5, 0.0]]), view, PLAIN)
     ((_, top),) = seen(np.array([[0.5, 0.0, 0.0]]), view, PLAIN)
@@ -91,14 +91,14 @@ def test_straight_down_a_yaw_of_zero_has_the_worlds_x_at_the_images_top():
         ({"height": 3.5}, r"is seen in a direction without floor: camera\.pose or its height of 3\.5 m is wrong"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_what_may_be_wrong(changes: dict[str, Any], expected: str):
+def test_inconsistent_corners_are_refused_with_the_likely_cause(changes: dict[str, Any], expected: str):
     view = view_of(DOWN)
     corners = seen(square(0.2, 0.3, 0.1, 0.25, 0.5), view, PLAIN)
     with pytest.raises(Misfit, match=expected):
         place(corners, marker(**changes), PLAIN, view, 0.2)
 
 
-def test_a_marker_that_is_seen_from_behind_is_none():
+def test_a_marker_seen_from_behind_is_ignored():
     view = view_of(DOWN)
     corners = seen(square(0.2, 0.3, 0.1, 0.25, 0.5), view, PLAIN)
     with pytest.raises(Misfit, match="from behind"):
@@ -112,7 +112,7 @@ REFERENCES = [
 
 
 @pytest.mark.parametrize("calibration", [PLAIN, LENS])
-def test_markers_on_the_floor_tell_where_the_camera_is(calibration: Calibration):
+def test_markers_on_the_floor_give_the_pose_of_the_camera(calibration: Calibration):
     pose = CameraPose(x=0.1, y=-0.2, z=2.8, roll=0.05, pitch=1.4, yaw=0.7)
     view, random = view_of(pose), np.random.default_rng(5)
     looked = [
@@ -124,7 +124,7 @@ def test_markers_on_the_floor_tell_where_the_camera_is(calibration: Calibration)
     np.testing.assert_allclose(found.axes, view.axes, atol=0.005)
 
 
-def test_references_that_are_not_where_it_says_are_refused():
+def test_reference_markers_at_wrong_positions_are_refused():
     view = view_of(DOWN)
     looked = [(one, seen(square(one.size, one.x, one.y, one.z, one.yaw), view, PLAIN)) for one in REFERENCES]
     moved = [(looked[0][0].model_copy(update={"x": 0.4}), looked[0][1]), looked[1]]

@@ -18,13 +18,13 @@ def image(short: str) -> catalog.Image:
     return next(image for image in catalog.images() if image.short == short)
 
 
-def test_the_image_has_the_versions_that_tests_have() -> None:
+def test_the_image_has_the_same_versions_as_the_tests() -> None:
     wanted = lines("examples/tracker/requirements.txt")
     assert set(wanted) <= set(lines("constraints.txt"))
     assert f"mujoco-core=={mujoco.__version__}" in wanted
 
 
-def test_the_trackers_own_image_is_a_stage_of_our_own_and_keeps_what_takes_long() -> None:
+def test_the_image_of_the_tracker_is_a_stage_of_ours_and_caches_slow_steps() -> None:
     own = image("tracker")
     assert (own.target, own.context, own.parent) == ("tracker", REPOSITORY, None)
     assert own.stages == ("tools", "tracker-dependencies")
@@ -32,13 +32,13 @@ def test_the_trackers_own_image_is_a_stage_of_our_own_and_keeps_what_takes_long(
     assert all(f" AS {stage}\n" in dockerfile for stage in ("tracker", *own.stages))
 
 
-def test_the_examples_image_has_another_name_and_is_built_on_it() -> None:
+def test_the_image_of_the_example_is_built_on_that_of_the_tracker() -> None:
     example = image("tracker-example")
     assert example.context == EXAMPLE
     assert example.parent == image("tracker").name
 
 
-def test_it_renders_with_what_tests_render_with() -> None:
+def test_the_image_uses_the_same_renderer_as_the_tests() -> None:
     (installed,) = [
         line.split("debian_packages ")[1]
         for line in (REPOSITORY / "scripts" / "lib.sh").read_text().splitlines()
@@ -47,7 +47,7 @@ def test_it_renders_with_what_tests_render_with() -> None:
     assert f"--no-install-recommends {' '.join(sorted(installed.split()))} " in (EXAMPLE / "Dockerfile").read_text()
 
 
-def test_what_is_copied_is_sent_to_the_builder() -> None:
+def test_copied_files_are_in_the_build_context() -> None:
     sent = {line[1:] for line in (EXAMPLE / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     copied = {line.split()[1] for line in (EXAMPLE / "Dockerfile").read_text().splitlines() if line.startswith("COPY")}
     assert copied == sent

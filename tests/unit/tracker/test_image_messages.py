@@ -58,7 +58,7 @@ def test_every_encoding_gives_the_same_shades_whatever_the_rows_are_padded_with(
         ({"width": 1 << 31, "step": 1 << 33}, "pixels"),
     ],
 )
-def test_an_image_that_cannot_be_used_says_why(changes: dict[str, Any], expected: str):
+def test_an_unusable_image_is_refused_with_the_reason(changes: dict[str, Any], expected: str):
     broken = message(PICTURE, "rgb8")
     broken.__dict__.update(changes)
     with pytest.raises(Unusable, match=expected):
@@ -84,7 +84,7 @@ def info(**changes: Any) -> Any:
         ("", []),
     ],
 )
-def test_rays_undo_what_the_lens_does(model: str, d: list[float]):
+def test_rays_invert_the_distortion_of_the_lens(model: str, d: list[float]):
     found = calibration(info(distortion_model=model, d=d))
     points = RANDOM.uniform(-0.4, 0.4, (20, 2))
     matrix = np.array(info().k).reshape(3, 3)
@@ -94,7 +94,7 @@ def test_rays_undo_what_the_lens_does(model: str, d: list[float]):
     np.testing.assert_allclose(found.rays(pixels.reshape(-1, 2)), points, atol=2e-4)
 
 
-def test_a_fisheye_is_undone_as_well():
+def test_the_distortion_of_a_fisheye_is_inverted_too():
     d = [0.02, -0.01, 0.003, -0.001]
     found = calibration(info(distortion_model="equidistant", d=d))
     points = RANDOM.uniform(-0.8, 0.8, (20, 2))
@@ -112,6 +112,6 @@ def test_a_fisheye_is_undone_as_well():
         ({"d": [float("nan")] * 5}, "finite"),
     ],
 )
-def test_a_calibration_that_cannot_be_used_says_why(changes: dict[str, Any], expected: str):
+def test_an_unusable_calibration_is_refused_with_the_reason(changes: dict[str, Any], expected: str):
     with pytest.raises(Unusable, match=expected):
         calibration(info(**changes))

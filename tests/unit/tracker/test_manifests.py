@@ -40,7 +40,7 @@ def containers() -> list[tuple[dict[str, Any], dict[str, Any]]]:
     return [(container, spec) for spec in specs for container in spec["containers"]]
 
 
-def test_images_are_those_that_are_built_here():
+def test_the_manifests_use_the_images_of_this_repository():
     built = {image.name for image in catalog.images()}
     assert {container["image"] for container, _ in containers()} == {
         "localhost/understudy-tracker:dev",
@@ -49,7 +49,7 @@ def test_images_are_those_that_are_built_here():
     assert {container["image"] for container, _ in containers()} <= built
 
 
-def test_the_trackers_file_is_where_it_looks_and_can_be_used():
+def test_the_tracker_finds_a_valid_configuration_file():
     (item, deployment) = objects("tracker.yaml")
     (container,) = deployment["spec"]["template"]["spec"]["containers"]
     mounts = {mount["name"]: mount["mountPath"] for mount in container["volumeMounts"]}
@@ -59,7 +59,7 @@ def test_the_trackers_file_is_where_it_looks_and_can_be_used():
     assert marker.base == "/tracker/robot"
 
 
-def test_all_of_it_passes_the_check_and_fits():
+def test_the_manifests_pass_the_check_without_findings():
     files = [MANIFESTS / name for name in ("policy.yaml", "workload.yaml")]
     assert check([(file.name, file.read_bytes()) for file in files]).findings == []
     policy, pool = objects("policy.yaml")
@@ -79,7 +79,7 @@ def test_all_of_it_passes_the_check_and_fits():
 
 
 @pytest.mark.parametrize("file", ["robot.yaml", "tracker.yaml"])
-def test_what_is_in_the_robots_graph_takes_in_what_the_operator_writes(file: str):
+def test_pods_in_the_robot_graph_use_the_configuration_of_the_operator(file: str):
     (workload,) = objects("workload.yaml")
     name = workload["metadata"]["name"]
     spec = objects(file)[-1]["spec"]["template"]["spec"]
@@ -90,7 +90,7 @@ def test_what_is_in_the_robots_graph_takes_in_what_the_operator_writes(file: str
 
 @pytest.mark.ros
 @pytest.mark.usefixtures("rendering")
-def test_the_tracker_is_told_where_the_examples_camera_is():
+def test_the_tracker_has_the_pose_of_the_example_camera():
     from tracker_robot.robot import CALIBRATION, CAMERA, IMAGES, SIZE, START
     from tracker_scene import Pose, Scene
 
@@ -118,7 +118,7 @@ def test_the_tracker_is_told_where_the_examples_camera_is():
     assert missed <= 2
 
 
-def test_the_tracker_with_a_camera_of_its_node_finds_its_files_there(tmp_path: Path):
+def test_the_tracker_with_a_local_camera_finds_its_files(tmp_path: Path):
     (item, deployment) = objects("device.yaml")
     for name, text in item["data"].items():
         (tmp_path / name).write_text(text)

@@ -57,7 +57,7 @@ def said(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records if record.name.startswith("understudy")]
 
 
-def test_each_problem_is_said_once_and_what_comes_after_it_is_used(tracker: Any, caplog: pytest.LogCaptureFixture):
+def test_each_problem_is_reported_once_and_later_images_are_used(tracker: Any, caplog: pytest.LogCaptureFixture):
     for _ in range(3):
         tracker.on_image(image())
     assert said(caplog) == [
@@ -81,7 +81,7 @@ def test_each_problem_is_said_once_and_what_comes_after_it_is_used(tracker: Any,
     assert said(caplog) == []
 
 
-def test_images_without_a_stamp_are_taken_to_be_of_now(tracker: Any, caplog: pytest.LogCaptureFixture):
+def test_images_without_a_stamp_use_the_present_time(tracker: Any, caplog: pytest.LogCaptureFixture):
     tracker.on_calibration(info())
     message = image()
     message.header.stamp.sec = 0
@@ -89,7 +89,7 @@ def test_images_without_a_stamp_are_taken_to_be_of_now(tracker: Any, caplog: pyt
     assert said(caplog) == ["the images on /camera/image_raw have no stamp: the time of their receipt is taken"]
 
 
-def test_it_says_where_calibrations_come_and_images_dont(tracker: Any, caplog: pytest.LogCaptureFixture):
+def test_calibrations_without_images_are_reported(tracker: Any, caplog: pytest.LogCaptureFixture):
     for _ in range(19):
         tracker.on_calibration(info())
     tracker.on_image(image())
@@ -103,7 +103,7 @@ def test_it_says_where_calibrations_come_and_images_dont(tracker: Any, caplog: p
     ]
 
 
-def test_a_publisher_that_offers_less_than_is_asked_for_is_named(
+def test_a_publisher_with_incompatible_qos_is_reported_with_its_name(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ):
     keep_to_itself(monkeypatch)

@@ -16,7 +16,7 @@ def _one_thread():
     cv2.setNumThreads(1)
 
 
-def test_poses_are_exact_to_millimetres():
+def test_poses_on_rendered_images_are_exact_to_millimetres():
     from bench.tracker import exactness
 
     errors, missed = exactness(40, seed=3)
@@ -40,7 +40,7 @@ def test_speeds_are_exact_to_millimetres_a_second(speed: float, turn: float):
     assert off[:, 1].std() < 0.03
 
 
-def test_what_is_said_of_a_speeds_uncertainty_is_no_less_than_it_is():
+def test_the_reported_uncertainty_of_a_speed_is_not_too_small():
     from tracker_scene import Pose, Scene
 
     from bench.tracker import Supervised
@@ -63,7 +63,7 @@ def test_what_is_said_of_a_speeds_uncertainty_is_no_less_than_it_is():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_robot_that_stands_while_it_is_commanded_to_drive_is_found_within_a_second(seed: int):
+def test_a_commanded_robot_that_stands_is_detected_within_a_second(seed: int):
     from bench.tracker import stop
 
     late, verdict = stop(seed)
@@ -73,7 +73,7 @@ def test_a_robot_that_stands_while_it_is_commanded_to_drive_is_found_within_a_se
     assert verdict.leaf == "tracker/robot.motion"
 
 
-def test_one_that_drives_at_half_its_speed_is_found_too():
+def test_a_robot_that_drives_at_half_its_speed_is_detected():
     from bench.tracker import stop
 
     late, _ = stop(5, "half speed")
@@ -81,7 +81,7 @@ def test_one_that_drives_at_half_its_speed_is_found_too():
     assert late < 3.0
 
 
-def test_ordinary_driving_trips_nothing():
+def test_ordinary_driving_causes_no_failure():
     """A minute of turns, stops, a little slip, and places out of the picture; `scripts/bench tracker` drives for ten."""
     from bench.tracker import ordinary
 
@@ -91,7 +91,7 @@ def test_ordinary_driving_trips_nothing():
     assert 100 < found.seen < 590, "it was in the picture, and also out of it"
 
 
-def test_the_camera_is_found_by_markers_on_the_floor():
+def test_the_pose_of_the_camera_is_estimated_from_markers_on_the_floor():
     from tracker_scene import Pose, Scene
     from tracker_scene.scene import REFERENCE_SIZE, REFERENCES, CameraPlace
 

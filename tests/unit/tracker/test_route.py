@@ -11,7 +11,7 @@ LIMIT = 1.3
 
 @pytest.mark.ros
 @pytest.mark.usefixtures("rendering")
-def test_a_lap_has_straights_turns_a_rest_and_leaves_the_picture():
+def test_a_lap_has_straights_turns_a_stop_and_a_part_outside_the_image():
     from tracker_robot.robot import START, TICK
     from tracker_scene import Scene
     from tracker_scene.driving import Base
@@ -47,7 +47,7 @@ def test_a_lap_has_straights_turns_a_rest_and_leaves_the_picture():
 @pytest.mark.parametrize(
     ("place", "expected"), [((-0.6, -0.3), 0), ((0.2, -0.28), 0), ((0.35, 0.45), 1), ((-0.3, 0.6), 2)]
 )
-def test_an_instance_goes_on_along_the_leg_that_the_robot_is_on(place: tuple[float, float], expected: int):
+def test_an_instance_continues_on_the_present_leg_of_the_robot(place: tuple[float, float], expected: int):
     assert nearest(*place) == expected
     assert Route().command(*place, 0.0, 0.0) != (0.0, 0.0)
     assert expected < len(WAYPOINTS)
