@@ -5,10 +5,17 @@ from __future__ import annotations
 from typing import Any
 
 from tests.unit.controller.world import (
+    World,
     applied,
     created,
     custom,
+    gate,
+    held_pod,
+    hot,
     policy,
+    source_pod,
+    spare,
+    workload,
 )
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
@@ -48,3 +55,12 @@ def order(plan: Plan) -> list[str]:
 def pools_of(plan: Plan) -> set[str]:
     """The pools of the standbys that are made."""
     return {pod["metadata"]["labels"][names.POOL] for pod in created(plan, "pods")}
+
+
+def world(asked: Object | None = None, *more: Object, status: Object | None = None) -> World:
+    made = World(workload(status=status), asked or auto(), *(more or (hot(), warm(), spare())))
+    active = source_pod("w-a")
+    made.pods = [active]
+    made.own(gate(made.workload, active=active, epoch=3))
+    made.unclaimed = {"spare": [held_pod("s-1", of=spare())]}
+    return made

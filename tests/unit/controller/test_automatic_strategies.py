@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 
-from tests.unit.controller.strategy_policies import auto, order, pools_of, told, warm
+from tests.unit.controller.strategy_policies import auto, order, pools_of, told, warm, world
 from tests.unit.controller.world import (
     World,
     applied,
@@ -15,7 +15,6 @@ from tests.unit.controller.world import (
     held_pod,
     hot,
     policy,
-    source_pod,
     spare,
     standby_pod,
     workload,
@@ -36,15 +35,6 @@ def recovered(by: str, seconds: float, times: int = 3) -> list[Object]:
         {"id": f"{by}-{n}", "reason": "gone", "result": "Recovered", "strategy": by, "parts": parts}
         for n in range(times)
     ]
-
-
-def world(asked: Object | None = None, *more: Object, status: Object | None = None) -> World:
-    made = World(workload(status=status), asked or auto(), *(more or (hot(), warm(), spare())))
-    active = source_pod("w-a")
-    made.pods = [active]
-    made.own(gate(made.workload, active=active, epoch=3))
-    made.unclaimed = {"spare": [held_pod("s-1", of=spare())]}
-    return made
 
 
 def test_the_monitor_is_told_what_was_chosen_and_of_the_pools_that_are_in_it() -> None:

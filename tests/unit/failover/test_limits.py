@@ -47,10 +47,11 @@ def test_a_policy_with_priority_safety_has_no_cooldown() -> None:
 def test_each_backoff_is_twice_the_last_one_up_to_a_maximum() -> None:
     backoff, waits = Backoff(), []
     for _ in range(7):
-        backoff = backoff.failed(NOW, constant=False)
+        backoff = backoff.failed(NOW, policy())
         waits.append(backoff.not_before - NOW)
     assert waits == [FIRST, 2 * FIRST, 4 * FIRST, 8 * FIRST, 16 * FIRST, MOST, MOST]
-    assert backoff.healthy().failed(NOW, constant=False).not_before == NOW + FIRST
+    assert backoff.healthy().failed(NOW, policy()).not_before == NOW + FIRST
+    assert backoff.failed(NOW, policy(priority="Safety")).step == FIRST
     assert backoff.in_force(NOW + MOST - 1) is not None
     assert backoff.in_force(NOW + MOST) is None
     assert backoff.cleared(NOW).in_force(NOW) is None

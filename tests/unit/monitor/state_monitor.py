@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import pytest
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.serialization import deserialize_message
 
 from tests.support.notices import RecordedNotices
-from tests.unit.dds import keep_to_itself
 from understudy.api.kinds.state_spec import State
 from understudy.api.protocol.kept_state import KeptState, Restored, RestoreReport
 from understudy.failover.interfaces import Instance
@@ -34,14 +32,6 @@ STANDBY = Instance("w-2", "uid-2", running=True, pool="warm")
 STATE = State.model_validate(
     {"keep": [{"topic": "/amcl_pose", "type": POSE, "restoreTo": "/initialpose"}], "margin": "100ms", "period": "50ms"}
 )
-
-
-@pytest.fixture
-def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
-    keep_to_itself(monkeypatch)
-    made = Graph("keeper")
-    yield made
-    made.close()
 
 
 class Agents:

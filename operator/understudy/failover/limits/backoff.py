@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.limits.state import InForce
 
 FIRST, MOST = 2.0, 60.0
@@ -31,9 +32,9 @@ class Backoff:
         """Return it with a wait of so many seconds from now on."""
         return replace(self, not_before=now + wait, wait=wait)
 
-    def failed(self, now: float, *, constant: bool) -> Backoff:
-        """Return it after an attempt in which no strategy verified: each wait is twice the last one, unless it is ``constant``."""
-        step = FIRST if constant else min(2 * self.step, MOST)
+    def failed(self, now: float, policy: FailurePolicySpec) -> Backoff:
+        """Return it after an attempt in which no strategy verified. Each wait is twice the last one, except with priority Safety."""
+        step = FIRST if policy.priority == "Safety" else min(2 * self.step, MOST)
         return replace(self.after(self.step, now), step=step)
 
     def cleared(self, now: float) -> Backoff:

@@ -81,7 +81,7 @@ class RetryBackoff:
 
     def after_nothing_verified(self, policy: FailurePolicySpec) -> None:
         """Wait for a backoff, which is longer each time unless the policy has priority Safety."""
-        self._backoff = self._backoff.failed(time.time(), constant=policy.priority == "Safety")
+        self._backoff = self._backoff.failed(time.time(), policy)
 
     def first(self, onset: float, failed_uid: str) -> int | None:
         """Return the index of the strategy to start with; None if the instance of every strategy failed as soon as it was active."""

@@ -89,11 +89,6 @@ class ActionType:
             get_result=found.Impl.GetResultService,
         )
 
-    def empty_result(self) -> bytes:
-        """Return a serialized result whose fields all have their defaults."""
-        data: bytes = serialize_message(self.result())
-        return data
-
 
 class CancelRequest(NamedTuple):
     """What a client requests to cancel: a goal, those up to a time, or both.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from tests.unit.dds import keep_to_itself
 from tests.unit.monitor.blank_parts import blank_parts
 from tests.unit.monitor.state_monitor import ACTIVE, STANDBY, STATE, Monitor
 from understudy.api.kinds.failure_policy import FailurePolicySpec
@@ -41,6 +42,14 @@ def policy_of(state: State) -> FailurePolicySpec:
     return FailurePolicySpec.model_validate(
         {"monitoring": {"yaml": health}, "strategies": [{"type": "Restart"}], "state": state.to_wire()}
     )
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
+    keep_to_itself(monkeypatch)
+    made = Graph("keeper")
+    yield made
+    made.close()
 
 
 @pytest.fixture
