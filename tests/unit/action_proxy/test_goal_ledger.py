@@ -34,7 +34,7 @@ def status(world: World, goal: str) -> int:
 
 
 class TestOneInstance:
-    def test_a_goal_goes_through_under_its_own_id(self, world: World) -> None:
+    def test_a_goal_keeps_its_id(self, world: World) -> None:
         goal = world.ask()
         assert world.accepted == {goal: True}
         assert world.instances["a"].starts == [goal]
@@ -45,7 +45,7 @@ class TestOneInstance:
         assert world.results == {goal: (SUCCEEDED, "a")}
         assert status(world, goal) == SUCCEEDED
 
-    def test_a_result_can_be_asked_for_later(self, world: World) -> None:
+    def test_a_result_can_be_requested_later(self, world: World) -> None:
         goal = world.ask()
         world.end("a", goal)
         world.later(800)
@@ -61,7 +61,7 @@ class TestOneInstance:
         world.want(goal)
         assert world.results == {goal: (0, "")}
 
-    def test_an_abort_is_told_a_moment_later(self, world: World) -> None:
+    def test_an_abort_is_reported_after_a_delay(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.end("a", goal, ABORTED)
@@ -71,7 +71,7 @@ class TestOneInstance:
         world.later(0.2)
         assert world.results == {goal: (ABORTED, "a")}
 
-    def test_an_abort_while_a_failure_is_seen_is_not_told(self, world: World) -> None:
+    def test_an_abort_during_a_failure_is_not_reported(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.end("a", goal, ABORTED)
@@ -81,7 +81,7 @@ class TestOneInstance:
         world.settle()
         assert world.results == {goal: (ABORTED, "a")}
 
-    def test_a_cancel_is_the_instances_to_accept(self, world: World) -> None:
+    def test_the_instance_decides_whether_a_cancellation_is_accepted(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.instances["a"].refuses_cancel = True
@@ -94,7 +94,7 @@ class TestOneInstance:
         assert world.cancelled[-1].goals == ((goal, world.ledger.goals[goal].accepted),)
         assert world.results[goal][0] == CANCELED
 
-    def test_cancels_that_find_nothing(self, world: World) -> None:
+    def test_cancellations_without_a_running_goal_return_the_reason_as_a_code(self, world: World) -> None:
         goal = world.ask()
         world.end("a", goal)
         for id in (goal, "00" * 15 + "01", ""):
@@ -115,7 +115,7 @@ class TestOneInstance:
         assert status(world, goal) == EXECUTING
         assert len(world.instances["a"].starts) == 2
 
-    def test_a_goal_that_nobody_decides_on_is_rejected_in_the_end(self) -> None:
+    def test_a_goal_without_a_decision_is_rejected_after_a_timeout(self) -> None:
         world = World()
         world.switch("")
         goal = world.ask()
@@ -165,7 +165,7 @@ class TestSwitch:
         assert other in world.instances["b"].running or len(world.instances["b"].starts) > 2
         assert world.instances["a"].running == {}
 
-    def test_a_goal_that_the_dying_application_aborts_goes_on(self, world: World) -> None:
+    def test_a_goal_that_a_failing_application_aborts_continues(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.end("a", goal, ABORTED)
@@ -174,7 +174,7 @@ class TestSwitch:
         world.end("b", goal)
         assert world.results == {goal: (SUCCEEDED, "b")}
 
-    def test_a_goal_that_a_newer_one_replaced_is_not_sent_again(self, world: World) -> None:
+    def test_a_replaced_goal_is_not_sent_again(self, world: World) -> None:
         first, second = world.ask(), world.ask()
         world.want(first)
         world.end("a", first, ABORTED)
@@ -182,7 +182,7 @@ class TestSwitch:
         assert world.results == {first: (ABORTED, "a")}
         assert world.instances["b"].starts == [second]
 
-    def test_all_goals_that_the_dying_application_aborts_go_on_in_their_order(self, world: World) -> None:
+    def test_goals_that_a_failing_application_aborts_continue_in_order(self, world: World) -> None:
         goals = [world.ask() for _ in range(3)]
         for goal in goals:
             world.end("a", goal, ABORTED)
@@ -196,7 +196,7 @@ class TestSwitch:
         world.switch("b")
         assert world.instances["b"].starts == []
 
-    def test_a_cancel_that_is_pending_at_the_switch_holds(self, world: World) -> None:
+    def test_a_pending_cancellation_survives_the_switch(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.cancel(goal, work=False)
@@ -222,7 +222,7 @@ class TestSwitch:
         assert world.results[goal][0] == CANCELED
         assert world.instances["b"].starts == []
 
-    def test_a_cancel_while_nobody_is_in_control_is_accepted_at_once(self, world: World) -> None:
+    def test_a_cancellation_without_an_active_instance_is_accepted_at_once(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.switch("", settled=False)
@@ -241,14 +241,14 @@ class TestSwitch:
         world.want(goal)
         assert world.results == {goal: (SUCCEEDED, "a")}
 
-    def test_a_goal_that_came_while_nobody_was_in_control_is_given_to_the_next(self, world: World) -> None:
+    def test_a_goal_received_without_an_active_instance_goes_to_the_next_one(self, world: World) -> None:
         world.switch("", settled=False)
         goal = world.ask()
         assert world.accepted == {}
         world.switch("b")
         assert world.accepted == {goal: True}
 
-    def test_a_goal_that_the_old_instance_had_not_decided_on_is_given_to_the_next(self, world: World) -> None:
+    def test_a_goal_that_the_old_instance_had_not_decided_goes_to_the_next_one(self, world: World) -> None:
         goal = world.ask(work=False)
         world.answer()
         world.epoch += 1
@@ -257,7 +257,7 @@ class TestSwitch:
         assert world.accepted == {goal: True}
         assert world.instances["b"].starts == [goal]
 
-    def test_a_new_instance_that_rejects_is_asked_again_for_a_while(self, world: World) -> None:
+    def test_a_new_instance_that_rejects_a_goal_is_asked_again(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.instances["b"].rejects = True
@@ -268,7 +268,7 @@ class TestSwitch:
         world.later(1)
         assert world.instances["b"].starts == [goal]
 
-    def test_but_not_for_ever(self, world: World) -> None:
+    def test_a_new_instance_that_rejects_a_goal_is_not_asked_forever(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.instances["b"].rejects = True
@@ -346,7 +346,7 @@ class TestMirrors:
         world.end("b", goal)
         assert world.results == {goal: (SUCCEEDED, "b")}
 
-    def test_what_a_standby_says_does_not_count(self, world: World) -> None:
+    def test_results_of_a_standby_are_ignored(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         world.end("b", goal)
@@ -354,7 +354,7 @@ class TestMirrors:
         assert world.ledger.feedback_of("b", goal) is None
         assert world.ledger.feedback_of("a", goal) is world.ledger.goals[goal]
 
-    def test_what_ended_at_the_standby_is_sent_to_it_anew(self, world: World) -> None:
+    def test_a_goal_that_ended_at_the_standby_is_sent_to_it_again(self, world: World) -> None:
         goal = world.ask()
         world.end("b", goal)
         world.later(10)
@@ -363,20 +363,20 @@ class TestMirrors:
         assert len(world.instances["b"].starts) == 2
         assert status(world, goal) == EXECUTING
 
-    def test_a_standby_that_gave_up_is_given_it_again(self, world: World) -> None:
+    def test_a_standby_that_aborted_the_goal_receives_it_again(self, world: World) -> None:
         goal = world.ask()
         world.end("b", goal, ABORTED)
         world.later(3)
         assert len(world.instances["b"].running) == 1
 
-    def test_it_is_cancelled_when_the_real_one_ends(self, world: World) -> None:
+    def test_a_mirrored_goal_is_cancelled_when_the_real_one_ends(self, world: World) -> None:
         first, second = world.ask(), world.ask()
         world.end("a", first)
         assert list(world.instances["b"].running) == [second]
         world.cancel(second)
         assert world.instances["b"].running == {}
 
-    def test_a_standby_that_comes_later_has_it_too(self, world: World) -> None:
+    def test_a_later_standby_receives_the_goal_too(self, world: World) -> None:
         goal = world.ask()
         world.instances["c"] = type(world.instances["a"])("c", executing=True)
         world.tell()
@@ -418,7 +418,7 @@ class TestRestart:
             world.end("a", goal)
         assert world.results == {goal: (SUCCEEDED, "a")}
 
-    def test_a_switch_that_it_slept_through(self, world: World) -> None:
+    def test_a_switch_during_the_restart_of_the_proxy_is_followed(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         kept = world.ledger.to_wire()
@@ -433,7 +433,7 @@ class TestRestart:
 class TestWithoutTheJournal:
     """As when the monitor's pod is on another node now: what the instance in control kept is taken up."""
 
-    def test_goals_are_taken_up_from_the_instance_in_control(self, world: World) -> None:
+    def test_goals_are_adopted_from_the_active_instance(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         note = world.ledger.orders("a")[0].note
@@ -450,7 +450,7 @@ class TestWithoutTheJournal:
         world.end("b", goal)
         assert world.results == {goal: (SUCCEEDED, "b")}
 
-    def test_what_has_ended_meanwhile_is_told_and_never_sent_again(self, world: World) -> None:
+    def test_a_goal_that_ended_meanwhile_is_reported_and_never_sent_again(self, world: World) -> None:
         goal = world.ask()
         world.want(goal)
         note = world.ledger.orders("a")[0].note

@@ -127,7 +127,7 @@ async def link(agent: Agent, heard: Heard) -> AsyncIterator[InstanceLink]:
     server.close()
 
 
-async def test_what_is_ordered_is_done_once_in_its_order(agent: Agent, heard: Heard, link: InstanceLink) -> None:
+async def test_orders_are_sent_once_and_in_order(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     heard.ordered = [order(FIRST), order(SECOND)]
     link.wake()
     await eventually(lambda: len(agent.asked) == 3)
@@ -138,7 +138,9 @@ async def test_what_is_ordered_is_done_once_in_its_order(agent: Agent, heard: He
     assert agent.asked == [("goals", ""), ("goal", FIRST), ("goal", SECOND), ("goal", THIRD)]
 
 
-async def test_what_the_agent_has_is_told_and_not_sent_again(agent: Agent, heard: Heard, link: InstanceLink) -> None:
+async def test_goals_that_the_agent_has_are_reported_and_not_sent_again(
+    agent: Agent, heard: Heard, link: InstanceLink
+) -> None:
     agent.known = [{"id": FIRST, "state": "running", "status": 0, "result": "", "note": "note"}]
     heard.ordered = [order(FIRST), order(SECOND)]
     await eventually(lambda: ("goal", SECOND) in agent.asked)
@@ -158,7 +160,7 @@ async def test_a_goal_that_was_rejected_is_sent_again_when_it_is_ordered_again(
     await eventually(lambda: agent.asked.count(("goal", FIRST)) == 2)
 
 
-async def test_what_is_ordered_no_longer_is_cancelled(agent: Agent, heard: Heard, link: InstanceLink) -> None:
+async def test_a_goal_that_is_no_longer_ordered_is_cancelled(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     heard.ordered = [order(FIRST)]
     await eventually(lambda: ("goal", FIRST) in agent.asked)
     heard.ordered = []
@@ -166,7 +168,7 @@ async def test_what_is_ordered_no_longer_is_cancelled(agent: Agent, heard: Heard
     await eventually(lambda: ("cancel", FIRST) in agent.asked)
 
 
-async def test_a_cancel_is_asked_for_once(agent: Agent, heard: Heard, link: InstanceLink) -> None:
+async def test_a_cancellation_is_requested_once(agent: Agent, heard: Heard, link: InstanceLink) -> None:
     heard.ordered = [order(FIRST, cancel=True)]
     await eventually(lambda: heard.cancelled == [FIRST])
     link.wake()
@@ -176,7 +178,9 @@ async def test_a_cancel_is_asked_for_once(agent: Agent, heard: Heard, link: Inst
     assert agent.asked.count(("cancel", FIRST)) == 1
 
 
-async def test_a_refused_goal_is_said_and_keeps_no_other_back(agent: Agent, heard: Heard, link: InstanceLink) -> None:
+async def test_a_refused_goal_is_reported_and_does_not_block_others(
+    agent: Agent, heard: Heard, link: InstanceLink
+) -> None:
     agent.refused_action = "/dock"
     heard.ordered = [order(FIRST, "/dock"), order(SECOND)]
     await eventually(lambda: ("goal", SECOND) in agent.asked)
@@ -186,7 +190,7 @@ async def test_a_refused_goal_is_said_and_keeps_no_other_back(agent: Agent, hear
     await eventually(lambda: heard.troubles["/dock"] == "")
 
 
-async def test_a_recovery_tree_is_answered_when_its_goals_were_sent(
+async def test_a_recovery_tree_receives_an_answer_after_its_goals_were_sent(
     agent: Agent, heard: Heard, link: InstanceLink
 ) -> None:
     await eventually(lambda: agent.sessions.count)

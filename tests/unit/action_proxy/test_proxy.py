@@ -263,7 +263,7 @@ async def test_an_executing_standby_has_the_goal_already(monitor, pods, start):
     assert client.said("answered", accepted=True)
 
 
-async def test_the_kubelet_is_told_whether_the_proxy_hangs(monitor):
+async def test_the_liveness_probe_fails_if_the_proxy_hangs(monitor):
     end = time.monotonic() + 60
     while not await monitor.healthy():
         assert time.monotonic() < end
@@ -272,7 +272,7 @@ async def test_the_kubelet_is_told_whether_the_proxy_hangs(monitor):
     assert running.health(running.HUNG + 1)[0] == 503
 
 
-async def test_a_thread_that_hangs_is_seen(dds):
+async def test_a_hanging_thread_is_detected(dds):
     served, release = ServedNode("hanging"), threading.Event()
     try:
         await eventually(lambda: served.silent_for < 1.5)
@@ -285,7 +285,7 @@ async def test_a_thread_that_hangs_is_seen(dds):
         await served.close()
 
 
-async def test_a_type_that_is_not_installed_is_told(monitor):
+async def test_a_type_that_is_not_installed_is_reported(monitor):
     monitor.rules = (TaskRule("/dock", "robots_msgs/action/Dock"),)
     monitor.tell()
     await eventually(lambda: "robots_msgs/action/Dock is not installed" in monitor.task().get("message", ""))

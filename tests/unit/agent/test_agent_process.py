@@ -78,7 +78,7 @@ async def test_a_wrong_token_is_refused(pod: Pod, links):
         await wrong.start({}, {})
 
 
-async def test_the_mac_is_of_this_workload_and_claim(pod: Pod):
+async def test_the_mac_depends_on_the_workload_and_the_claim(pod: Pod):
     pod.start_agent()
     reader, writer = await _connection(pod)
     nonce = json.loads(await reader.readline())["nonce"]
@@ -112,7 +112,7 @@ async def _connection(pod: Pod):
         b"[" * 3000 + b"\n",
     ],
 )
-async def test_nonsense_ends_the_session_and_nothing_else(pod: Pod, links, said):
+async def test_invalid_data_ends_only_the_session(pod: Pod, links, said):
     pod.start_agent()
     reader, writer = await _connection(pod)
     await reader.readline()
@@ -125,7 +125,7 @@ async def test_nonsense_ends_the_session_and_nothing_else(pod: Pod, links, said)
     await link.wait_connected(60)
 
 
-async def test_a_stranger_that_says_nothing_is_not_waited_for(pod: Pod):
+async def test_an_unauthenticated_client_that_sends_nothing_is_disconnected(pod: Pod):
     pod.start_agent()
     reader, _ = await _connection(pod)
     await reader.readline()
@@ -133,7 +133,7 @@ async def test_a_stranger_that_says_nothing_is_not_waited_for(pod: Pod):
         assert await reader.read() == b""
 
 
-async def test_strangers_do_not_keep_a_monitor_out(pod: Pod, links):
+async def test_unauthenticated_clients_do_not_block_a_monitor(pod: Pod, links):
     pod.start_agent()
     strangers = [await _connection(pod) for _ in range(60)]
     links.append(link := pod.link())
@@ -142,7 +142,7 @@ async def test_strangers_do_not_keep_a_monitor_out(pod: Pod, links):
         writer.close()
 
 
-async def test_nonsense_of_a_monitor_is_answered(pod: Pod, links):
+async def test_an_invalid_request_of_a_monitor_is_answered(pod: Pod, links):
     pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(60)
@@ -174,7 +174,7 @@ async def test_nonsense_of_a_monitor_is_answered(pod: Pod, links):
     assert not (pod.volume / "env-app").exists()
 
 
-async def test_a_tree_in_xml_is_taken_and_known_after_a_restart(pod: Pod, links):
+async def test_a_tree_in_xml_is_accepted_and_survives_a_restart(pod: Pod, links):
     first = pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(60)
@@ -188,7 +188,7 @@ async def test_a_tree_in_xml_is_taken_and_known_after_a_restart(pod: Pod, links)
     assert json.loads((pod.volume / "agent.json").read_text())["configuration"]["form"] == "xml"
 
 
-async def test_only_who_started_it_commands_it(pod: Pod, links):
+async def test_only_the_workload_that_started_the_pod_commands_it(pod: Pod, links):
     pod.start_agent()
     pod.start_container(SAY)
     first, second, waiting = pod.link(), pod.link("other", "uid2/9"), pod.link("robot", "uid/2")
@@ -209,7 +209,7 @@ async def test_only_who_started_it_commands_it(pod: Pod, links):
     assert first.connected
 
 
-async def test_of_two_who_start_it_at_once_one_wins(pod: Pod, links):
+async def test_one_of_two_simultaneous_starts_wins(pod: Pod, links):
     pod.start_agent()
     pod.start_container(SAY)
     links.extend(pod.link(f"robot-{i}", f"uid/{i}") for i in range(4))
@@ -235,7 +235,7 @@ async def test_a_start_can_be_repeated(pod: Pod, links):
     await eventually(lambda: pod.output() == "domain 77, once\n")
 
 
-async def test_a_container_that_comes_after_the_start_goes_straight_on(pod: Pod, links):
+async def test_a_container_created_after_the_start_continues_at_once(pod: Pod, links):
     pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(60)
@@ -247,7 +247,7 @@ async def test_a_container_that_comes_after_the_start_goes_straight_on(pod: Pod,
     await eventually(lambda: pod.output() == "domain 77, early\n" * 2)
 
 
-async def test_a_killed_agent_comes_back_with_what_it_knew(pod: Pod, links):
+async def test_a_killed_agent_restarts_with_its_state(pod: Pod, links):
     agent = pod.start_agent()
     pod.start_container(SAY)
     links.append(link := pod.link())
@@ -283,7 +283,7 @@ async def test_a_held_pods_agent_is_killed_and_the_pod_can_still_be_claimed(pod:
     await eventually(lambda: pod.output() == "domain 77, late\n")
 
 
-async def test_a_start_that_was_cut_short_is_finished(pod: Pod, links):
+async def test_an_interrupted_start_is_completed(pod: Pod, links):
     """Killed after the claim was kept and before the process was woken."""
     agent = pod.start_agent()
     links.append(link := pod.link())
@@ -297,7 +297,7 @@ async def test_a_start_that_was_cut_short_is_finished(pod: Pod, links):
     await eventually(lambda: pod.output() == "domain 77, cut\n")
 
 
-async def test_memory_that_cannot_be_read_does_not_stop_an_agent(pod: Pod, links):
+async def test_unreadable_state_does_not_stop_an_agent(pod: Pod, links):
     (pod.volume / "agent.json").write_text("{")
     pod.start_agent()
     links.append(link := pod.link())
@@ -317,7 +317,7 @@ async def test_a_pod_that_is_not_held_belongs_to_its_workload(pod: Pod, links):
     assert (await pod.page("/ready"))[0] == 503
 
 
-async def test_ends_when_told(pod: Pod, links):
+async def test_the_agent_ends_on_a_signal(pod: Pod, links):
     agent = pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(60)
@@ -325,7 +325,7 @@ async def test_ends_when_told(pod: Pod, links):
     assert await asyncio.to_thread(agent.wait, 5) == 0
 
 
-async def test_ends_when_told_while_it_looks_at_an_instance(pod: Pod, links):
+async def test_the_agent_ends_on_a_signal_while_it_judges_an_instance(pod: Pod, links):
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot", **ROS}
     agent = pod.start_agent()
     links.append(link := pod.link())
@@ -342,13 +342,13 @@ async def test_ends_when_told_while_it_looks_at_an_instance(pod: Pod, links):
         ({"UNDERSTUDY_POD": ""}, "UNDERSTUDY_POD not set"),
     ],
 )
-async def test_says_what_is_missing_in_its_environment(pod: Pod, environment, said):
+async def test_the_agent_reports_what_is_missing_in_its_environment(pod: Pod, environment, said):
     pod.environment |= environment
     assert await asyncio.to_thread(pod.start_agent().wait, 10) == 2
     assert said in (pod.folder / "agent.log").read_text()
 
 
-async def test_probes_go_where_the_monitor_says(pod: Pod, links):
+async def test_probes_are_sent_to_the_address_of_the_monitor(pod: Pod, links):
     receiver = ProbeReceiver()
     port = await receiver.listen(port=0, host="127.0.0.1")
     pod.start_agent()
@@ -371,7 +371,7 @@ class Connected:
     count: int
 
 
-async def test_a_forsaken_agent_stops_probing(monkeypatch):
+async def test_an_agent_without_monitors_stops_probing(monkeypatch):
     monkeypatch.setattr(running, "WITHOUT_MONITOR", 0.1)
     monkeypatch.setattr(running, "_HOUSEKEEPING", 0.02)
     probes = ProbeSender(UID)

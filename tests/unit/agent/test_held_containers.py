@@ -77,7 +77,7 @@ def cpu_ticks(pid: int) -> int:
     return int(fields[11]) + int(fields[12])
 
 
-def test_waits_and_becomes_the_command(hold, tmp_path):
+def test_a_held_container_waits_and_then_executes_its_command(hold, tmp_path):
     process = hold(["sh", "-c", 'echo "$GREETING $*"; echo $$', "name"], ["one", "two words"])
     wait_until((tmp_path / "waiting-app").exists)
     assert process.poll() is None
@@ -115,7 +115,7 @@ def test_waiting_costs_nothing(hold, tmp_path):
 
 @pytest.mark.parametrize("delay", [0, 0.001, 0.002, 0.003, 0.004, 0.008, 0.016])
 @pytest.mark.parametrize("prepared", [False, True])
-def test_a_start_at_any_moment_is_seen(hold, tmp_path, delay, prepared):
+def test_a_start_at_any_moment_is_detected(hold, tmp_path, delay, prepared):
     holds = HeldContainers(tmp_path, ["app"])
     for _ in range(8):
         if prepared:
@@ -128,14 +128,14 @@ def test_a_start_at_any_moment_is_seen(hold, tmp_path, delay, prepared):
             (tmp_path / name).unlink(missing_ok=True)
 
 
-def test_environment_before_the_container_needs_no_waking(hold, tmp_path):
+def test_a_container_that_starts_after_its_environment_does_not_wait(hold, tmp_path):
     write_env(tmp_path, {"A": "1"})
     assert hold(["sh", "-c", "echo $A"]).wait(DEADLINE) == 0
     assert (tmp_path / "out").read_text() == "1\n"
     assert not (tmp_path / "waiting-app").exists()
 
 
-def test_a_wake_without_environment_is_no_start(hold, tmp_path):
+def test_a_wakeup_without_environment_does_not_start_the_command(hold, tmp_path):
     process = hold(["true"])
     wait_until((tmp_path / "waiting-app").exists)
     assert wake(tmp_path)
@@ -144,7 +144,7 @@ def test_a_wake_without_environment_is_no_start(hold, tmp_path):
     assert process.poll() is None
 
 
-def test_an_agent_that_comes_and_goes_wakes_nobody(hold, tmp_path):
+def test_a_restart_of_the_agent_wakes_no_container(hold, tmp_path):
     process = hold(["true"])
     wait_until((tmp_path / "waiting-app").exists)
     before = cpu_ticks(process.pid)
@@ -164,7 +164,7 @@ def test_fifo_has_no_reader_once_started(hold, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_held_container_stops_when_told(hold, tmp_path, number):
+def test_a_held_container_stops_on_a_signal(hold, tmp_path, number):
     process = hold(["true"])
     wait_until((tmp_path / "waiting-app").exists)
     time.sleep(0.05)
@@ -172,7 +172,7 @@ def test_a_held_container_stops_when_told(hold, tmp_path, number):
     assert process.wait(DEADLINE) == 143
 
 
-def test_a_warming_container_stops_when_told(hold, tmp_path):
+def test_a_warming_container_stops_on_a_signal(hold, tmp_path):
     slow = tmp_path / "bin"
     slow.mkdir()
     (slow / "find").write_text("#!/bin/sh\nexec sleep 5\n")
@@ -194,7 +194,7 @@ def test_the_command_gets_its_signals_back(hold, tmp_path):
     assert process.wait(DEADLINE) == -signal.SIGTERM
 
 
-def test_reads_warm_paths_and_passes_over_missing_ones(hold, tmp_path):
+def test_warm_paths_are_read_and_missing_ones_are_ignored(hold, tmp_path):
     warm = tmp_path / "with space"
     (warm / "deep").mkdir(parents=True)
     (warm / "deep" / "file").write_bytes(b"x" * 100_000)
@@ -243,7 +243,7 @@ def test_values_are_taken_literally(hold, tmp_path):
     assert not [name for name in got if name.startswith("understudy_")]
 
 
-def test_arguments_may_look_like_anything(hold, tmp_path):
+def test_arguments_may_contain_any_characters(hold, tmp_path):
     write_env(tmp_path, {})
     assert hold(["printf", "%s\n"], ["--", "-x", "$HOME", "", "a b"], ["/etc/hostname"]).wait(DEADLINE) == 0
     assert (tmp_path / "out").read_text() == "--\n-x\n$HOME\n\na b\n"
@@ -260,6 +260,6 @@ def test_a_container_without_a_command_is_refused():
 
 
 @pytest.mark.parametrize(("name", "value"), [("", "x"), ("A=B", "x"), ("A", "x\0y")])
-def test_impossible_variables_are_refused(name, value):
+def test_invalid_variables_are_refused(name, value):
     with pytest.raises(ValueError, match="environment variable"):
         hold_script.env_file({name: value})

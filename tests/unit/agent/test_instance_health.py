@@ -35,7 +35,7 @@ def ups(pod: Pod) -> list[float]:
     return [float(line.split()[1]) for line in pod.output().splitlines() if line.startswith("up ")]
 
 
-async def test_a_held_talker_is_started_and_seen_to_be_up_and_ready(pod: Pod, links, ros):
+async def test_a_held_talker_is_started_and_becomes_ready(pod: Pod, links, ros):
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
@@ -61,7 +61,7 @@ async def test_a_held_agent_has_imported_ros_before_it_is_claimed(pod: Pod):
     await eventually(lambda: "librcl.so" in Path(f"/proc/{pod.agent.pid}/maps").read_text(), 60)
 
 
-async def test_an_application_that_dies_is_not_ready_until_it_is_back(pod: Pod, links, ros):
+async def test_a_crashed_application_is_not_ready_until_it_runs_again(pod: Pod, links, ros):
     pod.start_agent()
     container = pod.start_container(TALK)
     links.append(link := pod.link())
@@ -147,7 +147,7 @@ async def test_a_new_tree_keeps_a_healthy_instance_ready(pod: Pod, links, ros):
     assert failed.reason.startswith("/cmd_vel at ")
 
 
-async def test_an_instance_is_ready_by_what_its_messages_say(pod: Pod, links, ros):
+async def test_readiness_depends_on_the_contents_of_messages(pod: Pod, links, ros):
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
@@ -161,7 +161,7 @@ async def test_an_instance_is_ready_by_what_its_messages_say(pod: Pod, links, ro
     assert status.reason == "data == 'y' of /cmd_vel has not held within 1 s of the start (data was 'x')"
 
 
-async def test_an_instance_is_ready_by_the_publishers_it_has_itself(pod: Pod, links, ros):
+async def test_readiness_depends_on_the_publishers_of_the_instance_itself(pod: Pod, links, ros):
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
@@ -177,7 +177,7 @@ async def test_an_instance_is_ready_by_the_publishers_it_has_itself(pod: Pod, li
     )
 
 
-async def test_an_instance_is_ready_by_the_nodes_it_has_itself(pod: Pod, links, ros):
+async def test_readiness_depends_on_the_nodes_of_the_instance_itself(pod: Pod, links, ros):
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())
@@ -190,7 +190,7 @@ async def test_an_instance_is_ready_by_the_nodes_it_has_itself(pod: Pod, links, 
     assert status.reason == "node /nobody has not been there within 1 s of the start"
 
 
-async def test_an_instance_is_ready_by_the_state_of_its_managed_node(pod: Pod, links, ros):
+async def test_readiness_depends_on_the_state_of_the_managed_node(pod: Pod, links, ros):
     service = "/localizer/get_state"
     outputs = [{"service": service, "type": "lifecycle_msgs/srv/GetState"}]
     pod.start_agent()
@@ -220,7 +220,7 @@ async def test_a_served_output_counts_as_up(pod: Pod, links, ros):
     assert not status.ready
 
 
-async def test_a_type_that_is_not_installed_is_said(pod: Pod, links, ros, monkeypatch):
+async def test_a_type_that_is_not_installed_is_reported(pod: Pod, links, ros, monkeypatch):
     for key, value in ros.items():
         monkeypatch.setenv(key, value)
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot"}
@@ -289,7 +289,7 @@ def discovery_server(pod: Pod) -> Iterator[str]:
     server.wait()
 
 
-async def test_behind_a_discovery_server_it_sees_its_instance(pod: Pod, links, ros, discovery_server):
+async def test_an_agent_behind_a_discovery_server_finds_its_instance(pod: Pod, links, ros, discovery_server):
     pod.start_agent()
     pod.start_container(TALK)
     links.append(link := pod.link())

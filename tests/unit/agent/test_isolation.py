@@ -78,7 +78,7 @@ async def answers(address: Address, within: float) -> bool:
     return found[0][2]
 
 
-async def test_who_accepts_and_who_refuses_answers_and_who_is_silent_does_not(silent: socket.socket) -> None:
+async def test_accepting_and_refusing_hosts_count_as_answers_and_silent_ones_do_not(silent: socket.socket) -> None:
     with socket.socket() as listening:
         listening.bind(("127.0.0.1", 0))
         listening.listen(8)
@@ -90,7 +90,7 @@ async def test_who_accepts_and_who_refuses_answers_and_who_is_silent_does_not(si
     assert not await answers(Address(*silent.getsockname()), 0.3)
 
 
-def test_the_api_servers_address_is_that_of_the_pods_environment() -> None:
+def test_the_address_of_the_api_server_comes_from_the_environment() -> None:
     environment = {"KUBERNETES_SERVICE_HOST": "10.96.0.1", "KUBERNETES_SERVICE_PORT": "443"}
     assert isolation.apiserver(environment) == Address("10.96.0.1", 443, accept=True)
     assert isolation.apiserver({}) is None
@@ -163,7 +163,7 @@ def running(isolation: Isolation) -> asyncio.Task[None]:
     return asyncio.create_task(isolation.run())
 
 
-async def test_it_is_held_while_nobody_answers_and_goes_on_with_the_monitors_word(
+async def test_the_application_is_held_while_nobody_answers_and_continues_with_the_monitors_permit(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     changes: list[str] = []
@@ -210,7 +210,7 @@ async def test_it_is_held_while_nobody_answers_and_goes_on_with_the_monitors_wor
     assert [bool(reason) for reason in changes] == [False, True, True, True, False]
 
 
-async def test_a_witness_that_answers_is_enough(
+async def test_one_answering_witness_is_enough(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     isolation = Isolation(application.folder, ["drive"])
@@ -236,18 +236,18 @@ async def test_a_witness_that_answers_is_enough(
         ({"word": "Run"}, "Go or Stay"),
     ],
 )
-async def test_nonsense_is_refused(tmp_path: Path, body: dict[str, object], words: str) -> None:
+async def test_invalid_requests_are_refused(tmp_path: Path, body: dict[str, object], words: str) -> None:
     with pytest.raises(Refused, match=words):
         await Isolation(tmp_path, ["drive"]).renew(body, Peer("w", "", "127.0.0.1"))
 
 
-def test_containers_that_cannot_be_held_are_said(tmp_path: Path) -> None:
+def test_containers_that_cannot_be_held_are_reported(tmp_path: Path) -> None:
     isolation = Isolation(tmp_path, ["drive"], unfenced=["lamp"])
     assert isolation.unfenced == "container lamp has no command in the template"
     assert Isolation(tmp_path, []).unfenced == "", "and nothing is where nothing has to be"
 
 
-def test_the_init_container_makes_what_they_are_held_by(tmp_path: Path) -> None:
+def test_the_init_container_creates_the_files_that_hold_containers(tmp_path: Path) -> None:
     (tmp_path / "in.xml").write_text("<profiles/>")
     environment = {
         "PYTHONPATH": str(PACKAGE),
@@ -264,7 +264,7 @@ def test_the_init_container_makes_what_they_are_held_by(tmp_path: Path) -> None:
         assert path.stat().st_mode & 0o777 == 0o666
 
 
-async def test_a_claimed_pod_can_be_held_where_its_robot_chooses_by_strength(pod: Pod, links) -> None:
+async def test_a_claimed_pod_of_a_robot_with_ownership_strength_can_be_held(pod: Pod, links) -> None:
     pod.start_agent()
     command = [sys.executable, "-c", COUNTING, str(pod.folder / "output")]
     pod.start_container(script.fenced_command("app", command, [], scope="own", directory=str(pod.volume)))
@@ -280,7 +280,7 @@ async def test_a_claimed_pod_can_be_held_where_its_robot_chooses_by_strength(pod
     assert isolation.built(pod.volume, ["app", "lamp"]) == ("app",), "and an agent that is restarted knows"
 
 
-async def test_an_agent_says_that_its_application_is_held(pod: Pod, links) -> None:
+async def test_an_agent_reports_that_its_application_is_held(pod: Pod, links) -> None:
     pod.environment = {"UNDERSTUDY_WORKLOAD": "robot", names.FENCED_VARIABLE: "drive"}
     os.mkfifo(pod.volume / script.fence_name("drive"))
     (pod.volume / script.HELD_NAME).touch()
@@ -319,7 +319,7 @@ class Pretending:
         return {}
 
 
-async def test_a_session_shows_whether_the_other_side_has_what_was_sent_and_ends_at_once() -> None:
+async def test_a_session_shows_whether_sent_data_was_received_and_ends_at_once() -> None:
     sessions = ControlChannel(Pretending())
     server = await sessions.serve(0, host="127.0.0.1")
     reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname(), limit=1024)
@@ -339,7 +339,7 @@ async def test_a_session_shows_whether_the_other_side_has_what_was_sent_and_ends
     server.close()
 
 
-async def test_an_error_of_looking_ends_no_holding_and_who_can_ask_nobody_is_held(
+async def test_an_error_of_the_check_keeps_the_hold_and_an_instance_without_witnesses_is_held(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     isolation = Isolation(application.folder, ["drive"])
@@ -370,7 +370,7 @@ async def test_an_error_of_looking_ends_no_holding_and_who_can_ask_nobody_is_hel
         task.cancel()
 
 
-async def test_a_witness_that_has_no_address_is_one_that_does_not_answer(
+async def test_a_witness_without_an_address_counts_as_silent(
     application: Application, silent: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     isolation = Isolation(application.folder, ["drive"])

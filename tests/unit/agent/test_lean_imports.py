@@ -33,24 +33,24 @@ def _modules(code: str) -> set[str]:
     return set(json.loads(found.stdout))
 
 
-def test_an_agent_that_starts_has_neither_ros_nor_trees_yet() -> None:
+def test_a_starting_agent_has_imported_neither_ros_nor_trees() -> None:
     found = _modules("import understudy.agent.process")
     assert not found & {*HEAVY, "numpy", "py_trees", "rclpy", "yaml"}
 
 
 @pytest.mark.ros
-def test_an_agent_that_is_ready_for_anything_has_no_models() -> None:
+def test_a_ready_agent_has_not_imported_the_api_models() -> None:
     assert not _modules(f"import understudy.agent.process, {', '.join(_WARM)}\n{CONFIGURED}") & HEAVY
 
 
 @pytest.mark.ros
-def test_a_held_agent_needs_nothing_more_of_ours_when_it_is_claimed() -> None:
+def test_a_held_agent_imports_nothing_more_when_it_is_claimed() -> None:
     begun = f"import understudy.agent.process, {', '.join(_WARM)}"
     more = _modules(f"{begun}\n{CONFIGURED}") - _modules(begun)
     assert not {name for name in more if name.startswith("understudy.")}
 
 
-async def test_procedures_are_there_before_anybody_asks_for_them(pod: Pod) -> None:
+async def test_procedures_are_imported_before_the_first_request(pod: Pod) -> None:
     pod.environment = {"UNDERSTUDY_HELD_CONTAINERS": "", "UNDERSTUDY_WORKLOAD": "robot", "PYTHONVERBOSE": "1"}
     pod.start_agent()
     await eventually(lambda: f"import '{_PROCEDURES}'" in (pod.folder / "agent.log").read_text(errors="replace"))
@@ -87,7 +87,7 @@ def test_an_output_is_read_as_the_model_reads_it(data: dict[str, object]) -> Non
 
 
 @pytest.mark.parametrize("data", BAD)
-def test_what_the_model_refuses_is_refused(data: object) -> None:
+def test_an_output_that_the_model_refuses_is_refused(data: object) -> None:
     with pytest.raises(ValidationError):
         robot_workload.Output.model_validate(data)
     with pytest.raises(ValueError, match="output"):

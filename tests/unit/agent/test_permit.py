@@ -81,7 +81,7 @@ def test_the_table_has_every_state() -> None:
 
 
 @pytest.mark.parametrize("phase", [step / 100 for step in range(13)])
-def test_silence_is_acted_upon_within_half_a_second_whenever_it_begins(phase: float) -> None:
+def test_silence_is_detected_within_half_a_second_whenever_it_begins(phase: float) -> None:
     found, cut = permit_in("Running"), NOW + 5 + phase
     now = NOW
     while not found.frozen:
@@ -93,13 +93,13 @@ def test_silence_is_acted_upon_within_half_a_second_whenever_it_begins(phase: fl
     assert permit.PATIENCE - permit.RENEW_PERIOD <= now - cut <= 0.5
 
 
-def test_a_shorter_silence_is_not() -> None:
+def test_a_shorter_silence_has_no_effect() -> None:
     found = permit_in("Running")
     pass_time(found, 60, answer=lambda now: now % 1.0 > 0.2)
     assert found.state == "Running"
 
 
-def test_one_is_asked_while_it_answers_and_everybody_when_it_does_not() -> None:
+def test_one_witness_is_asked_while_it_answers_and_otherwise_all() -> None:
     found = permit_in("Running")
     assert found.ask(NOW) == "One"
     assert found.ask(NOW + 0.1) == "Everybody"
@@ -108,7 +108,7 @@ def test_one_is_asked_while_it_answers_and_everybody_when_it_does_not() -> None:
     assert found.ask(NOW + 0.3) == "One"
 
 
-def test_a_process_that_was_stalled_asks_anew_before_it_judges() -> None:
+def test_a_stalled_process_asks_again_before_it_judges() -> None:
     found = permit_in("Running")
     found.ask(NOW)
     found.ask(NOW + 0.1)
@@ -122,7 +122,7 @@ def test_a_process_that_was_stalled_asks_anew_before_it_judges() -> None:
     assert found.state == "Isolated"
 
 
-def test_nobody_is_asked_for_one_that_was_replaced() -> None:
+def test_a_replaced_instance_asks_nobody() -> None:
     assert permit_in("Replaced").ask(NOW) == "Nobody"
 
 
@@ -137,7 +137,7 @@ def test_the_api_server_must_be_reached_all_the_time() -> None:
     assert found.state == "Reconnected"
 
 
-def test_one_that_is_cut_off_again_waits_for_another_word() -> None:
+def test_an_instance_that_is_cut_off_again_waits_for_a_new_permit() -> None:
     found = permit_in("Running")
     silence(found)
     found.answered(NOW + 4)
@@ -147,7 +147,7 @@ def test_one_that_is_cut_off_again_waits_for_another_word() -> None:
     assert found.state == "Isolated"
 
 
-def test_the_monitors_last_word_counts() -> None:
+def test_the_last_answer_of_the_monitor_counts() -> None:
     found = permit_in("Reconnected")
     found.instruct("Stay", NOW)
     assert found.state == "Replaced"

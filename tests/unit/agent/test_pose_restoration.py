@@ -131,7 +131,7 @@ async def given(
     return report, deserialize_message(taken.data, PoseWithCovarianceStamped)
 
 
-async def test_it_is_carried_to_the_moment_at_which_it_is_given(
+async def test_a_pose_is_propagated_to_the_time_of_its_restoration(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     before = time.time()
@@ -147,7 +147,7 @@ async def test_it_is_carried_to_the_moment_at_which_it_is_given(
     assert got.pose.covariance[0] == pytest.approx(0.01 + DRIFT**2)
 
 
-async def test_it_is_given_as_it_was_kept_where_odometry_comes_from_another(
+async def test_a_pose_is_restored_as_kept_if_odometry_has_another_source(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
@@ -159,7 +159,7 @@ async def test_it_is_given_as_it_was_kept_where_odometry_comes_from_another(
     assert (got.header.stamp.sec, got.pose.pose.position.y, got.pose.covariance[0]) == (42, 5.0, 0.01)
 
 
-async def test_it_is_given_as_it_was_kept_where_odometry_is_silent(
+async def test_a_pose_is_restored_as_kept_if_odometry_is_silent(
     localizer: Callable[[], None], caller: InstanceCaller
 ) -> None:
     report, got = await given(caller, localizer, kept(motion(b"x" * 16)))
@@ -168,7 +168,7 @@ async def test_it_is_given_as_it_was_kept_where_odometry_is_silent(
     assert got.pose.pose.position.y == 5.0
 
 
-async def test_it_is_given_as_it_was_kept_where_the_monitor_says_so(
+async def test_a_pose_is_restored_as_kept_if_the_monitor_requests_it(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     missing = Motion("/odom", ODOMETRY, missing="it cannot be propagated by /odom: nobody publishes it")
@@ -180,7 +180,7 @@ async def test_it_is_given_as_it_was_kept_where_the_monitor_says_so(
     assert got.pose.pose.position.y == 5.0
 
 
-async def test_what_must_be_carried_and_can_not_be_is_not_given(
+async def test_a_pose_that_must_be_propagated_and_cannot_be_is_not_restored(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     localizer()
@@ -194,14 +194,14 @@ async def test_what_must_be_carried_and_can_not_be_is_not_given(
     )
 
 
-async def test_a_type_that_is_not_installed_carries_nothing(
+async def test_a_type_that_is_not_installed_propagates_nothing(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     report, _ = await given(caller, localizer, kept(motion(wheels.gid, type="wheel_msgs/msg/Odometry")))
     assert "wheel_msgs/msg/Odometry is not installed" in report.restored[0].note
 
 
-async def test_time_that_nobody_watched_is_told(
+async def test_unobserved_time_is_reported(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
     report, _ = await given(caller, localizer, kept(motion(wheels.gid, blind=4.0)))
@@ -216,7 +216,7 @@ def now(child: str = "base_link") -> Reading:
     return Reading(1_000_000_007, "odom", child, planar(2.0))
 
 
-def test_a_pose_without_covariance_is_carried() -> None:
+def test_a_pose_without_covariance_is_propagated() -> None:
     message = PoseStamped()
     message.pose.position.x, message.pose.orientation.w = 3.0, 1.0
     sample = KeptSample("/pose", "geometry_msgs/msg/PoseStamped", 1.0, serialize_message(message), to="/pose")
@@ -224,7 +224,7 @@ def test_a_pose_without_covariance_is_carried() -> None:
     assert (got.pose.position.x, got.header.stamp.sec, got.header.stamp.nanosec) == (4.0, 1, 7)
 
 
-def test_a_pose_of_another_body_is_not() -> None:
+def test_a_pose_of_another_body_is_not_propagated() -> None:
     message = Odometry(child_frame_id="arm")
     message.pose.pose.orientation.w = 1.0
     sample = KeptSample("/global", ODOMETRY, 1.0, serialize_message(message), to="/global")
@@ -233,14 +233,14 @@ def test_a_pose_of_another_body_is_not() -> None:
     composed(sample, planar(1.0), now(""), driven=1.0, turned=0.0)
 
 
-def test_a_stamp_of_now_is_of_now() -> None:
+def test_a_stamp_now_is_the_present_time() -> None:
     got = deserialize_message(
         composed(kept(None, stamp="now"), planar(1.0), now(), driven=1.0, turned=0.0), PoseWithCovarianceStamped
     )
     assert abs(got.header.stamp.sec - time.time()) < 60
 
 
-def test_a_kept_message_without_an_orientation_is_no_pose() -> None:
+def test_a_kept_message_without_an_orientation_is_not_a_pose() -> None:
     message = PoseStamped()
     message.pose.orientation.w = 0.0
     sample = KeptSample("/pose", "geometry_msgs/msg/PoseStamped", 1.0, serialize_message(message), to="/pose")

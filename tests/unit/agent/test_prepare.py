@@ -12,7 +12,7 @@ from understudy.ros.rmw import MIDDLEWARE
 PROFILES = f"<name>understudy-${{{names.POD_VARIABLE}}}</name>"
 
 
-def test_the_init_container_puts_in_the_pods_name_and_never_rewrites(tmp_path):
+def test_the_init_container_inserts_the_pod_name_and_never_overwrites(tmp_path):
     (tmp_path / "in.xml").write_text(PROFILES)
     environment = {
         "PYTHONPATH": str(PACKAGE),
@@ -26,7 +26,7 @@ def test_the_init_container_puts_in_the_pods_name_and_never_rewrites(tmp_path):
     assert (tmp_path / names.PROFILES_KEY).stat().st_mode & 0o777 == 0o644
 
 
-def test_without_profiles_it_says_so(tmp_path):
+def test_missing_profiles_are_reported(tmp_path):
     environment = {"PYTHONPATH": str(PACKAGE), "UNDERSTUDY_PROFILES": str(tmp_path / "no.xml")}
     command = [sys.executable, "-m", "understudy.main", "prepare"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
@@ -34,7 +34,7 @@ def test_without_profiles_it_says_so(tmp_path):
     assert "no.xml" in done.stderr
 
 
-async def test_a_held_pod_learns_its_profiles_with_the_claim(pod: Pod, links):
+async def test_a_held_pod_receives_its_profiles_with_the_claim(pod: Pod, links):
     pod.start_agent()
     pod.start_container(
         ["/bin/sh", "-c", f'echo "file ${MIDDLEWARE.settings_variable}"; cat "${MIDDLEWARE.settings_variable}"']

@@ -24,7 +24,7 @@ async def connected(pod: Pod, links: list[AgentLink], **configuration) -> AgentL
     return link
 
 
-async def test_a_standby_is_ready_once_it_was_initialized_and_stays_so_over_a_restart_of_its_agent(robot: Pod, links):
+async def test_an_initialized_standby_is_ready_and_stays_ready_when_its_agent_restarts(robot: Pod, links):
     localize(robot)
     link = await connected(robot, links, standby={"brought": "init:1", "tree": False})
     assert (await link.ask()).ready is False
@@ -42,7 +42,7 @@ async def test_a_standby_is_ready_once_it_was_initialized_and_stays_so_over_a_re
     assert (await again.wait_for(lambda s: s.ready, WITHIN)).initialized == "init:1"
 
 
-async def test_what_was_initialized_otherwise_is_not_ready(robot: Pod, links):
+async def test_an_instance_initialized_by_another_procedure_is_not_ready(robot: Pod, links):
     localize(robot)
     link = await connected(robot, links, standby={"brought": "init:1", "tree": False})
     await link.procedure(ACTIVATE, WITHIN, name="initialization", brought="init:1")
@@ -50,7 +50,7 @@ async def test_what_was_initialized_otherwise_is_not_ready(robot: Pod, links):
     assert (await link.wait_for(lambda s: not s.ready, WITHIN)).reason == "not initialized yet"
 
 
-async def test_a_failed_procedure_says_which_leaf_and_why(robot: Pod, links):
+async def test_a_failed_procedure_reports_its_leaf_and_the_reason(robot: Pod, links):
     localize(robot)
     link = await connected(robot, links, standby={"brought": "init:1", "tree": False})
     wrong = {
@@ -83,7 +83,9 @@ FAILS = {"xml": "line 3, column 3: <ParameterIs>", "osc": "line 5, column 9: par
 
 
 @pytest.mark.parametrize("form", ["xml", "osc"])
-async def test_a_procedure_in_another_language_does_the_same_and_is_named_by_its_place(robot: Pod, links, form: str):
+async def test_a_procedure_in_another_language_does_the_same_and_reports_places_in_its_text(
+    robot: Pod, links, form: str
+):
     localize(robot)
     link = await connected(robot, links, standby={"brought": "up:1", "tree": False})
     found = compose(form, WRITTEN[form], check=False, path="bringUp")
@@ -103,14 +105,14 @@ CHECK_XML = (
 )
 
 
-async def test_a_tree_that_never_ends_fails_in_its_time(robot: Pod, links):
+async def test_a_tree_that_never_ends_fails_after_its_timeout(robot: Pod, links):
     link = await connected(robot, links)
     never = {"sequence": [{"wait_for": {"node": "/nobody"}}]}
     with pytest.raises(AgentRefused, match=r"bringUp\.sequence\[0\]\.wait_for: node /nobody is not there within"):
         await link.procedure(never, 3.0, name="bringUp")
 
 
-async def test_a_wrong_tree_is_refused_before_anything_is_done(robot: Pod, links):
+async def test_an_invalid_tree_is_refused_before_any_step(robot: Pod, links):
     link = await connected(robot, links)
     with pytest.raises(AgentRefused, match=r"bringUp\.set_lifecycel: unknown key 'set_lifecycel', did you mean"):
         await link.procedure({"set_lifecycel": {}}, 3.0, name="bringUp")
@@ -118,7 +120,7 @@ async def test_a_wrong_tree_is_refused_before_anything_is_done(robot: Pod, links
         await link.procedure(ACTIVATE, -1, name="bringUp")
 
 
-async def test_a_newer_procedure_takes_the_place_of_the_one_that_runs(robot: Pod, links):
+async def test_a_newer_procedure_replaces_the_running_one(robot: Pod, links):
     link = await connected(robot, links)
     waiting = asyncio.create_task(
         link.procedure({"wait_for": {"node": "/nobody"}}, 60.0, name="initialization", brought="init:1")
@@ -143,7 +145,7 @@ async def test_the_end_of_its_session_ends_a_procedure(robot: Pod, links):
     waiting.cancel()
 
 
-async def test_a_check_is_looked_at_again_and_again(robot: Pod, links):
+async def test_a_check_is_evaluated_repeatedly(robot: Pod, links):
     node = localize(robot)
     link = await connected(robot, links, standby={"brought": "", "check": CHECK, "period": 0.1})
     status = await link.wait_for(lambda s: "is unconfigured, not active" in s.reason, WITHIN)
@@ -156,7 +158,7 @@ async def test_a_check_is_looked_at_again_and_again(robot: Pod, links):
     assert (await robot.page("/ready"))[0] == 503
 
 
-async def test_a_check_may_look_at_topics_that_the_health_tree_does_not(robot: Pod, links):
+async def test_a_check_may_use_topics_that_the_health_tree_does_not_use(robot: Pod, links):
     check = {"topic": {"name": "/chatter", "type": "std_msgs/msg/String", "gap": "1s"}}
     link = await connected(robot, links, standby={"check": check, "period": 0.1})
     await link.wait_for(lambda s: "waiting for the first /chatter" in s.check, WITHIN)
@@ -172,7 +174,7 @@ async def test_managed_processes_are_up_with_their_first_node(robot: Pod, links)
     assert not status.ready, "its outputs come later, by a procedure"
 
 
-async def test_a_held_pod_has_nothing_to_run_a_procedure_on(pod: Pod, links):
+async def test_a_held_pod_refuses_procedures(pod: Pod, links):
     pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(WITHIN)
@@ -180,7 +182,7 @@ async def test_a_held_pod_has_nothing_to_run_a_procedure_on(pod: Pod, links):
         await link.procedure(ACTIVATE, 3.0, name="bringUp")
 
 
-async def test_resending_goals_is_asked_of_whoever_is_connected_and_waited_for(robot: Pod, links):
+async def test_the_request_to_resend_goals_is_sent_to_connected_clients_and_awaited(robot: Pod, links):
     asked: list[int] = []
     links.append(link := robot.link(on_event=lambda _, event: asked.append(event["resendGoals"])))
     await link.wait_connected(WITHIN)

@@ -56,7 +56,7 @@ async def connected(pod: Pod, links: list[AgentLink]) -> AgentLink:
     return link
 
 
-async def test_state_is_given_and_asked_for(robot: Pod, links: list[AgentLink], tmp_path: Any) -> None:
+async def test_state_is_restored_and_inspected(robot: Pod, links: list[AgentLink], tmp_path: Any) -> None:
     localize(robot)
     link = await connected(robot, links)
     monitor = sidecars(link, tmp_path)
@@ -73,7 +73,9 @@ async def test_state_is_given_and_asked_for(robot: Pod, links: list[AgentLink], 
     assert found["lifecycle"] == {"/localizer": "inactive"}
 
 
-async def test_a_recovery_tree_says_where_state_is_restored(robot: Pod, links: list[AgentLink], tmp_path: Any) -> None:
+async def test_a_recovery_tree_decides_when_state_is_restored(
+    robot: Pod, links: list[AgentLink], tmp_path: Any
+) -> None:
     localize(robot)
     link = await connected(robot, links)
     tree = {
@@ -93,9 +95,7 @@ async def test_a_recovery_tree_says_where_state_is_restored(robot: Pod, links: l
     assert found["lifecycle"] == {"/localizer": "active"}
 
 
-async def test_more_than_fits_into_a_request_is_given_in_several(
-    robot: Pod, links: list[AgentLink], tmp_path: Any
-) -> None:
+async def test_large_state_is_sent_in_several_requests(robot: Pod, links: list[AgentLink], tmp_path: Any) -> None:
     monitor = sidecars(await connected(robot, links), tmp_path)
     big = LARGEST // 2 + 1
     charts = tuple(
@@ -109,7 +109,7 @@ async def test_more_than_fits_into_a_request_is_given_in_several(
     assert "nobody subscribes to /nobody1" in report.problem
 
 
-async def test_an_agent_that_is_gone_is_told_in_bounded_time(tmp_path: Any) -> None:
+async def test_a_missing_agent_is_reported_in_bounded_time(tmp_path: Any) -> None:
     link = AgentLink("127.0.0.1", 1, b"token", "robot", "")
     monitor = sidecars(link, tmp_path)
     begun = time.monotonic()
@@ -122,7 +122,7 @@ async def test_an_agent_that_is_gone_is_told_in_bounded_time(tmp_path: Any) -> N
     await link.close()
 
 
-async def test_an_agent_that_is_lost_meanwhile_is_asked_again(
+async def test_a_request_is_repeated_if_the_agent_disconnects(
     robot: Pod, links: list[AgentLink], tmp_path: Any
 ) -> None:
     link = await connected(robot, links)

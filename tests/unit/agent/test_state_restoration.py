@@ -61,7 +61,7 @@ def names(report: RestoreReport) -> list[str]:
     return [entry.name for entry in report.restored]
 
 
-async def test_a_pose_is_given_with_the_present_stamp_and_all_else_as_it_was(
+async def test_a_pose_is_published_with_the_present_stamp_and_otherwise_unchanged(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
@@ -76,7 +76,7 @@ async def test_a_pose_is_given_with_the_present_stamp_and_all_else_as_it_was(
     assert (taken.header.frame_id, taken.pose.pose.position.x, taken.pose.covariance[35]) == ("map", 1.5, 0.25)
 
 
-async def test_a_kept_stamp_stays(
+async def test_a_stamp_is_unchanged_if_the_policy_keeps_it(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
@@ -85,7 +85,7 @@ async def test_a_kept_stamp_stays(
     assert (await localized(caller)).header.stamp.sec == 42
 
 
-async def test_it_is_said_again_until_it_is_confirmed(
+async def test_a_message_is_published_again_until_it_is_confirmed(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer("2")
@@ -95,7 +95,7 @@ async def test_it_is_said_again_until_it_is_confirmed(
     assert (await localized(caller)).pose.pose.position.x == 1.5
 
 
-async def test_what_was_said_before_confirms_nothing(
+async def test_earlier_messages_confirm_nothing(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
@@ -110,7 +110,7 @@ async def test_what_was_said_before_confirms_nothing(
     assert entry.reason.startswith(f"nobody subscribes to /nowhere as {POSE} within ")
 
 
-async def test_without_a_confirmation_it_fails_in_bounded_time_and_says_so(
+async def test_a_missing_confirmation_fails_in_bounded_time(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer("1000")
@@ -123,7 +123,7 @@ async def test_without_a_confirmation_it_fails_in_bounded_time_and_says_so(
     assert entry.reason.startswith("it was published on /initialpose, but not confirmed: nothing ")
 
 
-async def test_a_target_without_a_subscriber_fails_in_bounded_time_and_names_it(restorer: StateRestorer) -> None:
+async def test_a_topic_without_a_subscriber_fails_in_bounded_time_and_is_named(restorer: StateRestorer) -> None:
     begun = time.monotonic()
     report = await restorer.restore(KeptState((pose(),)), within=1.0)
     assert time.monotonic() - begun < 10
@@ -153,7 +153,7 @@ async def test_parameters_are_set_and_nodes_brought_up_before_a_pose_finds_its_s
     assert again.not_restored == (), "it can be done again"
 
 
-async def test_what_can_not_be_given_keeps_nothing_else_back(
+async def test_a_sample_that_cannot_be_restored_does_not_block_others(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
@@ -173,7 +173,7 @@ async def test_what_can_not_be_given_keeps_nothing_else_back(
     assert "/map" not in report.problem, "what is too old was not tried"
 
 
-async def test_only_what_is_named_is_given(
+async def test_only_named_samples_are_restored(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
@@ -186,15 +186,13 @@ async def test_only_what_is_named_is_given(
     assert found["parameters"] == {"/localizer": {"speed": 0.25}}
 
 
-async def test_the_first_instance_lacks_nothing(restorer: StateRestorer) -> None:
+async def test_the_first_instance_needs_no_state(restorer: StateRestorer) -> None:
     report = await restorer.restore(KeptState(), within=WITHIN, only=["/amcl_pose"])
     assert report.problem == ""
     assert report.not_restored == (NotRestored("/amcl_pose", "nothing is kept yet", failed=False),)
 
 
-async def test_an_inspection_says_what_could_not_be_told(
-    localizer: Callable[..., None], restorer: StateRestorer
-) -> None:
+async def test_an_inspection_reports_what_is_unknown(localizer: Callable[..., None], restorer: StateRestorer) -> None:
     localizer()
     found = await restorer.inspect({"/localizer": ["speed"], "/gone": ["speed"]}, ["/localizer"], within=8.0)
     assert found["parameters"] == {"/localizer": {"speed": 0.25}}
@@ -204,7 +202,7 @@ async def test_an_inspection_says_what_could_not_be_told(
     assert "/gone" in problem["reason"]
 
 
-async def test_requests_carry_the_state_and_answers_the_report(
+async def test_requests_contain_the_state_and_answers_the_report(
     localizer: Callable[..., None], restorer: StateRestorer, caller: InstanceCaller
 ) -> None:
     localizer()
@@ -229,18 +227,18 @@ async def test_requests_carry_the_state_and_answers_the_report(
         ("inspect", {"within": "long"}),
     ],
 )
-async def test_requests_that_are_none_are_refused(restorer: StateRestorer, op: str, body: dict[str, Any]) -> None:
+async def test_malformed_restore_requests_are_refused(restorer: StateRestorer, op: str, body: dict[str, Any]) -> None:
     with pytest.raises(Refused):
         await restorer.operations()[op](body, PEER)
 
 
-def test_a_message_without_a_header_stays_as_it_is() -> None:
+def test_a_message_without_a_header_is_unchanged() -> None:
     from std_msgs.msg import String
 
     data = serialize_message(String(data="home"))
     assert stamped(KeptSample("/dock", "std_msgs/msg/String", 1.0, data, to="/dock", stamp="now")) == data
 
 
-def test_bytes_that_are_no_message_are_named() -> None:
+def test_bytes_that_are_not_a_message_are_reported() -> None:
     with pytest.raises(CallFailed, match="what is kept of /amcl_pose is no geometry_msgs"):
         stamped(KeptSample("/amcl_pose", POSE, 1.0, b"\0\1\0\0\1", to="/initialpose", stamp="now"))

@@ -79,7 +79,7 @@ async def agent(dds, pod: Pod, links):
     return link, told
 
 
-async def test_goals_are_followed_and_executed_once_though_the_agent_is_killed(agent, pod: Pod, links, start):  # noqa: F811
+async def test_goals_are_followed_and_executed_once_although_the_agent_is_killed(agent, pod: Pod, links, start):  # noqa: F811
     link, told = agent
     long, short, wrong, aborted = (uuid.uuid4().hex for _ in range(4))
     # Asked for before the server is there: it is waited for.
@@ -111,7 +111,7 @@ async def test_goals_are_followed_and_executed_once_though_the_agent_is_killed(a
     assert not outside.said("ready")
 
 
-async def test_a_server_that_was_started_anew_has_lost_its_goals(agent, start):  # noqa: F811
+async def test_a_restarted_server_has_lost_its_goals(agent, start):  # noqa: F811
     link, told = agent
     goal = uuid.uuid4().hex
     server = start("serve", ACTION, STEP="0.2")
@@ -122,7 +122,7 @@ async def test_a_server_that_was_started_anew_has_lost_its_goals(agent, start): 
     await eventually(lambda: told.said(goal, "lost"), 60)
 
 
-async def test_a_result_whose_answer_was_lost_is_asked_for_again(agent, start):  # noqa: F811
+async def test_a_result_with_a_lost_answer_is_requested_again(agent, start):  # noqa: F811
     link, told = agent
     goal = uuid.uuid4().hex
     server = start("serve", ACTION, DROP="1")
@@ -132,7 +132,7 @@ async def test_a_result_whose_answer_was_lost_is_asked_for_again(agent, start): 
     assert len(server.said("dropped")) == 1
 
 
-async def test_what_cannot_be_is_refused(agent):
+async def test_impossible_orders_are_refused(agent):
     link, _ = agent
     with pytest.raises(AgentRefused, match="robots_msgs/action/Dock is not installed"):
         await link.request("goal", {**body(uuid.uuid4().hex, 1), "type": "robots_msgs/action/Dock"})
@@ -140,7 +140,7 @@ async def test_what_cannot_be_is_refused(agent):
         await link.request("goal", {**body("x", 1)})
 
 
-async def test_a_recovery_tree_asks_for_the_goals_and_waits_until_they_were_sent(agent):
+async def test_a_recovery_tree_requests_the_goals_and_waits_until_they_are_sent(agent):
     link, told = agent
     tree = {"resend_goals": {}}
     running = asyncio.create_task(link.request("procedure", {"tree": tree, "within": 20, "name": "p"}, within=30))

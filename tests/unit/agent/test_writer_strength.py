@@ -32,14 +32,14 @@ def written(directory: Path) -> int:
     return int((directory / "profiles.xml").read_text().split("value>")[1].split("<")[0])
 
 
-def test_every_new_instance_is_weaker_than_all_before_it() -> None:
+def test_every_new_instance_is_weaker_than_all_earlier_ones() -> None:
     assert strength(BEGIN) == STRONGEST
     assert strength(START) - strength(START + 1) == PER_SECOND
     assert strength(BEGIN - 5) == STRONGEST, "a clock that is not set yet makes no strength that can't be sent"
     assert strength(BEGIN + STRONGEST) == 0
 
 
-def test_the_first_process_has_what_was_prepared(tmp_path: Path) -> None:
+def test_the_first_process_has_the_prepared_strength(tmp_path: Path) -> None:
     strengths, clock = prepared(tmp_path)
     clock.now += 7  # it takes a while to start
     assert not strengths.saw([])
@@ -59,7 +59,7 @@ def test_a_process_that_starts_later_reads_a_lower_strength(tmp_path: Path) -> N
     assert strengths.range == (strength(START + 62), strength(START)), "what both may have"
 
 
-def test_another_agent_of_the_pod_goes_on_from_there(tmp_path: Path) -> None:
+def test_a_restarted_agent_continues_from_the_last_strength(tmp_path: Path) -> None:
     strengths, clock = prepared(tmp_path)
     strengths.saw([process(1)])
     clock.now += 30
@@ -92,7 +92,7 @@ def test_a_clock_that_was_set_back_makes_no_process_stronger(tmp_path: Path) -> 
     assert strengths.range == (strength(START), strength(START)), "it read what was in the file"
 
 
-def test_without_strengths_in_the_profiles_there_is_none(tmp_path: Path) -> None:
+def test_profiles_without_strengths_give_no_strength(tmp_path: Path) -> None:
     strengths = WriterStrengths(tmp_path)
     assert not strengths.saw([process(1)])
     (tmp_path / "profiles.xml").write_text("<dds/>")
