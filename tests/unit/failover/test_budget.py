@@ -16,7 +16,7 @@ def test_what_is_left_and_when_the_next_may_begin() -> None:
     assert free_from([950.0, 990.0], recoveries=2, within=WINDOW) == 1050.0
 
 
-def test_the_window_moves_on() -> None:
+def test_old_recoveries_leave_the_window() -> None:
     spent = [950.0, 990.0]
     assert left(spent, 1050.0, recoveries=2, within=WINDOW) == 1
     assert free_from([*spent, 1050.0], recoveries=2, within=WINDOW) == 1090.0, "the two latest count"
@@ -27,12 +27,12 @@ def test_a_budget_that_was_lowered_counts_what_was_before() -> None:
     assert left([950.0, 960.0, 970.0], 1000.0, recoveries=1, within=WINDOW) == 0
 
 
-def test_what_was_before_somebodys_word_is_forgotten() -> None:
+def test_recoveries_before_a_resume_do_not_count() -> None:
     assert counted([950.0, 990.0], None, 1000.0) == [950.0, 990.0]
     assert counted([950.0, 990.0], 960.0, 1000.0) == [990.0]
 
 
-def test_a_word_of_the_future_is_none_but_clocks_may_differ() -> None:
+def test_a_resume_from_the_future_is_ignored_except_for_small_clock_differences() -> None:
     assert counted([950.0], 1000.0 + CLOCKS_DIFFER, 1000.0) == []
     assert counted([950.0], 1001.0 + CLOCKS_DIFFER, 1000.0) == [950.0]
 

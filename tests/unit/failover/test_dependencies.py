@@ -197,7 +197,7 @@ class TestWhatIsDue:
         seen = {"localization": healthy("r1"), "planning": Seen("Recovering", NOW - 1, followed={"localization": "r1"})}
         assert due_now(self.known, **seen) is None
 
-    def test_one_that_never_gets_there_is_waited_for_no_longer_than_that(self) -> None:
+    def test_the_wait_for_a_dependency_has_a_time_limit(self) -> None:
         seen = {"localization": healthy("r1", NOW - 121), "planning": healthy("p0", localization="r0")}
         assert due_now(self.known, **seen) == ["localization/r1"]
 
@@ -301,7 +301,7 @@ class TestBringingUpAgain:
         assert done.parts["reinitialization"] > 0
         assert recovery.follows == [DependencyRecovery(name="localization", recovery="r1")]
 
-    async def test_where_that_fails_the_policy_s_strategies_have_their_turn(self) -> None:
+    async def test_if_the_dependency_procedure_fails_the_strategies_of_the_policy_are_tried(self) -> None:
         store = driving()
         store.unwilling.add("w-1")
         world = World(store)
@@ -344,7 +344,7 @@ class TestBringingUpAgain:
         assert first_strategy(Takeover.of(done), "uid-w-1", NOW + 0.5, 2, healthy_delay=2.0) == 0
 
 
-def test_it_survives_being_written_down() -> None:
+def test_the_record_is_unchanged_by_encoding_and_decoding() -> None:
     progress = Progress.begin("localization was recovered", last_healthy=NOW, detected=NOW)
     progress.follows = [DependencyRecovery(name="localization", recovery="r1")]
     assert Progress.model_validate_json(progress.model_dump_json()).follows == progress.follows

@@ -68,7 +68,7 @@ def crash_looping(name: str, store: Store) -> None:
     store.pods[name] = replace(store.pods[name], crashing=True, ready=False)
 
 
-async def test_an_understudy_that_ends_again_and_again_is_given_up_before_its_time() -> None:
+async def test_a_crash_looping_understudy_is_given_up_early() -> None:
     store = protected(pool="spare", held=True)
     store.broken.add("w-2")
     world = World(store)
@@ -81,7 +81,7 @@ async def test_an_understudy_that_ends_again_and_again_is_given_up_before_its_ti
     assert world.clock() - begun < LONG / 3
 
 
-async def test_the_last_strategy_has_all_of_its_time() -> None:
+async def test_the_last_strategy_has_its_full_timeout() -> None:
     store = protected(pool="spare", held=True)
     store.broken.add("w-2")
     world = World(store)
@@ -91,7 +91,7 @@ async def test_the_last_strategy_has_all_of_its_time() -> None:
     assert "not verified within 0.5 s" in done.attempts[0].message
 
 
-async def test_a_restart_replaces_a_pod_that_ends_again_and_again() -> None:
+async def test_a_restart_replaces_a_crash_looping_pod() -> None:
     store = protected()
     store.add("w-2", crashing=True, ready=False)
     store.broken.add("w-2")

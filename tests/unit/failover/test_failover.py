@@ -197,7 +197,7 @@ async def test_a_monitor_killed_at_any_step_is_finished_by_the_next(
         assert store.commits.count(done.target.name) == 1, f"killed at step {step}: routed more than once"
 
 
-async def test_what_is_held_is_passed_over_and_takes_nothing() -> None:
+async def test_a_held_strategy_is_skipped_and_claims_nothing() -> None:
     store = protected(pool="spare", held=True)
     world = World(store)
     means = replace(world.means(), holds=lambda strategy: "others fail too" if not strategy.standing else None)
@@ -207,7 +207,7 @@ async def test_what_is_held_is_passed_over_and_takes_nothing() -> None:
     assert (store.commits, store.deleted) == ([], []), "nothing was claimed, fenced or deleted"
 
 
-async def test_what_a_monitor_that_is_gone_has_begun_is_not_held() -> None:
+async def test_a_recovery_that_a_previous_monitor_began_is_not_held() -> None:
     store = protected(pool="hot")
     world = World(store)
     progress = failure(world)

@@ -133,7 +133,7 @@ def place(workload: str, priority: int = 0, since: float = 0.0, until: float = 1
     return Waiter(workload=workload, pool=POOL, priority=priority, since=since, until=until)
 
 
-def test_priority_goes_before_waiting_and_waiting_before_names() -> None:
+def test_workloads_are_ordered_by_priority_then_waiting_time_then_name() -> None:
     waiters = [place("b", since=2), place("a", since=2), place("c", since=1), place("d", priority=1, since=3)]
     assert [w.workload for w in in_order(waiters, POOL, now=4)] == ["d", "c", "a", "b"]
 
@@ -161,7 +161,7 @@ def test_a_free_pod_is_left_to_each_that_is_before_for_a_moment(
     assert due(ahead, free) == at
 
 
-def test_two_waiters_go_for_two_pods_and_not_both_for_the_first() -> None:
+def test_two_waiting_workloads_claim_different_pods() -> None:
     assert [left_by(ahead, ["p1", "p2"])[0] for ahead in (0, 1)] == ["p1", "p2"]
     assert left_by(2, ["p1", "p2"]) == ["p1", "p2"], "left long enough by those ahead, whichever it is"
 
@@ -218,7 +218,7 @@ async def test_a_dry_pool_is_waited_for_behind_a_closed_gate_and_the_wait_does_n
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"], abs=1e-6)
 
 
-async def test_who_has_waited_for_its_time_goes_on_with_the_next_strategy() -> None:
+async def test_after_its_maximum_wait_a_workload_tries_the_next_strategy() -> None:
     store = robot("a", [])
     done = await fails(store, wait_for=0.2)
     assert [(a.strategy, a.result) for a in done.attempts] == [
@@ -247,7 +247,7 @@ async def test_a_pod_that_the_workload_s_own_controller_has_up_first_is_taken_an
     assert done.attempts[0].message == "no pod of FallbackPool spare is ready; a-2 is up already"
 
 
-async def test_pools_in_order_are_each_waited_for() -> None:
+async def test_each_pool_is_awaited_in_order() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     world = World(store)
@@ -262,7 +262,7 @@ async def test_pools_in_order_are_each_waited_for() -> None:
     assert (done.index, done.result) == (1, "Recovered")
 
 
-async def test_the_more_critical_is_served_first_though_it_came_later() -> None:
+async def test_a_more_critical_workload_is_served_first_although_it_came_later() -> None:
     fleet: list[Store] = []
     low, high = robot("low", fleet), robot("high", fleet, priority=100)
     tasks = [asyncio.create_task(fails(low, 10.0))]
@@ -292,7 +292,7 @@ async def test_two_pods_at_once_serve_two_at_once(monkeypatch: pytest.MonkeyPatc
     await asyncio.gather(*tasks)
 
 
-async def test_a_waiter_whose_monitor_died_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_waiting_workload_without_a_monitor_is_skipped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_queue, "YIELD", 0.1)
     fleet: list[Store] = []
     dead, low = robot("dead", fleet, priority=100), robot("low", fleet)
@@ -308,7 +308,7 @@ async def test_a_waiter_whose_monitor_died_is_passed_over(monkeypatch: pytest.Mo
     assert list(low.claims) == ["p1"]
 
 
-async def test_who_does_not_wait_leaves_a_pod_to_one_that_does_and_else_takes_it(
+async def test_a_workload_that_does_not_wait_takes_a_pod_only_if_nobody_waits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(pool_queue, "YIELD", 0.3)
@@ -326,7 +326,7 @@ async def test_who_does_not_wait_leaves_a_pod_to_one_that_does_and_else_takes_it
     assert low.told == [], "it never waited"
 
 
-async def test_a_planned_hand_over_takes_no_pod_that_others_wait_for() -> None:
+async def test_a_planned_switchover_takes_no_pod_that_others_wait_for() -> None:
     fleet: list[Store] = []
     other, degraded = robot("other", fleet), robot("degraded", fleet, priority=100)
     note = Progress.begin("it ended", last_healthy=0, detected=0)
@@ -347,7 +347,7 @@ async def test_a_planned_hand_over_takes_no_pod_that_others_wait_for() -> None:
 
 
 @pytest.mark.parametrize(("pods", "taken"), [(1, []), (2, ["p1"])])
-async def test_the_last_pods_are_kept_for_others_where_the_pool_says_so(pods: int, taken: list[str]) -> None:
+async def test_the_reserved_pods_of_a_pool_are_kept_for_critical_workloads(pods: int, taken: list[str]) -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     for number in range(pods):
@@ -379,7 +379,7 @@ async def test_one_that_waits_leaves_the_reserve_to_the_critical_and_takes_what_
     assert list(store.claims) == ["p2"]
 
 
-async def test_a_pod_that_is_lost_to_another_sends_it_back_into_the_queue() -> None:
+async def test_a_workload_that_loses_a_claim_returns_to_the_queue() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     store.others_claim.add("p1")
@@ -425,7 +425,7 @@ async def test_a_monitor_killed_at_any_step_of_a_wait_is_finished_by_the_next() 
 # -- where nobody waits ---------------------------------------------------------------------------------------------------
 
 
-def test_in_a_burst_robots_rarely_race_for_one_pod() -> None:
+def test_robots_that_fail_together_rarely_compete_for_one_pod() -> None:
     """If all began with the same one, a hundred would lose some five thousand races."""
     pods = [Instance(f"spare-{n}", f"pod-{n}") for n in range(100)]
     orders = [apart(pods, f"workload-{n}") for n in range(100)]
@@ -442,7 +442,7 @@ def test_in_a_burst_robots_rarely_race_for_one_pod() -> None:
     assert races < 1500
 
 
-def test_a_workload_tries_the_same_pods_in_the_same_order_whoever_lists_them() -> None:
+def test_a_workload_tries_pods_in_an_order_that_does_not_depend_on_the_list() -> None:
     pods = [Instance(f"spare-{n}", f"pod-{n}") for n in range(20)]
     order = apart(pods, "workload")
     assert order == apart(pods[::-1], "workload")
@@ -468,7 +468,7 @@ async def test_who_fails_with_a_full_pool_asks_for_its_part_and_watches_nothing(
     assert (list(store.claims), store.looks) == (["p2"], ["part"])
 
 
-async def test_whose_part_has_none_asks_for_all() -> None:
+async def test_a_workload_whose_part_of_the_pool_is_empty_lists_all_pods() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     refill(fleet, "p0")
@@ -488,7 +488,7 @@ async def test_where_the_pool_keeps_some_for_others_all_are_asked_for_since_they
     assert store.looks == ["all"]
 
 
-async def test_who_finds_none_watches_until_it_has_one_and_no_longer() -> None:
+async def test_a_workload_without_a_pod_watches_the_pool_until_it_has_one() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     running = asyncio.create_task(fails(store, 5.0))

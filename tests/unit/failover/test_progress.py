@@ -28,7 +28,7 @@ def test_a_command_before_the_first_probe_shows_that_the_gate_was_open() -> None
     assert progress.to_recovery(1).parts.cluster == pytest.approx(0.05)
 
 
-def test_one_after_the_first_probe_says_nothing_new() -> None:
+def test_a_command_after_the_first_probe_changes_nothing() -> None:
     progress = switched(routed=100.02)
     progress.note_first_output(100.05)
     assert (progress.moments["routed"], progress.moments["first_output"]) == (100.02, 100.05)
@@ -49,7 +49,7 @@ def test_by_the_reflex_the_first_command_came_before_the_commit() -> None:
     assert (progress.moments["first_output"], progress.moments["routed"]) == (99.9, 100.09)
 
 
-def test_without_a_probe_nothing_is_made_up() -> None:
+def test_without_a_probe_no_time_is_recorded() -> None:
     progress = Progress.begin("silent", last_healthy=99.5, detected=100.0)
     progress.note_first_output(100.05)
     assert "routed" not in progress.moments
@@ -87,7 +87,7 @@ class TestWhatOnlyAGateTellsOf:
         assert not under_way(committed, [("r2", rfc3339(NOW - 0.5))])
         assert not under_way(committed, [("r1", None), ("r2", None)]), "and however many others there are"
 
-    def test_where_the_gate_tells_of_none_there_is_none(self) -> None:
+    def test_a_gate_without_a_recovery_reports_none(self) -> None:
         assert not under_way(None, [], NOW)
 
     @pytest.mark.parametrize("result", ["Recovered", "Failed"])
@@ -144,11 +144,11 @@ class TestWhatOnlyAGateTellsOf:
         ({"follows": [DependencyRecovery(name="maps", recovery="r9")]}, "FollowsDependency"),
     ],
 )
-def test_what_it_was_begun_for(changes: dict[str, Any], occasion: str) -> None:
+def test_the_cause_of_a_recovery_is_recorded(changes: dict[str, Any], occasion: str) -> None:
     assert beside().model_copy(update=changes).occasion == occasion
 
 
-def test_it_is_held_until_it_is_released() -> None:
+def test_a_held_recovery_is_held_until_its_release() -> None:
     assert not beside().held
     assert beside(held=NOW).held
     assert not beside(held=NOW, released=NOW + 1).held

@@ -55,7 +55,7 @@ def test_before_the_one_in_control_was_heard_nothing_is_concluded() -> None:
     assert seen([], every(0.05, 5, 9), 9.01) is None, "a monitor that starts may discover the standby first"
 
 
-def test_a_period_longer_than_the_deadline_is_told() -> None:
+def test_a_period_longer_than_the_deadline_is_reported() -> None:
     assert longest_gap(every(0.05, 0, 5), DEADLINE) is None
     assert longest_gap(every(0.15, 0, 5), DEADLINE) == pytest.approx(0.15)
     late = every(0.05, 0, 5)

@@ -77,7 +77,7 @@ async def test_an_executing_standby_has_its_own_state() -> None:
     assert (done.result, made.given, done.state) == ("Recovered", {}, [])
 
 
-async def test_a_pod_without_an_agent_takes_over_and_is_told_to_have_been_given_nothing() -> None:
+async def test_a_pod_without_an_agent_takes_over_and_is_recorded_without_restored_state() -> None:
     made = store()
     made.broken.discard("w-1")
     world = World(made)
@@ -95,7 +95,7 @@ async def test_a_pod_without_an_agent_takes_over_and_is_told_to_have_been_given_
     assert "pod w-9 has no agent" in done.state[1].message
 
 
-async def test_a_state_that_can_not_be_given_is_recorded_and_keeps_nobody_from_taking_over() -> None:
+async def test_a_failed_restoration_is_recorded_and_does_not_prevent_the_recovery() -> None:
     made = store()
     made.refusal = "nobody subscribes to /initialpose within 5 s"
     done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.means())
@@ -108,7 +108,7 @@ async def test_a_state_that_can_not_be_given_is_recorded_and_keeps_nobody_from_t
     assert done.to_recovery(1).state[1].message == "nobody subscribes to /initialpose within 5 s"
 
 
-async def test_a_second_attempt_records_what_its_own_instance_was_given() -> None:
+async def test_a_second_attempt_records_the_state_of_its_own_instance() -> None:
     made = store(pool="spare", held=True)
     made.broken.add("w-2")
     choices = [Choice(UninitializedFallback("spare"), 0.3), Choice(Restart(), 0.5)]

@@ -148,7 +148,7 @@ async def test_a_procedure_that_fails_is_told_and_nothing_is_changed() -> None:
 
 
 @EACH
-async def test_an_instance_that_does_not_fit_is_not_taken(strategy: Strategy, standby: dict[str, object]) -> None:
+async def test_an_unsuitable_instance_is_not_used(strategy: Strategy, standby: dict[str, object]) -> None:
     store = driven(**standby, node="node-2")
     world = World(store)
     found = await prepared_by(world, strategy, unfit=lambda i: "is on node-2" if i.node == "node-2" else None)
@@ -187,7 +187,7 @@ async def test_where_the_former_instance_is_gone_too_the_gate_is_left_for_what_f
     assert (done.result, store.gate.active, store.deleted) == ("Failed", "w-2", [])
 
 
-async def test_an_api_server_that_does_not_answer_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_switchover_does_not_wait_for_a_silent_api_server(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(switchover, "COMMIT_WITHIN", 0.05)
     store = driven(pool="hot")
     world = World(store)
@@ -198,7 +198,7 @@ async def test_an_api_server_that_does_not_answer_is_not_waited_for(monkeypatch:
     assert (store.gate.active, store.deleted) == ("w-1", [])
 
 
-async def test_whoever_commits_in_between_wins() -> None:
+async def test_a_commit_of_another_monitor_in_between_wins() -> None:
     store = driven(pool="hot")
     world = World(store)
     found, means = await prepared_by(world, ExecutingFallback("hot")), world.means()
@@ -208,7 +208,7 @@ async def test_whoever_commits_in_between_wins() -> None:
     assert store.deleted == []
 
 
-async def test_one_that_was_overtaken_settles_nothing() -> None:
+async def test_an_overtaken_switchover_changes_nothing() -> None:
     store = driven(pool="hot")
     world = World(store)
     progress = planned(world)
@@ -264,7 +264,7 @@ async def test_whenever_the_monitor_is_killed_one_instance_drives_and_the_next_m
     pytest.fail("the switchover never came to its end")
 
 
-async def test_a_preparation_can_be_broken_off() -> None:
+async def test_a_preparation_can_be_cancelled() -> None:
     store = driven(pool="warm")
     store.broken.add("w-2")
     world = World(store)

@@ -94,7 +94,7 @@ BOTH = SCAN_XML + ODOM_XML
         ),
     ],
 )
-def test_each_node_is_one_of_the_short_form(text: str, tree: dict[str, Any]) -> None:
+def test_each_node_is_equivalent_to_one_of_the_short_form(text: str, tree: dict[str, Any]) -> None:
     same(file(text), tree)
 
 
@@ -381,7 +381,7 @@ KNOWN = (
         ),
     ],
 )
-def test_a_mistake_is_named_with_its_place_and_what_would_be_right(node: str, expected: str) -> None:
+def test_a_mistake_in_a_node_is_reported_with_its_place_and_the_valid_values(node: str, expected: str) -> None:
     found = problems(file(node))
     assert len(found) == 1, found
     place, _, message = found[0].partition(": ")
@@ -492,17 +492,17 @@ def test_a_mistake_is_named_with_its_place_and_what_would_be_right(node: str, ex
         ),
     ],
 )
-def test_a_mistake_of_the_file_is_named(text: str, expected: str) -> None:
+def test_a_mistake_in_the_file_structure_is_reported(text: str, expected: str) -> None:
     assert problems(text) == [expected]
 
 
-def test_what_is_no_text_is_refused() -> None:
+def test_a_value_that_is_not_a_text_is_refused() -> None:
     assert problems({"topic": {}}) == [
         "spec.monitoring.xml: found a mapping; give the text of a BehaviorTree.CPP 4 file"
     ]
 
 
-def test_all_mistakes_are_named_at_once_in_the_order_of_the_text() -> None:
+def test_all_mistakes_are_reported_at_once_in_text_order() -> None:
     found = problems(
         file(
             "<Parallel>",
@@ -555,7 +555,7 @@ def test_subtrees_that_double_at_every_level_are_refused() -> None:
     assert problem.endswith("the tree has more than 512 nodes")
 
 
-def test_mistakes_in_a_subtree_that_is_used_often_are_not_named_without_end() -> None:
+def test_the_number_of_reported_mistakes_of_a_repeated_subtree_is_limited() -> None:
     uses = '<SubTree ID="A"/>' * 500
     unknown = " ".join(f'p{i}=""' for i in range(3000))
     found = problems(files(f"<Parallel>{uses}</Parallel>", A=f'<Topic topic="/a" gap="1s" {unknown}/>'))
@@ -599,13 +599,13 @@ PIECES = [
 
 @settings(max_examples=400, deadline=None)
 @given(seed=st.integers(0, 2**32), changes=st.integers(1, 12))
-def test_a_text_with_anything_changed_loads_or_is_refused(seed: int, changes: int) -> None:
+def test_a_changed_text_loads_or_is_refused(seed: int, changes: int) -> None:
     refused_or_loads(garbled(GROOT, PIECES, seed=seed, changes=changes))
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.sampled_from(PIECES) | st.text(max_size=5), max_size=60))
-def test_pieces_in_any_order_load_or_are_refused(pieces: list[str]) -> None:
+def test_fragments_in_any_order_load_or_are_refused(pieces: list[str]) -> None:
     refused_or_loads('<root BTCPP_format="4"><BehaviorTree ID="A">' + "".join(pieces))
 
 

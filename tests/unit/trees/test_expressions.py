@@ -89,7 +89,7 @@ def test_a_condition_says(text, expected):
         ("max(cells) > 9", {"cells": [0.0] * (MOST_ELEMENTS + 1)}, "up to 4096 are gone through"),
     ],
 )
-def test_what_cannot_be_told_says_why(text, values, why):
+def test_an_undecided_condition_has_a_reason(text, values, why):
     with pytest.raises(Undefined) as caught:
         read(text).holds(battery(**values))
     assert why in str(caught.value)
@@ -187,7 +187,7 @@ def test_what_decides_alone_decides_beside_what_cannot_be_told(text, expected):
         ("not " * 40 + "charging", "it is more than 24 levels deep"),
     ],
 )
-def test_what_is_refused_says_what_would_be_right(text, why):
+def test_a_refused_condition_is_reported_with_the_valid_form(text, why):
     if why is None:
         assert read(text).holds(battery()) is False
         return
@@ -276,7 +276,7 @@ FLOATS = st.floats(allow_nan=True, allow_infinity=True)
 @example(
     text="isfinite(" + " * ".join(["9999999999999999999"] * 20) + ")", percentage=0.0, cells=[], level=b"a", known=True
 )
-def test_whatever_is_written_is_refused_or_says_true_false_or_untold(text, percentage, cells, level, known):
+def test_any_condition_is_refused_or_is_true_false_or_undecided(text, percentage, cells, level, known):
     message = battery(percentage=percentage, cells=array("d", cells), level=level)
     try:
         expression = Expression.parse(text, "t/msg/Battery", fields if known else None)

@@ -392,7 +392,7 @@ def test_a_gap_longer_than_the_time_to_settle_counts_from_the_start_of_the_task(
     assert world.deadline(100.0) == 105
 
 
-def test_when_the_task_ends_nothing_is_wrong_any_more():
+def test_the_end_of_the_task_clears_its_failures():
     world = TaskWorld(during(gap("/cmd_vel")), grace=5)
     world.task = 100.0
     assert world.at(110).state == "Failed"

@@ -48,7 +48,7 @@ def test_it_fails_exactly_when_it_has_been_in_others_for_so_long():
     assert world.at(3.1).reason == "state inactive of node /amcl has not held for 2 s (it is deactivating)"
 
 
-def test_other_nodes_do_it_no_harm():
+def test_other_nodes_have_no_influence():
     world = World({"parallel": [leaf(), {"lifecycle": {"node": "/map_server", "for": "9s"}}]})
     world.tell(AMCL, 1.0, "active").tell("/map_server", 1.0, "active").at(1.0)
     assert world.tell(AMCL, 2.0, "active").tell("/map_server", 2.0, "inactive").at(2.0).state == "Healthy"
@@ -67,7 +67,7 @@ def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
     )
 
 
-def test_what_cannot_be_told_is_no_failure():
+def test_unknown_values_are_no_failure():
     world = World(leaf(), grace=5).tell(AMCL, 1.0, None)
     assert world.at(20.0).state == "Healthy"
     assert world.deadline(20.0) is None
@@ -83,7 +83,7 @@ def test_the_next_instance_is_judged_by_what_is_known_since_it_took_control():
     assert world.tell(AMCL, 3.2, "active").at(3.2).state == "Healthy"
 
 
-def test_for_a_task_it_is_judged_only_while_that_is_active():
+def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     world = World({**TASK, "do": leaf()}, grace=5).tell(AMCL, 100.0, "inactive")
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
@@ -111,13 +111,13 @@ def test_its_transitions_are_watched():
         ({"node": AMCL, "for": 2}, ".for", "found 2, which has no unit; write it with ms, s, m or h, such as 500ms"),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"lifecycle": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.lifecycle{place}: {expected}"]
 
 
-def test_in_xml_it_is_that_of_the_short_form():
+def test_xml_gives_the_same_leaf_as_the_short_form():
     short = {"parallel": [leaf(**{"for": "1s"}), {**leaf(state="active"), "name": "a"}]}
     text = written('<Lifecycle node="/amcl" for="1s"/><Lifecycle name="a" node="/amcl" state="active"/>')
 
@@ -143,7 +143,7 @@ def test_in_xml_it_is_that_of_the_short_form():
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, told, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, told, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)

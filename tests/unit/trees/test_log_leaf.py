@@ -87,7 +87,7 @@ def test_fewer_than_the_count_within_the_window_are_no_failure():
         ({"level": "ERROR", "node": "/planner_server", "says": "progress"}, {"file": "planner_server.cpp"}),
     ],
 )
-def test_other_messages_do_it_no_harm(pattern, said):
+def test_other_messages_have_no_influence(pattern, said):
     judged = World({"log": pattern}, grace=5.0)
     for time in range(10, 30):
         assert say(judged, time, **said).at(time).state == "Healthy"
@@ -133,7 +133,7 @@ def test_what_an_instance_says_while_it_starts_fails_it_only_if_it_goes_on():
     assert judged.states([4.9, 5.0]) == ["Starting", "Failed"]
 
 
-def test_what_the_last_instance_said_is_not_held_against_the_next():
+def test_log_messages_of_the_previous_instance_do_not_count_for_the_next():
     judged = say(say(world(count=2, window="60s"), 10.0), 11.0)
     assert judged.at(11.0).state == "Failed"
     judged.since = START + 12.0
@@ -141,7 +141,7 @@ def test_what_the_last_instance_said_is_not_held_against_the_next():
     assert say(judged, 19.0).at(19.0).state == "Healthy", "the first of its own"
 
 
-def test_a_step_of_the_clock_moves_what_is_remembered():
+def test_a_clock_step_moves_remembered_times():
     judged = say(say(world(count=2, window="10s", quiet="10s"), 10.0), 11.0)
     judged.at(11.0)
     for content in judged.records["/rosout"].contents:
@@ -216,13 +216,13 @@ def test_a_pattern_takes_no_longer_for_a_text_made_to_delay_it():
         ),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"log": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.log{place}: {expected}"]
 
 
-def test_in_xml_it_is_that_of_the_short_form():
+def test_xml_gives_the_same_leaf_as_the_short_form():
     short = {
         "parallel": [
             {"log": {"level": "ERROR", "node": "/controller_server", "count": 2, "window": "5s", "quiet": "2s"}},
@@ -264,7 +264,7 @@ def test_in_xml_it_is_that_of_the_short_form():
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, said, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, said, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     judged = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)

@@ -65,7 +65,7 @@ def test_a_value_fails_exactly_when_it_has_not_held_for_so_long():
     )
 
 
-def test_a_value_that_has_held_in_between_begins_anew():
+def test_a_value_that_was_true_in_between_starts_its_time_again():
     world = World(value(**{"for": "500ms"})).battery(1.0, 0.5)
     world.at(1.0)
     world.battery(1.3, 0.1).at(1.3)
@@ -105,7 +105,7 @@ def test_before_it_has_held_once_it_is_starting_until_the_grace_is_over():
     assert World(value(), grace=10).at(10).reason == "no /battery within 10 s of the start"
 
 
-def test_what_cannot_be_told_does_not_hold():
+def test_an_undecided_value_does_not_hold():
     world = World(value("cells[0] > 1")).hear("/battery", 1.0, Battery(cells=[2.0]))
     assert world.at(1.0).state == "Healthy"
     world.hear("/battery", 2.0, Battery(cells=[]))
@@ -143,7 +143,7 @@ def test_the_next_instance_is_judged_by_its_own_messages():
     assert world.battery(4.0, 0.5).at(4.0).state == "Healthy"
 
 
-def test_a_step_of_the_clock_moves_what_is_remembered():
+def test_a_clock_step_moves_remembered_times():
     world = World(value(**{"for": "500ms"})).battery(1.0, 0.5)
     world.at(1.0)
     world.battery(2.0, 0.1).at(2.1)
@@ -313,7 +313,7 @@ def test_the_level_of_a_status_is_the_last_that_was_said_of_it_however_many_othe
     assert world.at(4.0).state == "Healthy"
 
 
-def test_of_a_prefix_the_worst_counts():
+def test_the_worst_level_of_a_prefix_counts():
     world = World(levels(prefix="camera", **{"for": "1s"}))
     world.hear("/diagnostics", 1.0, Array(Status("camera a", 0), Status("camera b", 0))).at(1.0)
     world.hear("/diagnostics", 2.0, Array(Status("camera b", 3, "gone")))
@@ -326,7 +326,7 @@ def test_of_a_prefix_the_worst_counts():
     assert world.at(3.4).state == "Healthy"
 
 
-def test_without_a_name_every_status_counts_and_the_next_instance_begins_anew():
+def test_without_a_name_every_status_counts_and_the_next_instance_starts_without_levels():
     world = (
         World(levels(worst="OK"), grace=10)
         .hear("/diagnostics", 1.0, Array(Status("a", 0)))
@@ -339,7 +339,7 @@ def test_without_a_name_every_status_counts_and_the_next_instance_begins_anew():
     assert world.at(21).state == "Healthy"
 
 
-def test_what_understudy_says_itself_is_no_evidence():
+def test_diagnostics_of_understudy_itself_are_ignored():
     for more in ({}, {"prefix": "u"}, {"topic": "/diagnostics_agg"}):
         world = World(levels(**more), grace=10)
         topic = more.get("topic", "/diagnostics")
@@ -355,7 +355,7 @@ def test_what_understudy_says_itself_is_no_evidence():
 
 @pytest.mark.parametrize("key", ["name", "prefix"])
 @pytest.mark.parametrize("text", ["understudy:", "understudy: robot-1-drive"])
-def test_what_understudy_says_itself_can_not_be_asked_for(key, text):
+def test_diagnostics_of_understudy_itself_cannot_be_selected(key, text):
     with pytest.raises(
         TreeError, match=rf"\.{key}: found '{text}': Understudy's own status is no evidence; give a status of"
     ):
@@ -482,7 +482,7 @@ def test_what_the_leaves_need_of_their_topics():
         ),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(tree, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(tree, place, expected):
     with pytest.raises(TreeError) as caught:
         load(tree, fields=fields)
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}{place}: {expected}"]
@@ -518,7 +518,7 @@ NODES = st.sampled_from(
     since=st.integers(0, 600),
     now=st.integers(0, 1200),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, messages, task, tasked, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, messages, task, tasked, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World(during(node, settle="1s") if tasked else node, grace=2.0, since=since / 100)

@@ -156,7 +156,7 @@ def test_for_a_task_it_is_judged_only_while_that_is_active_and_by_what_comes_the
     assert world.at(8.6).state == "Healthy"
 
 
-def test_a_step_of_the_clock_moves_what_is_remembered():
+def test_a_clock_step_moves_remembered_times():
     world = drive(World(leaf()), 1.0, 4.0, 0.3)
     for record in world.records.values():
         record.shift(3600.0)
@@ -234,13 +234,13 @@ def test_no_procedure_waits_for_it():
         (leaf(delays="1s")["motion"], ".delays", "unknown key 'delays', did you mean 'delay'?"),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"motion": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.motion{place}: {expected}"]
 
 
-def test_in_xml_it_is_that_of_the_short_form():
+def test_xml_gives_the_same_leaf_as_the_short_form():
     more = {
         "type": "geometry_msgs/msg/TwistStamped",
         "delay": "200ms",
@@ -270,7 +270,7 @@ def test_in_xml_it_is_that_of_the_short_form():
     task=st.none() | st.integers(0, 40),
     after=st.integers(0, 20),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(runs, node, task, after):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(runs, node, task, after):
     """Times in tenths of a second."""
     world, now = World(node, grace=2.0), 1.0
     for length, seen in runs:

@@ -66,7 +66,7 @@ def test_while_it_is_discovered_it_is_starting_until_the_grace_is_over():
     assert world.find(CONTROLLER, 10.1).at(10.1).state == "Healthy"
 
 
-def test_the_next_instance_is_judged_by_looks_after_it_took_control():
+def test_the_next_instance_is_judged_only_by_observations_after_its_activation():
     world = World(leaf(), grace=10).find(CONTROLLER, 1.0)
     world.at(1.0)
     assert world.find(CONTROLLER, 2.0, there=False).at(2.0).state == "Failed"
@@ -76,7 +76,7 @@ def test_the_next_instance_is_judged_by_looks_after_it_took_control():
     assert world.find(CONTROLLER, 3.3).at(3.3).state == "Healthy"
 
 
-def test_for_a_task_it_is_judged_only_while_that_is_active():
+def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     world = World({**TASK, "do": leaf()}, grace=5).find(CONTROLLER, 100.0, there=False)
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
@@ -110,13 +110,13 @@ def test_nothing_is_subscribed_to_for_it_though_a_topic_has_its_name():
         ({"name": "/a", "gap": "2s"}, ".gap", "unknown key 'gap'; known are name, for"),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"node": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.node{place}: {expected}"]
 
 
-def test_in_xml_it_is_that_of_the_short_form():
+def test_xml_gives_the_same_leaf_as_the_short_form():
     short = {"parallel": [leaf(**{"for": "1s"}), {**leaf(), "name": "controller"}]}
     text = written('<Node node="/controller" for="1s"/><Node name="controller" node="/controller"/>')
 
@@ -142,7 +142,7 @@ def test_in_xml_it_is_that_of_the_short_form():
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, looks, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, looks, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)

@@ -39,7 +39,7 @@ def test_a_tree_of_another_form_is_refused(form: str, tree: Any, expected: str) 
     assert str(caught.value).startswith(expected)
 
 
-def test_many_problems_are_told_in_short() -> None:
+def test_many_problems_are_summarized() -> None:
     error = TreeError([Problem(f"spec[{i}]", "x" * 100_000) for i in range(12)])
     assert error.in_short().endswith("; and 2 more")
     assert len(error.in_short()) < 32768 / 2, "a condition has room for more than this"

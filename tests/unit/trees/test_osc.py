@@ -88,7 +88,7 @@ ODOM_OSC = 'topic("/odom", "nav_msgs/msg/Odometry", rate_min: 9Hz, rate_max: 11H
         (['publisher("/plan", 2, "/planner")'], {"publisher": {"topic": "/plan", "count": 2, "node": "/planner"}}),
     ],
 )  # fmt: skip
-def test_each_node_is_one_of_the_short_form(lines: list[str], tree: dict[str, Any]) -> None:
+def test_each_node_is_equivalent_to_one_of_the_short_form(lines: list[str], tree: dict[str, Any]) -> None:
     same(scenario(*lines), {"parallel": [tree]})
 
 
@@ -260,7 +260,9 @@ FRONT = 'topic("/a", gap: '
         ('topic("a\\x")', 7, "topic() topic_name: found '\\\\x' in a text; known are \\\\, \\\", \\', \\n and \\t"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_named_with_its_place_and_what_would_be_right(node: str, column: int, expected: str) -> None:
+def test_a_mistake_in_a_node_is_reported_with_its_place_and_the_valid_values(
+    node: str, column: int, expected: str
+) -> None:
     """The column is that in the last line of the node, of which the first is indented by 8."""
     more = node.count("\n")
     assert problems(scenario(node)) == [f"line {4 + more}, column {column if more else column + 8}: {expected}"]
@@ -357,18 +359,18 @@ HEAD = "import osc.understudy\n"
         ),
     ],
 )  # fmt: skip
-def test_a_mistake_of_the_file_is_named(text: str, expected: str | None) -> None:
+def test_a_mistake_in_the_file_structure_is_reported(text: str, expected: str | None) -> None:
     if expected is None:
         assert load_osc(text).topics
     else:
         assert problems(text) == [expected]
 
 
-def test_what_is_no_text_is_refused() -> None:
+def test_a_value_that_is_not_a_text_is_refused() -> None:
     assert problems({"topic": {}}) == ["spec.monitoring.osc: found a mapping; give the text of an OpenSCENARIO 2 file"]
 
 
-def test_all_mistakes_of_meaning_are_named_at_once_in_the_order_of_the_text() -> None:
+def test_all_semantic_mistakes_are_reported_at_once_in_text_order() -> None:
     found = problems(scenario('topic("a", gap: 0s)', "nothing()", "serial:", '    topic("/b", gap: 3)'))
     assert [line.split(": ")[:2] for line in found] == [
         ["line 4, column 15", "topic() topic_name"],
@@ -414,7 +416,7 @@ def test_what_is_too_much_is_refused(text: str, expected: str) -> None:
     assert len(found) <= 2
 
 
-def test_mistakes_are_not_named_without_end() -> None:
+def test_the_number_of_reported_mistakes_is_limited() -> None:
     found = problems(scenario(*["nothing()"] * 500))
     assert (len(found), found[-1]) == (101, "spec.monitoring.osc: and 1 more")
 
@@ -441,13 +443,13 @@ PIECES = [
 
 @settings(max_examples=200, deadline=None)
 @given(seed=st.integers(0, 2**32), changes=st.integers(1, 12))
-def test_a_text_with_anything_changed_loads_or_is_refused(seed: int, changes: int) -> None:
+def test_a_changed_text_loads_or_is_refused(seed: int, changes: int) -> None:
     refused_or_loads(garbled(WHOLE, PIECES, seed=seed, changes=changes))
 
 
 @settings(max_examples=150, deadline=None)
 @given(st.lists(st.sampled_from(PIECES) | st.text(max_size=5), max_size=60))
-def test_pieces_in_any_order_load_or_are_refused(pieces: list[str]) -> None:
+def test_fragments_in_any_order_load_or_are_refused(pieces: list[str]) -> None:
     refused_or_loads("import osc.understudy\nscenario a:\n    do parallel:\n        " + " ".join(pieces))
 
 

@@ -55,7 +55,7 @@ def test_it_fails_exactly_when_it_has_been_otherwise_for_so_long():
     )
 
 
-def test_other_parameters_do_it_no_harm():
+def test_other_parameters_have_no_influence():
     other = {"parameter": {"node": NODE, "name": "label", "one_of": ["a", "b"], "for": "9s"}}
     world = World({"parallel": [leaf(), other]}).set(SPEED, 1.0, 0.26).set("label", 1.0, "b")
     world.at(1.0)
@@ -99,7 +99,7 @@ def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
     )
 
 
-def test_what_cannot_be_told_is_no_failure():
+def test_unknown_values_are_no_failure():
     world = World(leaf(), grace=5).set(SPEED, 1.0, None, told=False)
     assert world.at(20.0).state == "Healthy"
     assert world.deadline(20.0) is None
@@ -115,7 +115,7 @@ def test_the_next_instance_is_judged_by_what_is_known_since_it_took_control():
     assert world.set(SPEED, 3.2, 0.26).at(3.2).state == "Healthy"
 
 
-def test_for_a_task_it_is_judged_only_while_that_is_active():
+def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     world = World({**TASK, "do": leaf()}, grace=5).set(SPEED, 100.0, 0.5)
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
@@ -201,7 +201,7 @@ def test_the_events_are_watched_once_for_all_parameters():
         ),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"parameter": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.parameter{place}: {expected}"]
@@ -261,7 +261,7 @@ def test_a_value_equals_itself_however_it_is_written(value):
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, told, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, told, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)

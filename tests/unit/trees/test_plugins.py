@@ -88,7 +88,9 @@ def test_of_two_packages_with_one_name_neither_is_used(tmp_path: Path) -> None:
         ("Judge = 7", "it must be a class with a method judge(self, message)"),
     ],
 )
-def test_a_module_that_fails_is_told_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, why: str) -> None:
+def test_a_module_that_fails_to_import_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, why: str
+) -> None:
     (tmp_path / "acme_added_faulty.py").write_text(module)
     monkeypatch.delitem(sys.modules, "acme_added_faulty", raising=False)
     package(tmp_path, "acme-leaves", "acme_faulty = acme_added_faulty:Judge", "acme_two = acme_added_judges:Judge")

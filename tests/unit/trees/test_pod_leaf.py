@@ -94,7 +94,7 @@ def test_the_next_instance_is_judged_by_looks_since_it_took_control():
     assert world.pod_says(3.2, Ready="True").at(3.2).state == "Healthy"
 
 
-def test_for_a_task_it_is_judged_only_while_that_is_active():
+def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     world = World({**TASK, "do": leaf()}, grace=5).pod_says(100.0, Ready="False")
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
@@ -154,7 +154,7 @@ def test_for_a_task_only_restarts_count_that_come_while_it_is_active():
     assert world.at(12.0).state == "Healthy"
 
 
-def test_a_step_of_the_clock_moves_what_is_remembered():
+def test_a_clock_step_moves_remembered_times():
     world = World(leaf(restarts=0, window="10s")).pod_says(1.0, 0)
     world.at(1.0)
     world.pod_says(2.0, 1).at(2.0)
@@ -301,7 +301,7 @@ def test_nothing_is_subscribed_to_for_it_and_a_procedure_cannot_have_it():
         ({"cpu": "< 1", "window": "1m"}, ".window", "window is only for restarts; leave it out"),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"pod": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.pod{place}: {expected}"]
@@ -369,7 +369,7 @@ def test_it_is_the_same_in_all_languages():
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, told, tasked, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, told, tasked, task, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)

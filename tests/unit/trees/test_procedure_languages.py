@@ -142,7 +142,7 @@ LOAD_XML, LOAD_OSC = '<CallService service="/load" type="nav2_msgs/srv/LoadMap"'
         ),
     ],
 )  # fmt: skip
-def test_each_node_is_one_of_the_short_form(node: dict[str, Any], element: str, lines: list[str]) -> None:
+def test_each_node_is_equivalent_to_one_of_the_short_form(node: dict[str, Any], element: str, lines: list[str]) -> None:
     assert compose("xml", file(element), check=False, path=PATH).node == node
     assert compose("osc", scenario(*lines), check=False, path=PATH).node == {"sequence": [node]}
     assert compose("yaml", node, check=False, path=PATH).node == node
@@ -429,7 +429,7 @@ def test_the_procedures_of_the_examples_are_the_same_in_all_languages(tree: dict
         ),
     ],
 )  # fmt: skip
-def test_a_mistake_in_xml_is_named_with_its_place_and_what_would_be_right(node: str, expected: str) -> None:
+def test_a_mistake_in_xml_is_reported_with_its_place_and_the_valid_values(node: str, expected: str) -> None:
     assert problems("xml", file(f"  {node}")) == [f"line 3, column 3: {expected}"]
 
 
@@ -472,7 +472,7 @@ def test_a_mistake_in_xml_is_named_with_its_place_and_what_would_be_right(node: 
         ),
     ],
 )  # fmt: skip
-def test_a_mistake_in_openscenario_is_named_with_its_place_and_what_would_be_right(
+def test_a_mistake_in_openscenario_is_reported_with_its_place_and_the_valid_values(
     node: str, column: int, expected: str
 ) -> None:
     assert problems("osc", scenario(node)) == [f"line 4, column {column + 8}: {expected}"]
@@ -508,7 +508,7 @@ def test_what_procedures_do_is_not_for_health_trees() -> None:
 
 
 @pytest.mark.parametrize("form", ["xml", "osc"])
-def test_what_is_no_text_is_refused(form: str) -> None:
+def test_a_value_that_is_not_a_text_is_refused(form: str) -> None:
     assert problems(form, ACTIVE)[0].startswith("bringUp: found a mapping; give the text of ")
 
 
@@ -551,7 +551,7 @@ PIECES = {
 @pytest.mark.parametrize("check", [False, True])
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32), changes=st.integers(1, 12))
-def test_a_text_with_anything_changed_loads_or_is_refused(form: str, check: bool, seed: int, changes: int) -> None:
+def test_a_changed_text_loads_or_is_refused(form: str, check: bool, seed: int, changes: int) -> None:
     text = garbled(WHOLE[form], PIECES[form], seed=seed, changes=changes)
     loaded_or_refused(lambda given_: compose(form, given_, check=check, path=PATH), text, PATH)
 
@@ -559,7 +559,7 @@ def test_a_text_with_anything_changed_loads_or_is_refused(form: str, check: bool
 @pytest.mark.parametrize("form", ["xml", "osc"])
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_pieces_in_any_order_load_or_are_refused(form: str, data: st.DataObject) -> None:
+def test_fragments_in_any_order_load_or_are_refused(form: str, data: st.DataObject) -> None:
     pieces = data.draw(st.lists(st.sampled_from(PIECES[form]) | st.text(max_size=5), max_size=60))
     begin = (
         '<root BTCPP_format="4"><BehaviorTree ID="A">'

@@ -297,7 +297,7 @@ def test_mistakes_are_named_with_what_would_be_right(tree: object, message: str)
     assert message in str(error.value)
 
 
-def test_a_check_only_looks() -> None:
+def test_a_check_contains_only_conditions() -> None:
     with pytest.raises(TreeError) as error:
         load_check({"sequence": [{"set_lifecycle": {"node": "/amcl", "state": "active"}}]}, path="p")
     assert "p.sequence[0].set_lifecycle: a check takes no action; set_lifecycle belongs in a procedure" in str(
@@ -305,7 +305,7 @@ def test_a_check_only_looks() -> None:
     )
 
 
-def test_all_mistakes_are_told_at_once() -> None:
+def test_all_mistakes_are_reported_at_once() -> None:
     with pytest.raises(TreeError) as error:
         load_procedure({"sequence": [{"resend_goals": {"x": 1}}, {"topic": {"name": "/x"}}, 3]}, path="p")
     assert len(error.value.problems) == 3

@@ -58,7 +58,7 @@ def test_it_fails_exactly_when_the_distance_has_not_fallen_for_so_long():
     assert drive(judged, (115.5, 7.9)) == ["Healthy"]
 
 
-def test_a_robot_that_backs_up_and_tries_again_has_not_got_on():
+def test_a_robot_that_backs_up_and_retries_makes_no_progress():
     judged = world(**FALLS)
     states = drive(judged, *[(100.5 + step, 9.0 if step % 2 else 9.8) for step in range(11)])
     assert states == [*["Healthy"] * 11], "9.8, then 9.0 at 101.5"
@@ -117,7 +117,7 @@ def test_of_a_gap_and_a_distance_the_first_to_fail_is_told():
     )
 
 
-def test_a_new_goal_begins_anew():
+def test_a_new_goal_starts_a_new_measurement():
     judged = world(**FALLS)
     drive(judged, (100.5, 1.0))
     assert drive(judged, (109.0, 20.0), goal=2) == ["Healthy"], "the goal was replaced by one that is farther away"
@@ -130,14 +130,14 @@ def test_a_new_goal_begins_anew():
     )
 
 
-def test_goals_without_end_do_not_fill_the_memory():
+def test_memory_is_bounded_for_any_number_of_goals():
     judged = world(**FALLS)
     for goal in range(200):
         drive(judged, (101 + goal / 10, 9.0), goal=goal)
     assert len(judged.tree.root._best) == 16
 
 
-def test_what_cannot_be_told_is_no_progress():
+def test_unknown_feedback_is_no_progress():
     judged = world(**FALLS)
     drive(judged, (100.5, 9.0), (105.0, math.nan), (106.0, math.inf))
     assert judged.at(110.5).reason == (
@@ -160,7 +160,7 @@ def test_an_instance_that_takes_over_a_goal_has_its_grace():
     assert judged.deadline(205.5) == 206.5
 
 
-def test_a_step_of_the_clock_moves_what_is_remembered():
+def test_a_clock_step_moves_remembered_times():
     judged = world(**FALLS)
     drive(judged, (100.5, 9.0), (103.0, 8.0))
     judged.task = 3700.0
@@ -235,7 +235,7 @@ def test_the_status_and_the_feedback_are_watched_and_without_either_it_is_left_o
         ),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     from tests.unit.trees.messages import fields
 
     with pytest.raises(TreeError) as caught:
@@ -253,7 +253,7 @@ def test_all_that_is_missing_is_said():
     ]
 
 
-def test_in_xml_it_is_that_of_the_short_form():
+def test_xml_gives_the_same_leaf_as_the_short_form():
     short = {"parallel": [leaf(**FALLS, settle="1s"), {**leaf(gap="20s"), "name": "talk"}]}
     text = written(
         '<Progress action="/go" type="t/action/Go" falls="distance_remaining" by="0.5" within="10s" settle="1s"/>'
@@ -294,7 +294,7 @@ NODES = [
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, fed, task, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, fed, task, since, now):
     """Times in hundredths of a second, distances in quarters of a metre."""
     assume(now >= since)
     nodes = node.get("selector", [])

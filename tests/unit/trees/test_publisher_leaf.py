@@ -86,7 +86,7 @@ def test_while_it_is_discovered_it_is_starting_until_the_grace_is_over():
     assert world.look(CMD, 10.1, CONTROLLER).at(10.1).state == "Healthy"
 
 
-def test_the_next_instance_is_judged_by_looks_after_it_took_control():
+def test_the_next_instance_is_judged_only_by_observations_after_its_activation():
     world = World(leaf(), grace=10).look(CMD, 1.0, CONTROLLER)
     world.at(1.0)
     assert world.look(CMD, 2.0).at(2.0).state == "Failed"
@@ -96,7 +96,7 @@ def test_the_next_instance_is_judged_by_looks_after_it_took_control():
     assert world.look(CMD, 3.3, CONTROLLER).at(3.3).state == "Healthy"
 
 
-def test_a_step_of_the_clock_moves_what_is_remembered():
+def test_a_clock_step_moves_remembered_times():
     world = World(leaf(**{"for": "1s"})).look(CMD, 1.0, CONTROLLER)
     world.at(1.0)
     world.look(CMD, 2.0).at(2.0)
@@ -105,7 +105,7 @@ def test_a_step_of_the_clock_moves_what_is_remembered():
     assert world.deadline(3602.9) == 3603
 
 
-def test_for_a_task_it_is_judged_only_while_that_is_active():
+def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     world = World({**TASK, "do": leaf()}, grace=5).look(CMD, 100.0)
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
@@ -167,13 +167,13 @@ def test_an_output_whose_publishers_alone_are_looked_at_says_nothing_of_when_mes
         ({"topic": CMD, "nodes": "/a"}, ".nodes", "unknown key 'nodes', did you mean 'node'?"),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"publisher": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.publisher{place}: {expected}"]
 
 
-def test_in_xml_it_is_that_of_the_short_form():
+def test_xml_gives_the_same_leaf_as_the_short_form():
     short = {"parallel": [leaf(count=2, **{"for": "1s"}), {**leaf(node=CONTROLLER), "name": "controller"}]}
     text = written(
         '<Publisher topic="/cmd_vel" count="2" for="1s"/>'
@@ -195,7 +195,7 @@ def test_in_xml_it_is_that_of_the_short_form():
     ]
 
 
-def test_a_mistake_in_xml_is_named_by_its_line():
+def test_a_mistake_in_xml_is_reported_with_its_line():
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Publisher topic="/cmd_vel" count="none"/>'))
     assert [str(problem) for problem in caught.value.problems] == [
@@ -212,7 +212,7 @@ def test_a_mistake_in_xml_is_named_by_its_line():
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, looks, task, tasked, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, looks, task, tasked, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)

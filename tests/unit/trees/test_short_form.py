@@ -157,7 +157,7 @@ LEAF = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
         ),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(tree, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(tree, place, expected):
     assert problems(tree) == [f"{ROOT}{place}: {expected}"]
 
 

@@ -133,7 +133,7 @@ def test_what_cannot_be_read_or_is_no_transform_says_nothing():
     assert world.at(1.5).state == "Failed"
 
 
-def test_a_step_of_the_clock_moves_what_is_remembered():
+def test_a_clock_step_moves_remembered_times():
     world = hear(World(leaf()), 1.0, BASE)
     world.at(1.0)
     hear(world, 1.1, WHEEL).at(1.1)
@@ -206,13 +206,13 @@ def test_what_it_needs_of_its_topic_and_how_it_is_called():
         ({"child": "b", "gap": "1s", "atmost": "1s"}, ".atmost", "unknown key 'atmost', did you mean 'at_most'?"),
     ],
 )
-def test_a_problem_says_where_and_what_would_be_right(found, place, expected):
+def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):
     with pytest.raises(TreeError) as caught:
         load({"transform": found})
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.transform{place}: {expected}"]
 
 
-def test_in_xml_it_is_that_of_the_short_form():
+def test_xml_gives_the_same_leaf_as_the_short_form():
     short = {"parallel": [leaf(at_most="300ms", **{"for": "200ms"}), {**leaf(topic="/robot/tf"), "name": "robot"}]}
     text = written(
         '<Transform parent="odom" child="base_link" gap="500ms" at_most="300ms" for="200ms"/>'
@@ -236,7 +236,7 @@ def test_in_xml_it_is_that_of_the_short_form():
     ]
 
 
-def test_a_mistake_in_xml_is_named_by_its_line():
+def test_a_mistake_in_xml_is_reported_with_its_line():
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Transform child="/base_link" gap="1s"/>'))
     assert [str(problem) for problem in caught.value.problems] == [
@@ -267,7 +267,7 @@ NODES = st.sampled_from(
     since=st.integers(0, 300),
     now=st.integers(0, 600),
 )
-def test_the_deadline_is_the_first_moment_that_is_worse(node, messages, task, tasked, since, now):
+def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, messages, task, tasked, since, now):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = World({**TASK, "do": node} if tasked else node, grace=2.0, since=since / 100)
