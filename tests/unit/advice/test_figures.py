@@ -30,7 +30,7 @@ def test_the_median_of_what_comes_after_the_detection_counts():
     assert found == {"Executing": Figure(pytest.approx(0.03), "measured 3 times")}
 
 
-def test_two_recoveries_are_too_few():
+def test_two_recoveries_are_too_few_for_a_measurement():
     assert (
         measured_times([recovery("Restart", 1.0), recovery("Restart", 2.0), recovery("Fallback/Uninitialized", 3.0)])
         == {}

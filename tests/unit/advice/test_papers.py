@@ -9,7 +9,7 @@ from understudy.advice.paper_model import estimate
 RATE = 1000 / 3600
 
 
-def test_the_papers_figures_come_out():
+def test_the_figures_of_the_paper_are_reproduced():
     """Section IV.D: 1000 failures an hour are 8.3 in 30 s; with 4 fallbacks about 5 remain, in 6 s of 30 in 1.2 %."""
     argument = estimate(RATE, 6.0, 4)
     assert argument.expected == pytest.approx(8.33, abs=0.01)

@@ -23,14 +23,14 @@ def test_the_first_size_is_enough_for_the_risk_at_the_expected_rate():
     assert (found.size, found.since) == (found.needed, 0.0)
 
 
-def test_it_grows_at_once_and_as_far_as_is_needed():
+def test_a_pool_grows_at_once_to_the_required_size():
     before = CurrentSize(2, since=99.0)
     found = decide_size(AIM, 100, OFTEN, before, 100.0)
     assert found.size == found.needed > 3
     assert found.since == 100.0
 
 
-def test_it_shrinks_one_by_one_and_not_soon_after_a_change():
+def test_a_pool_shrinks_one_by_one_and_not_soon_after_a_change():
     held, sizes = CurrentSize(5, since=0.0), []
     for minute in range(60):
         found = decide_size(AIM, 10, SELDOM, held, minute * 60.0)
@@ -39,30 +39,30 @@ def test_it_shrinks_one_by_one_and_not_soon_after_a_change():
     assert sizes == [5] * 10 + [4] * 10 + [3] * 10 + [2] * 10 + [1] * 20
 
 
-def test_it_shrinks_only_where_that_is_sure_to_be_enough():
+def test_a_pool_shrinks_only_if_the_smaller_size_is_certainly_enough():
     unsure = replace(SELDOM, high=2.0)
     found = decide_size(AIM, 100, unsure, CurrentSize(5, since=0.0), 10 * REST)
     assert (found.size, found.shrinks) == (5, False)
     assert found.needed < 5 <= found.safe
 
 
-def test_limits_hold_at_once_and_go_before_the_risk():
+def test_limits_apply_at_once_and_take_precedence_over_the_risk():
     assert decide_size(replace(AIM, most=3), 1000, OFTEN, CurrentSize(5, since=0.0), 1.0).size == 3
     assert decide_size(replace(AIM, least=8), 1, SELDOM, CurrentSize(5, since=0.0), 1.0).size == 8
     assert decide_size(AIM, 1_000_000, OFTEN, None, 0.0).needed == COUNTED
 
 
-def test_robots_that_nobody_counts_on_need_none():
+def test_a_pool_without_robots_needs_no_pods():
     assert decide_size(replace(AIM, least=0), 0, OFTEN, None, 0.0).size == 0
 
 
-def test_what_is_kept_back_comes_on_top():
+def test_reserved_pods_are_added_to_the_size():
     plain, more = (decide_size(aim, 100, OFTEN, None, 0.0).size for aim in (AIM, replace(AIM, kept_back=2)))
     assert more == plain + 2
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_steady_fleet_does_not_go_to_and_fro(seed):
+def test_the_size_does_not_oscillate_for_a_steady_fleet(seed):
     """A fleet of 50 fails about once an hour; what comes in by chance makes the size no swing."""
     draw, held, seen, sizes = Random(seed), None, [], []
     for minute in range(48 * 60):

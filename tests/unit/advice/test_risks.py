@@ -58,7 +58,7 @@ def test_waiting_for_a_fallback_is_likelier_than_finding_none_where_others_gave_
 
 @settings(deadline=None)
 @given(OFFERED, st.floats(1e-9, 0.999), st.sampled_from(sorted(MEASURES)))
-def test_enough_is_the_fewest_that_are(offered, risk, measure):
+def test_the_sufficient_size_is_the_smallest_one(offered, risk, measure):
     count = fewest_fallbacks(measure, offered, risk)
     assert MEASURES[measure](offered, count) <= risk
     assert count == 0 or MEASURES[measure](offered, count - 1) > risk
@@ -70,6 +70,6 @@ def test_a_risk_is_a_chance_between_none_and_certainty(risk):
         fewest_fallbacks("loss", 1.0, risk)
 
 
-def test_more_than_can_be_thought_about_is_said():
+def test_a_size_beyond_the_limit_is_reported():
     with pytest.raises(ValueError, match="1000000 fallbacks are not enough"):
         fewest_fallbacks("loss", 3e6, 0.01)

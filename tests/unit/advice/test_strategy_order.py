@@ -36,7 +36,7 @@ def short(*candidates: Candidate, known: Figures = PUBLISHED, **levels: str) -> 
 
 @tried
 @given(requirements, pools, figures)
-def test_it_is_never_empty_and_a_restart_is_always_in_it(asked, offered, known):
+def test_an_order_is_never_empty_and_always_contains_a_restart(asked, offered, known):
     found = order_strategies(asked, offered, known)
     assert [one.candidate.way for one in found.chosen].count("Restart") == 1
 
@@ -53,7 +53,7 @@ def test_every_pool_is_in_it_once_or_is_said_to_be_left_out(asked, offered, know
 
 @tried
 @given(requirements, pools, figures, st.randoms())
-def test_the_same_is_asked_for_the_same_is_answered(asked, offered, known, random):
+def test_equal_requirements_give_equal_orders(asked, offered, known, random):
     shuffled = list(offered)
     random.shuffle(shuffled)
     assert order_strategies(asked, offered, known) == order_strategies(asked, shuffled, known)
@@ -120,7 +120,7 @@ def test_safety_medium_lets_one_that_is_up_go_first_where_it_may_be_kept(asked, 
 
 @tried
 @given(requirements, pools, figures)
-def test_what_is_not_met_is_told_and_nothing_else(asked, offered, known):
+def test_exactly_the_unmet_requirements_are_reported(asked, offered, known):
     found = order_strategies(asked, offered, known)
     assert bool(unmet_requirements(found)) == (not found.is_fast_enough or not found.is_safe_enough)
 
@@ -179,7 +179,7 @@ def test_two_standbys_cost_twice_as_much(standbys, expected):
     assert one_line(found).split(", ")[0] == expected
 
 
-def test_what_was_measured_goes_before_what_is_published():
+def test_measured_figures_take_precedence_over_published_ones():
     """An application that starts in a second needs no standby to be back in two."""
     quick = Figures(measured_seconds={"Restart": Figure(1.2, "measured 4 times")})
     found = order(*ALL, known=quick)

@@ -16,7 +16,7 @@ def test_failures_take_what_is_there_and_go_without_what_is_not():
     assert losses([0, 1, 2, 6, 6.5], 2, lambda: 6.0) == [0, 0, 1, 0, 1]
 
 
-def test_failures_wait_in_their_order():
+def test_failures_are_served_in_order():
     assert wait_times([0, 1, 2, 3], 1, lambda: 6.0) == [0, 5, 10, 15]
     assert wait_times([0, 1, 2, 9], 2, lambda: 6.0) == [0, 0, 4, 0]
 
@@ -56,7 +56,7 @@ def test_an_interval_is_crowded_at_least_as_often_as_one_of_its_windows():
     assert trial.interval.mean > trial.window.mean
 
 
-def test_the_same_trial_comes_to_the_same():
+def test_equal_trials_give_equal_results():
     assert simulate(FLEET, 4, 30.0, failures=2_000) == simulate(FLEET, 4, 30.0, failures=2_000)
 
 

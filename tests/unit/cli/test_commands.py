@@ -146,7 +146,7 @@ def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(
 
 
 @pytest.mark.parametrize("command", ["timeline", "explain", "pause", "resume"])
-def test_one_that_is_not_there(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], command: str) -> None:
+def test_a_missing_workload_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], command: str) -> None:
     more = ["--reason", "a new gripper"] if command == "pause" else []
     assert COMMANDS[command](["robot-2", *more]) == 2
     assert f'understudy {command}: Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found' in (

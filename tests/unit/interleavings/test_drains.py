@@ -91,7 +91,7 @@ def run(seed: int, *, tracing: bool = False) -> tuple[Outcome, Drained]:
             made.dispose()
 
 
-def test_there_is_a_standby_all_the_time() -> None:
+def test_a_standby_exists_at_all_times_during_a_drain() -> None:
     stood_in = 0
     for seed in range(FIRST, FIRST + RUNS):
         outcome, made = run(seed)

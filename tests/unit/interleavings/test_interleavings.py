@@ -35,13 +35,13 @@ SHARED, SCARCE, EXECUTING = SCENES[:3]
 
 
 @pytest.mark.parametrize("first", range(FIRST, FIRST + RUNS, CHUNK))
-def test_whatever_the_order_everything_holds(first: int) -> None:
+def test_the_invariants_hold_in_every_interleaving(first: int) -> None:
     for seed in range(first, first + CHUNK):
         outcome = simulation.run(seed)
         assert not outcome.faults, str(simulation.run(seed, tracing=True))
 
 
-def test_a_seed_says_all_that_happens() -> None:
+def test_a_seed_determines_the_run() -> None:
     assert "monitor" in told_alike("simulation", 100_003, range(6))
 
 
@@ -106,7 +106,7 @@ def test_a_gate_that_is_opened_before_the_failed_pod_is_fenced_is_found() -> Non
         assert found("through and names", EXECUTING, "all_fail")
 
 
-def test_forgotten_expectations_are_found() -> None:
+def test_forgotten_expectations_are_detected() -> None:
     with mock.patch.object(Expectations, "expect"):
         assert found("free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0, within=400)
 

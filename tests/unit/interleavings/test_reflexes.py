@@ -42,7 +42,7 @@ def _prepared() -> None:
 
 
 @pytest.mark.parametrize("first", range(FIRST, FIRST + RUNS, CHUNK))
-def test_whatever_the_order_the_reflex_holds(first: int) -> None:
+def test_the_reflex_invariants_hold_in_every_interleaving(first: int) -> None:
     seen: Counter[str] = Counter()
     for seed in range(first, first + CHUNK):
         outcome = reflexes.run(seed)
@@ -54,7 +54,7 @@ def test_whatever_the_order_the_reflex_holds(first: int) -> None:
     assert seen["fell over"]
 
 
-def test_a_seed_says_all_that_happens() -> None:
+def test_a_seed_determines_the_run() -> None:
     assert "takes" in told_alike("reflexes", 1_100_003, range(1_000_000, 1_000_004))
 
 
@@ -204,7 +204,7 @@ def test_a_container_of_the_loser_that_is_heard_again_is_found() -> None:
         assert found("after it gave way", ALONE, "crash", kind=Crashing)
 
 
-def test_a_reflex_that_isnt_committed_is_found() -> None:
+def test_a_reflex_that_is_not_committed_is_detected() -> None:
     async def careless(progress: Any, means: Any) -> None:
         return
 

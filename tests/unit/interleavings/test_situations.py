@@ -140,7 +140,7 @@ def situations(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("situations")
-def test_situations_change_nothing_of_what_holds() -> None:
+def test_the_invariants_hold_with_situations() -> None:
     seen: Counter[str] = Counter()
     for seed in range(FIRST, FIRST + RUNS):
         outcome, count = run(seed)

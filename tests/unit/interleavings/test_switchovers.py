@@ -93,7 +93,7 @@ def run(seed: int, *, tracing: bool = False) -> tuple[Outcome, Counter[str]]:
             made.dispose()
 
 
-def test_switchovers_change_nothing_of_what_holds() -> None:
+def test_the_invariants_hold_with_switchovers() -> None:
     switched: Counter[str] = Counter()
     for seed in range(FIRST, FIRST + RUNS):
         outcome, count = run(seed)

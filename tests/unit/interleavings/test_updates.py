@@ -20,7 +20,7 @@ FIRST, RUNS = 200_000, 12
 
 @pytest.mark.parametrize("name", STRATEGIES)
 @pytest.mark.parametrize("troubles", [(), TROUBLES], ids=["anything", "updates"])
-def test_no_pod_is_made_too_many_or_left_over(name: str, troubles: tuple[str, ...]) -> None:
+def test_no_surplus_pod_is_created_or_remains(name: str, troubles: tuple[str, ...]) -> None:
     scene = Scene(
         name, workloads=3, strategies=("spare", "Restart"), spares=2, updates=STRATEGIES[name], troubles=troubles
     )

@@ -77,7 +77,7 @@ def test_a_discovery_server_tells_of_every_reader_and_keeps_nothing_of_who_asked
     assert told["readers"] == 2
 
 
-def test_nobody_answers_and_it_says_what_it_knows() -> None:
+def test_without_an_answer_the_known_locators_are_returned() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         discovery = Discovery("127.0.0.1", silent.getsockname()[1], b"DS\0_EPROSIMA")

@@ -45,7 +45,7 @@ def received(watching: TopicWatch, eventually: Callable[..., None], topic: str =
     eventually(lambda: watching.drain() and watching.topic(topic).count >= before + more)
 
 
-def test_a_message_is_told_of_as_it_comes_and_none_is_lost_by_that(watching, arrivals, processes, eventually):
+def test_an_arrival_is_signalled_at_once_and_no_message_is_lost(watching, arrivals, processes, eventually):
     watching.follow([replace(CHAT, prompt=True)])
     processes.node("publish", "/chat", "20")
     for _ in range(5):
@@ -57,7 +57,7 @@ def test_a_message_is_told_of_as_it_comes_and_none_is_lost_by_that(watching, arr
     assert source.lost == 0
 
 
-def test_messages_of_other_topics_are_not_told_of(watching, arrivals, processes, eventually):
+def test_messages_of_other_topics_are_not_signalled(watching, arrivals, processes, eventually):
     watching.follow([replace(CHAT, prompt=True), replace(CHAT, name="/talk")])
     processes.node("publish", "/talk", "50")
     received(watching, eventually, "/talk")
@@ -79,7 +79,7 @@ def test_it_follows_the_tree(watching, arrivals, processes, eventually):
     assert not told(arrivals, 0.0)
 
 
-def test_what_waits_already_is_told_of(watching, arrivals, processes, eventually):
+def test_a_message_that_already_waits_is_signalled(watching, arrivals, processes, eventually):
     watching.follow([CHAT])
     publisher = processes.node("publish", "/chat", "50")
     received(watching, eventually)
@@ -90,7 +90,7 @@ def test_what_waits_already_is_told_of(watching, arrivals, processes, eventually
     assert told(arrivals, 20)
 
 
-def test_a_topic_that_ends_is_told_of_no_more(watching, arrivals, processes, eventually):
+def test_a_removed_topic_is_no_longer_signalled(watching, arrivals, processes, eventually):
     watching.follow([replace(CHAT, prompt=True)])
     processes.node("publish", "/chat", "50")
     received(watching, eventually)

@@ -59,7 +59,7 @@ def test_the_node_offers_no_services_that_nobody_would_answer(graph):
     assert graph.node.get_service_names_and_types_by_node("tested", "/") == []
 
 
-def test_signals_are_left_alone(graph):
+def test_signal_handlers_are_unchanged(graph):
     import signal
 
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

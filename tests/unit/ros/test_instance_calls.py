@@ -66,7 +66,7 @@ async def test_a_service_that_nobody_serves_is_named(caller) -> None:
         await caller.call("/switch", "std_srvs/srv/SetBool", {}, 0.3)
 
 
-async def test_a_service_that_does_not_answer_is_given_up(managed: Managed, caller) -> None:
+async def test_a_service_call_without_an_answer_times_out(managed: Managed, caller) -> None:
     from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start()
@@ -91,7 +91,7 @@ async def test_an_answer_that_gets_lost_is_asked_for_again_where_that_is_said(ma
     assert answer["success"] is True
 
 
-async def test_what_does_not_fit_the_type_names_the_field(caller) -> None:
+async def test_a_request_that_does_not_match_the_type_names_the_field(caller) -> None:
     from understudy.ros.actions.instance_calls import CallFailed
 
     with pytest.raises(
@@ -122,7 +122,7 @@ async def test_a_managed_node_is_brought_to_a_state_and_back(managed: Managed, c
         await caller.bring_to("/managed", "running", WITHIN)
 
 
-async def test_a_transition_that_takes_long_is_waited_for(managed: Managed, caller) -> None:
+async def test_a_slow_transition_is_awaited(managed: Managed, caller) -> None:
     managed.start("slow")
 
     await caller.bring_to("/managed", "inactive", WITHIN)
@@ -207,7 +207,7 @@ async def test_nodes_and_services_are_seen(managed: Managed, caller) -> None:
     assert not await caller.service_present("/nothing")
 
 
-async def test_of_another_host_nothing_counts(managed: Managed, dds: None, graph) -> None:
+async def test_endpoints_of_other_hosts_do_not_count(managed: Managed, dds: None, graph) -> None:
     """Behind a discovery server an agent also learns of the other instances' servers, which it can't reach."""
     from understudy.ros.actions.calling_node import GraphLocation
     from understudy.ros.actions.instance_calls import CallFailed, InstanceCaller

@@ -48,7 +48,7 @@ def test_package_that_is_not_of_ros(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["Twist", "geometry_msgs/Twist", "a/b/C", "a.b/msg/C", "/msg/C"])
-def test_what_is_no_name_is_refused(name):
+def test_an_invalid_name_is_refused(name):
     with pytest.raises(ValueError, match="write package/msg/Name"):
         interface_class(name)
 

@@ -108,7 +108,7 @@ def test_what_is_published_and_set_otherwise_and_another_node_do_it_no_harm(watc
     assert judged.now().state == "Healthy"
 
 
-def test_a_node_that_is_not_there_is_told_so(watching, eventually):
+def test_a_missing_node_is_reported(watching, eventually):
     judged = Judged(watching, {"lifecycle": {"node": NODE}}, grace=0.001)
     eventually(lambda: judged.now().state == "Failed" and "(it is not there)" in judged.now().reason)
 

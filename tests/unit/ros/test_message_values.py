@@ -55,7 +55,9 @@ def test_now_stands_for_the_present_time() -> None:
         ("geometry_msgs/msg/PoseWithCovariance", {"covariance": 1.0}, "covariance: expected a list"),
     ],
 )
-def test_what_does_not_fit_is_named(type_name: str, values: dict[str, object], message: str) -> None:
+def test_a_value_of_a_wrong_type_is_reported_with_its_field(
+    type_name: str, values: dict[str, object], message: str
+) -> None:
     from understudy.ros.runtime.interface_types import message_class
     from understudy.ros.runtime.message_values import MessageError, to_message
 

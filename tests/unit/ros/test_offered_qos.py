@@ -39,7 +39,7 @@ def test_another_implementation_reads_and_writes_the_same() -> None:
     assert read[3].liveliness.name == "MANUAL_BY_TOPIC"
 
 
-def test_publishers_that_offer_the_same_are_told_of_once() -> None:
+def test_publishers_with_the_same_qos_are_reported_once() -> None:
     assert len(yaml.safe_load(offers([QoSProfile(depth=10), LATCHED, QoSProfile(depth=10)]))) == 2
 
 

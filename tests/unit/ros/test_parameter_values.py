@@ -71,7 +71,7 @@ def test_a_value_that_is_changed_fails_and_what_it_was_before_is_asked_for(watch
     assert watching.problems == []
 
 
-def test_a_change_is_told_of_and_not_only_asked_for(watching, node, eventually, monkeypatch):
+def test_a_change_is_received_as_an_event_and_not_only_by_polling(watching, node, eventually, monkeypatch):
     node()
     judged = Judged(watching, leaf(between="0.5 to 1.5"))
     eventually(lambda: judged.now().state == "Healthy")
@@ -87,7 +87,7 @@ def test_a_change_is_told_of_and_not_only_asked_for(watching, node, eventually, 
     eventually(lambda: judged.now().state == "Failed")
 
 
-def test_other_parameters_and_other_nodes_do_it_no_harm(watching, node, processes, eventually):
+def test_other_parameters_and_other_nodes_have_no_influence(watching, node, processes, eventually):
     node()
     processes.node("parameters", "/other")
     judged = Judged(watching, {"parallel": [leaf(), leaf("label", one_of="a;b"), leaf("count", equals=1)]})
@@ -123,7 +123,7 @@ def test_a_parameter_that_is_not_there_or_cannot_be_compared_is_told_so(watching
     eventually(lambda: judged.now().state == "Failed" and reason in judged.now().reason)
 
 
-def test_a_node_that_is_not_there_is_told_so(watching, eventually):
+def test_a_missing_node_is_reported(watching, eventually):
     judged = Judged(watching, leaf(), grace=0.001)
     eventually(lambda: judged.now().state == "Failed" and "no such node" in judged.now().reason)
 

@@ -65,7 +65,7 @@ def test_several_readers_may_come_in_one_datagram() -> None:
     assert second.tells.topic == "rt/chat"
 
 
-def test_a_reader_that_is_gone_tells_of_nothing() -> None:
+def test_a_deleted_reader_announces_nothing() -> None:
     (told,) = samples("reader_gone")
     assert (told.number, told.tells) == (15, None)
 
@@ -103,12 +103,12 @@ def test_an_answer_names_what_is_missing(missing: list[int], base: int, bits: st
     assert body[-4:] == (7).to_bytes(4, "little")
 
 
-def test_what_is_no_rtps_says_nothing() -> None:
+def test_a_datagram_that_is_not_rtps_is_ignored() -> None:
     assert list(rtps.parse(b"")) == list(rtps.parse(b"GET / HTTP/1.1\r\n\r\n" + bytes(20))) == []
 
 
 @given(name=st.sampled_from(sorted(RECORDED)), data=st.data())
-def test_a_broken_datagram_is_refused_and_does_no_more(name: str, data: st.DataObject) -> None:
+def test_a_broken_datagram_is_refused_without_other_effects(name: str, data: st.DataObject) -> None:
     datagram = bytearray(RECORDED[name])
     for at in data.draw(st.lists(st.integers(0, len(datagram) - 1), max_size=8)):
         datagram[at] = data.draw(st.integers(0, 255))

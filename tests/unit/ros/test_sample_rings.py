@@ -16,7 +16,7 @@ def received(ring: SampleRing, since: float = 0.0) -> dict[str, list[float]]:
     return {topic: [message[0] for message in messages] for topic, _, messages in ring.taken(since)}
 
 
-def test_what_is_older_than_the_window_is_forgotten() -> None:
+def test_samples_older_than_the_window_are_dropped() -> None:
     ring = SampleRing(2.0, 1_000_000)
     track = ring.track("/cmd_vel", TWIST)
     for number in range(100):
@@ -27,7 +27,7 @@ def test_what_is_older_than_the_window_is_forgotten() -> None:
     assert ring.used == track.size == len(times) * (4 + OVERHEAD)
 
 
-def test_messages_are_kept_as_they_came() -> None:
+def test_messages_are_stored_unchanged() -> None:
     ring = SampleRing(10.0, 1_000_000)
     ring.track("/cmd_vel", TWIST).add(1.5, 1.25, 7, b"\0\1\0\0data")
     (taken,) = ring.taken(1.0)
@@ -97,7 +97,7 @@ def test_what_led_to_a_failure_is_worth_more_than_what_came_of_it() -> None:
     assert track.wanted
 
 
-def test_times_move_with_the_clock() -> None:
+def test_sample_times_follow_a_clock_step() -> None:
     ring = SampleRing(1.0, 1_000_000)
     track = ring.track("/cmd_vel", TWIST)
     track.add(100.0, 0.0, 1, b"1")
@@ -107,7 +107,7 @@ def test_times_move_with_the_clock() -> None:
     assert not ring.left_out
 
 
-def test_a_topic_of_another_type_begins_anew() -> None:
+def test_a_topic_with_another_type_starts_with_an_empty_ring() -> None:
     ring = SampleRing(10.0, 1_000_000)
     ring.track("/cmd_vel", TWIST).add(1.0, 0.0, 1, KILO)
     ring.track("/cmd_vel", "geometry_msgs/msg/TwistStamped").add(1.1, 0.0, 1, b"new")
@@ -117,7 +117,7 @@ def test_a_topic_of_another_type_begins_anew() -> None:
     assert not ring.left_out
 
 
-def test_it_takes_no_more_memory_than_it_says() -> None:
+def test_the_ring_uses_no_more_memory_than_it_reports() -> None:
     ring = SampleRing(1000.0, 4_000_000)
     track = ring.track("/cmd_vel", TWIST)
     tracemalloc.start()

@@ -64,7 +64,7 @@ def test_two_publishers_have_two_gids(graph, subscription, eventually):
     assert len({sample.gid for sample in taken(subscription, count=2)}) == 2
 
 
-def test_buffer_grows_and_is_used_again(graph, subscription, eventually):
+def test_the_buffer_grows_and_is_reused(graph, subscription, eventually):
     publish = publisher(graph, eventually).publish
     texts = ["short", "x" * 300_000, "y"]
     for text in texts:
@@ -73,7 +73,7 @@ def test_buffer_grows_and_is_used_again(graph, subscription, eventually):
         assert deserialize_message(sample.data, String).data == text
 
 
-def test_data_is_left_out_where_it_is_not_wanted(graph, subscription, eventually):
+def test_data_is_omitted_if_it_is_not_requested(graph, subscription, eventually):
     publisher(graph, eventually).publish(String(data="a"))
     (sample,) = taken(subscription, count=1, with_data=False)
     assert sample.data == b""

@@ -95,7 +95,7 @@ async def test_a_watcher_that_is_told_the_topic_draws_each_change(stage: Stage, 
     assert second["drawn"][2].endswith("-- no /cmd_vel for 500 ms")
 
 
-async def test_who_comes_late_is_given_what_is_so_now(stage: Stage, processes: Any) -> None:
+async def test_a_late_subscriber_receives_the_present_state(stage: Stage, processes: Any) -> None:
     processes.node("draw", f"{SPACE}/snapshots", script="viewing.py")
     await stage.until(lambda: stage.published)
     stage.listed = listed("no /cmd_vel for 500 ms")
@@ -177,7 +177,7 @@ def test_the_topic_is_latched_as_its_readers_ask_for(stage: Stage, graph: Any) -
     assert LATCHED.depth == 1
 
 
-def test_without_the_package_it_is_said_what_to_do(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_reported_with_a_solution(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(snapshot_streams, "PACKAGE", "nobodys_interfaces")
     with pytest.raises(
         TypeNotInstalled, match=r"nobodys_interfaces/msg/BehaviourTree is not installed .* build a monitor image"

@@ -34,7 +34,7 @@ def test_queue_bridges_a_stall(rate, expected):
     assert depth(WatchedTopic("/t", STRING, 0.0, rate)) == expected
 
 
-def test_arrivals_are_those_of_receipt_however_rarely_one_looks(watching, processes, eventually):
+def test_arrival_times_are_those_of_receipt_however_rarely_they_are_read(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", STRING, 5.0, 400.0)])  # a queue for two seconds, on a busy machine
     processes.node("publish", "/chat", "50")
     eventually(lambda: watching.drain() and watching.topic("/chat").count > 5)
@@ -77,7 +77,7 @@ def test_messages_are_kept_as_they_came_where_there_is_a_ring(watching, processe
     assert len(next(ring.taken(0.0)).messages) == len(taken.messages)
 
 
-def test_type_is_learnt_from_the_graph_where_the_tree_gives_none(watching, processes, eventually):
+def test_the_type_comes_from_the_graph_if_the_tree_gives_none(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", None, 0.0, None)])
     assert watching.waiting == [
         "the type of /chat is not known, since nobody publishes it yet: correct its name, or give the type in the tree"
@@ -87,7 +87,7 @@ def test_type_is_learnt_from_the_graph_where_the_tree_gives_none(watching, proce
     assert watching.waiting == watching.problems == []
 
 
-def test_topic_whose_type_is_not_installed_is_a_problem_and_the_others_are_watched(watching, processes, eventually):
+def test_a_topic_with_a_missing_type_is_a_problem_and_the_others_are_watched(watching, processes, eventually):
     watching.follow([WatchedTopic("/plan", "nav2_msgs/msg/Plan", 0.0, None), WatchedTopic("/chat", STRING, 0.0, None)])
     (problem,) = watching.problems
     assert problem.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
@@ -99,7 +99,7 @@ def test_topic_whose_type_is_not_installed_is_a_problem_and_the_others_are_watch
 
 
 @pytest.mark.parametrize("name", ["HelloWorld", "example_interfaces/srv/AddTwoInts", "a/msg/b/C"])
-def test_a_type_that_is_none_of_ros_is_a_problem_and_the_others_are_watched(watching, graph, monkeypatch, name):
+def test_an_invalid_type_is_a_problem_and_the_other_topics_are_watched(watching, graph, monkeypatch, name):
     # Whoever publishes by DDS alone calls its types as it likes.
     monkeypatch.setattr(graph, "type_of", lambda topic: name)
     watching.follow([WatchedTopic("/native", None, 0.0, None), WatchedTopic("/scan", STRING, 0.0, None)])
@@ -214,7 +214,7 @@ def test_an_active_goal_is_known_from_the_status_of_its_action(graph, processes,
         watching.close()
 
 
-def test_a_goal_is_not_active_any_more_when_its_server_is_gone(watching, processes, eventually):
+def test_a_goal_is_no_longer_active_when_its_server_is_gone(watching, processes, eventually):
     worker = processes.node("work", "/count")
     watching.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
     eventually(lambda: watching.drain() and watching.task(STATUS))

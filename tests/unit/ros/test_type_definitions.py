@@ -60,6 +60,6 @@ def test_packages_of_an_installation_are_found(tmp_path: Path, monkeypatch: pyte
     assert definition("std_msgs/msg/String") == "# another\nstring data\n"
 
 
-def test_a_type_that_is_not_there() -> None:
+def test_a_missing_type_is_reported() -> None:
     with pytest.raises(TypeNotInstalled):
         definition("no_msgs/msg/Such")

@@ -90,14 +90,14 @@ def test_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
         (["a\0b"], "give a file"),
     ],
 )
-def test_what_cannot_be_read_ends_with_2(
+def test_unreadable_input_ends_with_status_2(
     folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
 ) -> None:
     assert main(arguments) == 2
     assert told in capsys.readouterr().err
 
 
-def test_no_file_at_all_ends_with_2() -> None:
+def test_no_file_ends_with_status_2() -> None:
     with pytest.raises(SystemExit) as ended:
         main([])
     assert ended.value.code == 2

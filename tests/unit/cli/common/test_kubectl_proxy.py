@@ -64,6 +64,6 @@ def test_a_refusal_is_told_in_the_server_s_words(api: Api) -> None:
     assert refused.value.status == 404
 
 
-def test_nobody_at_the_socket(tmp_path: Path) -> None:
+def test_a_missing_proxy_is_reported(tmp_path: Path) -> None:
     with pytest.raises(CommandError, match="the API server does not answer"):
         Api(str(tmp_path / "none")).get("/version")

@@ -64,7 +64,7 @@ def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
     assert max(map(len, told(*fleet.recoveries(), columns=columns))) <= columns
 
 
-def test_one_that_came_to_nothing() -> None:
+def test_a_failed_recovery_is_shown() -> None:
     tried = [Attempt(strategy="Restart", pod="robot-17-abc", result="NotVerified", message="not verified within 60 s")]
     failed = fleet.recovery(
         4, 100, result="Failed", strategy="", recovery_seconds=None, parts=(0.5, 60.0, 0.0, 0.0), attempts=tried, new=""
@@ -85,5 +85,5 @@ def test_one_without_parts_and_moments() -> None:
     assert told(bare, bare, columns=None)[0] == "fleet/robot-17: 2 recoveries"
 
 
-def test_none_yet() -> None:
+def test_no_recovery_is_shown_before_the_first_one() -> None:
     assert told() == ["fleet/robot-17: no recoveries yet"]

@@ -50,7 +50,7 @@ def test_a_failure_has_its_reason_and_its_colour() -> None:
     assert "\x1b[1;31mFAILED" in found[3]
 
 
-def test_texts_of_others_do_not_move_the_cursor() -> None:
+def test_control_characters_in_foreign_texts_are_escaped() -> None:
     tree = leaf("scan\x1b[2J", "Failed", reason="a\nb\r")
     found = "\n".join(told(state(tree=tree, notes=["\x1b]0;gone\x07"], active="\x9b1A")))
     assert not set("\x1b\r\x07\x9b") & set(found)

@@ -50,7 +50,7 @@ def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: FakeKube
         (["--owner", " "], "--owner is empty"),
     ],
 )
-def test_what_is_no_end_or_says_nothing_is_refused(
+def test_an_invalid_end_or_an_empty_reason_is_refused(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None, more: list[str], words: str
 ) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", *more]) == 2
@@ -71,7 +71,7 @@ def test_resume_ends_it_and_forgets_what_was_spent(
     assert "it was not paused." in capsys.readouterr().out
 
 
-def test_resume_says_who_and_why_where_it_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_resume_records_who_and_why_if_given(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert resume.main([ROBOT, "--reason", "the gripper grips", "--owner", "bob"]) == 0
     assert stand.item(ROBOT)["metadata"]["annotations"][names.RESUMED_FOR] == "bob: the gripper grips"
     assert resume.main([ROBOT]) == 0

@@ -114,7 +114,7 @@ def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
     assert f"kubectl annotate robotworkload {NAME} understudy.dev/switchover-" in told
 
 
-def test_one_at_a_time(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_only_one_switchover_runs_at_a_time(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = fleet.well()
     item["status"] |= phase("Preparing", "An understudy is being brought to where it can drive.")
     stand.tell([item])
@@ -134,6 +134,6 @@ def test_where_nobody_would_do_it_nothing_is_asked_for(stand: FakeKubectl, capsy
     assert not any("annotate" in line for line in stand.asked)
 
 
-def test_one_that_is_not_there(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_workload_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert failover.main(["robot-2"]) == 2
     assert "understudy failover: Error from server (NotFound)" in capsys.readouterr().err

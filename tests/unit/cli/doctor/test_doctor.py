@@ -181,7 +181,7 @@ def test_without_the_right_to_look_for_an_operator_there_is_none() -> None:
 
 
 @pytest.mark.parametrize(("minor", "level"), [("30", "OK"), ("34+", "OK"), ("29", "FAIL")])
-def test_an_old_kubernetes_is_told(minor: str, level: str) -> None:
+def test_an_old_kubernetes_version_is_reported(minor: str, level: str) -> None:
     server = Server({"/version": {"major": "1", "minor": minor, "gitVersion": f"v1.{minor}"}})
     assert installation_check.kubernetes(server).level == level  # type: ignore[arg-type]
 
@@ -468,7 +468,7 @@ def test_what_a_monitor_says_of_gate_and_readers_is_told_once(
         (None, ["it is of a version before 0.2.0, and this command of " + __version__]),
     ],
 )
-def test_a_monitor_of_another_version_is_told_of(monitor: MonitorStatus | None, expected: list[str]) -> None:
+def test_a_monitor_of_another_version_is_reported(monitor: MonitorStatus | None, expected: list[str]) -> None:
     item = fleet.workload("robot-1", status=fleet.status("robot-1", "x", 1, monitor=monitor))
     found = list(said_by_monitors([item]))
     assert [one.found for one in found] == expected

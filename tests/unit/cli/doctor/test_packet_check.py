@@ -80,13 +80,13 @@ def test_a_network_that_enforces_nothing_is_found_out(monkeypatch: pytest.Monkey
     ]
 
 
-def test_a_clock_is_told_as_exactly_as_it_can_be_asked() -> None:
+def test_a_clock_difference_is_reported_with_its_uncertainty() -> None:
     with talking() as talk:
         clock = of_session(talk)
     assert abs(clock.ahead) <= clock.give < 1.0
 
 
-def test_what_goes_wrong_in_a_pod_is_told() -> None:
+def test_an_error_in_a_pod_is_reported() -> None:
     with talking() as talk:
         with pytest.raises(CommandError, match="pod here: ValueError: pod UID 'short' has 5 bytes"):
             talk.ask("send", uid="short", host="127.0.0.1", port=1, seconds=1.0)

@@ -53,7 +53,7 @@ def test_a_freeze_is_ended_by_the_container_itself(stand: FakeKubectl, capsys: p
         (["--for", "0s"], "a duration above 0"),
     ],
 )
-def test_how_long_must_be_said(
+def test_the_duration_is_required(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], more: list[str], words: str
 ) -> None:
     assert inject.main([ROBOT, "freeze", "--yes", *more]) == 2

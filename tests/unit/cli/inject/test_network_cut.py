@@ -208,14 +208,14 @@ def test_within_the_pod_nothing_is_cut(address: str) -> None:
     assert done.returncode == 0
 
 
-def test_started_too_late_it_cuts_nothing() -> None:
+def test_a_late_start_cuts_nothing() -> None:
     running = program([], 60, latest=time.time() - 1)
     out, error = running.communicate(timeout=60)
     assert (running.returncode, out) == (1, "")
     assert error == "the container started too late; the caller no longer waits\n"
 
 
-def test_without_the_capability_it_says_so() -> None:
+def test_a_missing_capability_is_reported() -> None:
     running = program(["setpriv", "--bounding-set=-net_admin", "--inh-caps=-net_admin"], 60)
     _, error = running.communicate(timeout=60)
     assert running.returncode == 1

@@ -238,7 +238,7 @@ def test_a_pod_in_its_nodes_network_is_left_alone(cluster: Cluster, capsys: pyte
 
 
 @pytest.mark.parametrize("whom", ["the robot", "10.0.0.7/24", "robot-1"])
-def test_from_whom_must_be_said_by_addresses(cluster: Cluster, capsys: pytest.CaptureFixture[str], whom: str) -> None:
+def test_the_peers_must_be_given_as_addresses(cluster: Cluster, capsys: pytest.CaptureFixture[str], whom: str) -> None:
     assert inject.main([ROBOT, "partition", "--from", whom, "--yes"]) == 2
     assert f'--from "{whom}": write monitor, an address, or a network' in capsys.readouterr().err
 

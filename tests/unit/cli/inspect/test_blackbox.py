@@ -175,6 +175,6 @@ def test_one_that_has_gone_meanwhile(monitor: Monitor, capsys: pytest.CaptureFix
     assert here() == []
 
 
-def test_a_file_that_cant_be_written(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_cannot_be_written_is_reported(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "--fetch", "--to", "none/such.mcap"]) == 2
     assert "recording 3abcdef cannot be written to none/such.mcap" in capsys.readouterr().err

@@ -135,7 +135,7 @@ def test_who_may_not_read_gates_sees_what_the_status_says(
         (["-w"], "Unable to connect to the server", "Unable to connect to the server"),
     ],
 )
-def test_what_can_not_be_told(
+def test_unavailable_information_is_reported(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], arguments: list[str], error: str, words: str
 ) -> None:
     stand.tell(fleet.fleet(), error=error)

@@ -132,7 +132,7 @@ def test_a_recovery_that_only_the_gate_tells_of() -> None:
     )
 
 
-def test_texts_of_others_do_not_move_the_cursor() -> None:
+def test_control_characters_in_foreign_texts_are_escaped() -> None:
     bad = fleet.said("Protected", "False", "PoolEmpty", "a\x1b[2Jb\nc")
     status = fleet.status("robot-1", "abcde", 1, bad)
     shown = robot(fleet.workload("robot-1", status=status))

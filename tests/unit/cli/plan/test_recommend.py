@@ -272,7 +272,7 @@ def test_it_is_drawn(file, capsys, tmp_path, form):
         ),
     ],
 )
-def test_what_cannot_be_done_is_said_with_the_way_out(file, capsys, texts, more, expected):
+def test_impossible_requests_are_reported_with_a_solution(file, capsys, texts, more, expected):
     assert main([file(*texts), *more]) == ERROR
     error = capsys.readouterr().err
     assert error.startswith("understudy recommend: ")

@@ -150,7 +150,7 @@ def test_it_is_drawn(capsys, tmp_path, form):
         (["--risk", "%"], "--risk: found '%'"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(capsys, more, expected):
+def test_inconsistent_options_are_refused_by_name(capsys, more, expected):
     with pytest.raises(SystemExit) as ended:
         main([*PAPER, *more])
     assert ended.value.code == 2
@@ -165,7 +165,7 @@ def test_what_makes_no_sense_is_refused_by_name(capsys, more, expected):
         (["--risk", "0.01", "--refill-seconds", "1e9"], "--risk: 1000000 fallbacks are not enough"),
     ],
 )
-def test_what_cannot_be_done_is_said_with_the_way_out(capsys, more, expected):
+def test_impossible_requests_are_reported_with_a_solution(capsys, more, expected):
     assert main([*PAPER, *more]) == 2
     error = capsys.readouterr().err
     assert error.startswith("understudy size: ")

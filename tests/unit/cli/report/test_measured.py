@@ -97,11 +97,11 @@ def test_bars_are_as_high_as_there_are_many() -> None:
         ({"pools": []}, "There is no data on pools: there are none, or the operator is not scraped."),
     ],
 )  # fmt: skip
-def test_what_it_lacks_is_said(more: dict[str, object], words: str) -> None:
+def test_missing_figures_are_reported(more: dict[str, object], words: str) -> None:
     assert words in read(replace(measured(), **more)).text  # type: ignore[arg-type]
 
 
-def test_what_others_have_named_is_text() -> None:
+def test_names_of_other_origin_are_escaped() -> None:
     pool = Pool("fleet", HOSTILE, 1, 1, 1, 0, 0, [], [])
     shown = read(
         measured(

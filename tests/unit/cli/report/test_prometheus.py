@@ -107,7 +107,7 @@ def test_what_it_can_not_tell(server: Server, status: int, text: str, words: str
     assert words in str(raised.value)
 
 
-def test_nobody_answers(server: Server) -> None:
+def test_a_missing_answer_is_reported(server: Server) -> None:
     url = server.url.replace("127.0.0.1", "127.0.0.2")
     with pytest.raises(CommandError) as raised:
         Prometheus(url).query("up", 0.0)

@@ -96,7 +96,7 @@ def test_every_namespace(stand: FakeKubectl, written: Path) -> None:
         (["--from", "2027-01-01"], "the period would begin at 2027-01-01 00:00:00Z and end at 2026-11-22 14:06:24Z"),
     ],
 )
-def test_what_can_not_be_told(
+def test_unavailable_information_is_reported(
     stand: FakeKubectl,
     written: Path,
     capsys: pytest.CaptureFixture[str],

@@ -45,7 +45,7 @@ def test_robots_and_strategies() -> None:
     assert (restart["count"], float(restart["p50_seconds"])) == ("2", 3.682)
 
 
-def test_no_text_is_taken_for_a_formula() -> None:
+def test_no_text_is_interpreted_as_a_formula() -> None:
     data = sheets(findings([fleet.hostile()], DAY))
     assert rows(data["recoveries.csv"])[0]["reason"] == f"'{fleet.HOSTILE}"
     for text in data.values():

@@ -140,7 +140,7 @@ def test_a_silence_is_seen_and_so_is_its_end(
     assert all(re.match(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z ", line) for line in command.told)
 
 
-def test_where_nothing_fails_it_ends_with_0(
+def test_a_run_without_failures_ends_with_status_0(
     publish: Callable[[str], Publishing], watch: Callable[..., Command]
 ) -> None:
     publish("/chat")
@@ -188,7 +188,9 @@ def test_where_nothing_else_is_left_that_is_said(watch: Callable[..., Command]) 
     assert "no leaf of the policy's tree can be evaluated here: pod.restarts needs the cluster" in said
 
 
-def test_it_only_receives(graph: Any, publish: Callable[[str], Publishing], watch: Callable[..., Command]) -> None:
+def test_watching_only_subscribes_and_never_publishes(
+    graph: Any, publish: Callable[[str], Publishing], watch: Callable[..., Command]
+) -> None:
     publish("/chat")
     command = watch("{parallel: [{topic: {name: /chat, gap: 20s}}, {publisher: {topic: /chat, node: /application}}]}")
     command.until("the tree is healthy")
@@ -234,7 +236,7 @@ def test_a_terminal_shows_the_whole_tree_and_gets_its_screen_back(
     assert (found + rest).endswith("\x1b[?25h\x1b[?1049l")
 
 
-def test_what_cannot_be_used_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_unusable_input_ends_with_status_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path / "none.yaml")]) == 2
     assert "none.yaml: No such file or directory; give a file with a FailurePolicy" in capsys.readouterr().err
     with pytest.raises(SystemExit) as ended:
