@@ -9,7 +9,7 @@ from statistics import fmean
 from understudy_demo.plot import COLOURS
 from understudy_demo.recovery import PARTS
 
-from understudy.cli.common.time_bars import NAMES
+from understudy.cli.common.text.time_bars import NAMES
 
 _GROUPS = ("#1b3a57", "#b45309", "#0f766e", "#7b2d8b", "#9d174d", "#4d4d4d", "#94a3b8")
 

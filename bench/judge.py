@@ -1,6 +1,8 @@
-"""Watches a robot as the monitor does: its own view (understudy.monitor.observe.health_observer) in a process with all that it imports,
-woken when it is (understudy.monitor.observe.wakeups), kept state (understudy.monitor.act.state_keeping) and the black box
-(understudy.monitor.report.black_box) without an API server.
+"""Watches a robot as the monitor does, in a process with everything that the monitor imports, without an API server.
+
+It has the monitor's health observer (understudy.monitor.observe.robot.health_observer), which is woken in the same way
+(understudy.monitor.observe.wakeups), kept state (understudy.monitor.act.instances.state_keeping) and the black box
+(understudy.monitor.report.black_box).
 """
 
 from __future__ import annotations
@@ -62,9 +64,9 @@ class _Judge:
         from understudy.api.kinds.failure_policy import FailurePolicySpec
         from understudy.api.kinds.robot_workload import RobotWorkloadSpec
         from understudy.failover.interfaces import Instance
-        from understudy.monitor.act.state_keeping import StateKeeping
+        from understudy.monitor.act.instances.state_keeping import StateKeeping
         from understudy.monitor.notices import Notices
-        from understudy.monitor.observe.health_observer import HealthObserver
+        from understudy.monitor.observe.robot.health_observer import HealthObserver
         from understudy.monitor.report.black_box import BlackBox
         from understudy.monitor.report.recording_archive import Archive
         from understudy.process import cpu_scheduling

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from understudy.cli.common.time_bars import NAMES, length, short
+from understudy.cli.common.text.time_bars import NAMES, length, short
 from understudy_demo.recovery import PARTS, Recovered
 from understudy_demo.robotview import RobotLog
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
-from understudy.cli.common.time_bars import LEGEND, MOMENTS, NAMES, bar, length, short, stacked
+from understudy.cli.common.text.time_bars import LEGEND, MOMENTS, NAMES, bar, length, short, stacked
 from understudy_demo.recovery import PARTS, Recovered
 from understudy_demo.robotview import Handover
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any, NoReturn
 from unittest import mock
 
-from understudy.cli.common import kubectl
+from understudy.cli.common.cluster_access import kubectl
 from understudy.main import VERBS
 
 _INTRODUCTION = """\

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import understudy
 from scripts.generation.drawing import AMBER, BLUE, INK, PALE, PURPLE, RED, Diagram
 from understudy.api.kinds.fallback_pool import Readiness
-from understudy.cli.common.time_bars import NAMES
+from understudy.cli.common.text.time_bars import NAMES
 
 
 def architecture() -> str:
@@ -169,12 +169,13 @@ def failover() -> str:
 
 
 MODULES: dict[str, tuple[str, ...]] = {
-    "observe": ("ros/observe/topic_watch", "monitor/observe/health_observer", "monitor/loop"),
+    "observe": ("ros/observe/topic_watch", "monitor/observe/robot/health_observer", "monitor/loop"),
     "judge": ("monitor/judge/stage", "monitor/judge/failure_detection", "trees/core/health_tree"),
     "decide": ("monitor/decide/stage", "failover/decide"),
     "act": (
-        "monitor/act/recovery_runner", "monitor/act/deferred_recovery", "failover/protocol", "failover/strategies/executing",
-        "monitor/act/gate_control", "kube/gates/network_policy", "kube/client",
+        "monitor/act/recovery/recovery_runner", "monitor/act/recovery/deferred_recovery", "failover/protocol",
+        "failover/strategies/executing",
+        "monitor/act/gate/gate_control", "kube/gates/network_policy", "kube/client",
     ),
     "report": ("monitor/report/recovery_report", "monitor/notices", "monitor/report/status_writer"),
 }  # fmt: skip
@@ -194,7 +195,7 @@ def pipeline() -> str:
     ]:
         raise ValueError(f"the diagram shows modules that do not exist: {', '.join(missing)}")
     drawn = Diagram(
-        1180,
+        1310,
         330,
         "The monitor as a pipeline",
         "Five stages from left to right: observe, judge, decide, act and report. Each hands one value on to the next: samples, a "
@@ -202,7 +203,7 @@ def pipeline() -> str:
     )
     colours = {"observe": BLUE, "judge": PURPLE, "decide": AMBER, "act": RED, "report": PALE}
     fills = {"observe": "#e9f2f9", "judge": "#f1ecf7", "decide": "#fff8e6", "act": "#fdf1ef", "report": "#f6f6f6"}
-    number, left, width = 0, 20.0, 204.0
+    number, left, width = 0, 20.0, 230.0
     for stage, modules in MODULES.items():
         drawn.part(stage)
         drawn.box((left, 40), (width, 44), colours[stage], fills[stage], title=stage, titled=INK)

@@ -23,9 +23,9 @@ from tests.e2e.past import EVERY, Monitor, Operator, Recovery, every, openmetric
 from tests.e2e.scenario import Robot, eventually
 from tests.support.prometheus import SOURCE, asked, built, fill, promtool, serving
 from understudy.cli.common.errors import CommandError
-from understudy.cli.report.prometheus_client import Prometheus
-from understudy.cli.report.prometheus_figures import measured
-from understudy.cli.report.promql import came_to, selector
+from understudy.cli.report.prometheus.prometheus_client import Prometheus
+from understudy.cli.report.prometheus.prometheus_figures import measured
+from understudy.cli.report.prometheus.promql import came_to, selector
 from understudy.cli.report.recovery_records import Span
 
 pytestmark = [pytest.mark.long, pytest.mark.local_only]  # this machine must reach pods by their addresses

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import sys
 
-from understudy.cli.common.time_bars import length, short
+from understudy.cli.common.text.time_bars import length, short
 from understudy_demo.robotview import Command, parse
 
 _COLOURS = (36, 35, 33)

@@ -17,10 +17,10 @@ from understudy.agent.control_channel import Operation, Peer, Refused
 from understudy.agent.held_containers import HeldContainers
 from understudy.agent.instance_health import HealthPlan, InstanceHealth
 from understudy.agent.pod_identity import PodIdentity
-from understudy.agent.procedure_runner import InstanceActions, ProcedureRunner
 from understudy.agent.readiness import StandbyExpectation, StandbyReadiness
-from understudy.agent.state_restoration import StateRestorer
-from understudy.agent.task_goals import TaskGoals
+from understudy.agent.restoration.procedure_runner import InstanceActions, ProcedureRunner
+from understudy.agent.restoration.state_restoration import StateRestorer
+from understudy.agent.restoration.task_goals import TaskGoals
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.protocol import hold_script

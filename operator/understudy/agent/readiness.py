@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from understudy.agent.procedure_runner import InstanceActions, ReadinessCheck, places_of
+from understudy.agent.restoration.procedure_runner import InstanceActions, ReadinessCheck, places_of
 
 if TYPE_CHECKING:
     from understudy.trees.core.health_tree import WatchedTopic

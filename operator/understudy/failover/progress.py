@@ -216,7 +216,7 @@ def beside(recovery: str) -> Progress | None:
 LASTS = 10.0
 """Seconds after its start for which a recovery counts as in progress if only the gate records it. The status follows the gate within three
 seconds while the monitor lives (understudy.monitor.report.status_writer), and a new monitor continues the recovery. An abandoned recovery
-stays next to the gate until it is marked there (understudy.monitor.act.abandonment).
+stays next to the gate until it is marked there (understudy.monitor.act.recovery.abandonment).
 """
 
 

@@ -19,16 +19,16 @@ from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Means
 from understudy.failover.switchover import Prepared
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.pool_waiting import PoolQueue
-from understudy.monitor.act.recovery_journal import RecoveryJournal
-from understudy.monitor.act.recovery_runner import ENDS
+from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.recovery.pool_waiting import PoolQueue
+from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
+from understudy.monitor.act.recovery.recovery_runner import ENDS
 from understudy.monitor.act.stage import ActStage
-from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.stage import DecideStage, Resolution
 from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe import interrupted_recovery
+from understudy.monitor.observe.objects import interrupted_recovery
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.stage import ObserveStage
 from understudy.monitor.observe.wakeups import TICK, WAKE_LATE

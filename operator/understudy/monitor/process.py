@@ -25,21 +25,21 @@ from understudy.kube.kubeconfig import default_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.permits import Permits
-from understudy.monitor.act.pod_control import PodControl
-from understudy.monitor.act.recovery_journal import RecoveryJournal
-from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.gate.permits import Permits
+from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.observe.agent_connections import AgentConnections
-from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
-from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.observe.instance_roles import InstanceRoles
-from understudy.monitor.observe.resource_meter import ResourceMeter
-from understudy.monitor.observe.robot_readers import RobotReaders
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.resource_meter import ResourceMeter
+from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report import monitor_metrics

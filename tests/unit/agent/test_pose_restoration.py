@@ -17,8 +17,8 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 
 from tests.unit.dds import keep_to_itself
-from understudy.agent.pose_restoration import composed
-from understudy.agent.state_restoration import StateRestorer
+from understudy.agent.restoration.pose_restoration import composed
+from understudy.agent.restoration.state_restoration import StateRestorer
 from understudy.api.protocol.kept_state import KeptSample, KeptState, Motion, RestoreReport
 from understudy.kinematics.pose_decoding import Reading
 from understudy.kinematics.poses import DRIFT, Pose

@@ -16,8 +16,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from tests.unit.agent.poses import POSE, pose
 from tests.unit.dds import keep_to_itself
 from understudy.agent.control_channel import Peer, Refused
-from understudy.agent.kept_messages import stamped
-from understudy.agent.state_restoration import StateRestorer
+from understudy.agent.restoration.kept_messages import stamped
+from understudy.agent.restoration.state_restoration import StateRestorer
 from understudy.api.protocol.kept_state import (
     KeptSample,
     KeptState,

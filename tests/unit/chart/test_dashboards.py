@@ -19,7 +19,7 @@ from tests.e2e.past import Source
 from tests.unit.chart.alert_rules import OTHERS, alerts
 from tests.unit.chart.conftest import CHART
 from understudy.api.kinds.robot_workload import Health
-from understudy.cli.report.promql import came
+from understudy.cli.report.prometheus.promql import came
 from understudy.cli.report.recovery_records import Span
 
 BOARDS = {path.stem: json.loads(path.read_text()) for path in (CHART / "files" / "dashboards").glob("*.json")}

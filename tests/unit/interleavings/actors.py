@@ -37,15 +37,15 @@ from understudy.kube.events import Recorder
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import PodControl
-from understudy.monitor.act.recovery_journal import RecoveryJournal
+from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.status_writer import StatusWriter

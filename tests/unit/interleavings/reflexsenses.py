@@ -18,7 +18,7 @@ from understudy.agent.control_channel import Peer
 from understudy.api.protocol.agent_messages import SILENCE, AgentStatus
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone
-from understudy.monitor.act.permits import Permits
+from understudy.monitor.act.gate.permits import Permits
 from understudy.monitor.loop import Parts
 from understudy.monitor.observe.agent_connections import ANSWER_LATE
 

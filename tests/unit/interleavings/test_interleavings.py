@@ -23,8 +23,8 @@ from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
 from understudy.kube.leader_election import Lease
-from understudy.monitor.act.abandonment import Abandonment
-from understudy.monitor.act.garbage_collection import GarbageCollection
+from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.report.status_writer import StatusWriter
 
 RUNS, CHUNK = 250, 25

@@ -25,8 +25,8 @@ from understudy.failover import reflex
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import Client, Object
 from understudy.kube.gates.network_policy import GATE
-from understudy.monitor.act import permits
-from understudy.monitor.act.reflex_guard import ReflexGuard
+from understudy.monitor.act.gate import permits
+from understudy.monitor.act.gate.reflex_guard import ReflexGuard
 
 FIRST, RUNS, CHUNK = 1_100_000, 80, 16
 """Seeds that scripts/bench doesn't run by itself."""

@@ -22,7 +22,7 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
-from understudy.monitor.observe.context_detection import Seen
+from understudy.monitor.observe.robot.context_detection import Seen
 
 FIRST, RUNS = 500_016, 16
 

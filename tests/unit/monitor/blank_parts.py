@@ -9,7 +9,7 @@ from typing import Any
 
 from understudy.failover.interfaces import GateState
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.recovery_journal import RecoveryJournal
+from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.loop import Parts
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.current_recovery import CurrentRecovery

@@ -12,10 +12,10 @@ from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates.base import Proof
-from understudy.monitor.act.gate_control import GateControl
+from understudy.monitor.act.gate.gate_control import GateControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 
 class Packets(Proof):

@@ -17,8 +17,8 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.decide import Hold, Recover
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
-from understudy.monitor.act import deferred_recovery as holding
-from understudy.monitor.act.recovery_runner import RecoveryRunner
+from understudy.monitor.act.recovery import deferred_recovery as holding
+from understudy.monitor.act.recovery.recovery_runner import RecoveryRunner
 from understudy.monitor.act.stage import ActStage
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.judge.stage import Judgement

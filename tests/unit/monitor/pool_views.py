@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.unit.kube.memory import MemoryClient
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 

@@ -18,7 +18,7 @@ from understudy.api.kinds.robot_workload import GateStatus, RobotWorkloadSpec
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.recording_archive import RecordingArchive
 

@@ -16,7 +16,7 @@ from understudy.api.kinds.state_spec import State
 from understudy.api.protocol.kept_state import KeptState, Restored, RestoreReport
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone
-from understudy.monitor.act.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_keeping import StateKeeping
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.state_store import StateStore
 

@@ -13,7 +13,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import Choice, recover
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import Object
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from understudy.api.kinds.robot_workload import Output
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe import robot_readers
-from understudy.monitor.observe.robot_readers import RobotReaders
+from understudy.monitor.observe.robot import robot_readers
+from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.ros.runtime.graph_node import Graph
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from understudy.api.output_formats import structured
 from understudy.cli.check import reference_check
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.wording import counted
+from understudy.cli.common.text.wording import counted
 from understudy.cli.manifests import config_map_trees, manifest_reader, object_check
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest

@@ -7,7 +7,7 @@ from pydantic import Field
 from understudy.api import names
 from understudy.api.base import Model
 from understudy.api.kinds.robot_workload import RobotWorkloadStatus
-from understudy.cli.common.wording import listed, unix
+from understudy.cli.common.text.wording import listed, unix
 from understudy.failover import progress as recoveries
 from understudy.failover.progress import Committed, Progress, rfc3339
 from understudy.kube.client import Object

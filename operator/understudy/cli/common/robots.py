@@ -18,7 +18,7 @@ from understudy.api.kinds.fallback_pool import FallbackPoolStatus
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.recovery_under_way import UnderWay, under_way
-from understudy.cli.common.wording import counted, listed
+from understudy.cli.common.text.wording import counted, listed
 from understudy.controller.status.protection import LIMIT_CONDITIONS
 from understudy.kube.gates.base import GateRecord
 

@@ -8,11 +8,12 @@ import time
 
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
-from understudy.cli.common import confirmation, terminal
+from understudy.cli.common import confirmation
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.robots import UNWATCHED, robot, status_of
-from understudy.cli.common.wording import wrapped
+from understudy.cli.common.text import terminal
+from understudy.cli.common.text.wording import wrapped
 from understudy.cli.control import signature
 from understudy.kube.client import Object
 from understudy.kube.gates import registry

@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.api.kinds.pause_spec import MOMENT_MESSAGE, MOMENT_PATTERN, Pause, unix
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control import signature
 
 SUCCESS, ERROR = 0, 2

@@ -7,8 +7,8 @@ import sys
 import time
 
 from understudy.api import names
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control import signature
 from understudy.failover.progress import rfc3339
 

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.output_formats import structured
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.control.profile_files import Profile
 from understudy.controller.pods.ros_environment import PROFILES_DIR
 from understudy.kube.client import Object

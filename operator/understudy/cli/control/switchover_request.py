@@ -11,12 +11,13 @@ from typing import Any
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.api.kinds.switchover_spec import ENDED, SwitchoverStatus, Verb, request
-from understudy.cli.common import option_rules, terminal
+from understudy.cli.common import option_rules
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.robots import UNWATCHED, robot, status_of
-from understudy.cli.common.time_bars import length, short
-from understudy.cli.common.wording import unix, wrapped
+from understudy.cli.common.text import terminal
+from understudy.cli.common.text.time_bars import length, short
+from understudy.cli.common.text.wording import unix, wrapped
 
 DONE, NOT_DONE, ERROR = 0, 1, 2
 """Exit statuses."""

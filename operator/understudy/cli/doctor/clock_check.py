@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from typing import Any
 
+from understudy.cli.common.cluster_access.kubectl_proxy import Api
+from understudy.cli.common.cluster_access.pod_session import Session
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl_proxy import Api
-from understudy.cli.common.pod_session import Session
-from understudy.cli.common.tree_text import rough
-from understudy.cli.common.wording import unix
+from understudy.cli.common.text.tree_text import rough
+from understudy.cli.common.text.wording import unix
 from understudy.cli.doctor.findings import Finding
 from understudy.kube.client import LEASES
 

@@ -11,11 +11,12 @@ from typing import Any
 
 from understudy import __version__
 from understudy.api.output_formats import structured
-from understudy.cli.common import option_rules, terminal
+from understudy.cli.common import option_rules
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
+from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl, add_options
-from understudy.cli.common.kubectl_proxy import Api, Refused, proxied
-from understudy.cli.common.tree_text import plain
+from understudy.cli.common.text import terminal
+from understudy.cli.common.text.tree_text import plain
 from understudy.cli.doctor import (
     clock_check,
     discovery_check,

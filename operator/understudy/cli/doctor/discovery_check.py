@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from understudy.api import names
-from understudy.cli.common.kubectl_proxy import Api, Refused
-from understudy.cli.common.wording import counted
+from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused
+from understudy.cli.common.text.wording import counted
 from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.test_pods import Pods
 from understudy.controller.observed import kube_objects

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from understudy.cli.common import text_tables
-from understudy.cli.common.text_tables import Cell
-from understudy.cli.common.tree_text import plain
-from understudy.cli.common.wording import counted, listed, wrapped
+from understudy.cli.common.text import text_tables
+from understudy.cli.common.text.text_tables import Cell
+from understudy.cli.common.text.tree_text import plain
+from understudy.cli.common.text.wording import counted, listed, wrapped
 
 Level = Literal["OK", "WARN", "FAIL"]
 

@@ -11,7 +11,7 @@ from understudy import __version__
 from understudy.api import names
 from understudy.api.base import VERSION
 from understudy.api.schema.definitions import definitions
-from understudy.cli.common.kubectl_proxy import Api, Refused
+from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused
 from understudy.cli.doctor.findings import Finding
 from understudy.controller.plan import Images
 from understudy.kube.client import CRDS, DEPLOYMENTS, Object

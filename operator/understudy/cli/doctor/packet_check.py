@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.api import names
-from understudy.cli.common.kubectl_proxy import Answer
-from understudy.cli.common.pod_session import Session
-from understudy.cli.common.tree_text import rough
+from understudy.cli.common.cluster_access.kubectl_proxy import Answer
+from understudy.cli.common.cluster_access.pod_session import Session
+from understudy.cli.common.text.tree_text import rough
 from understudy.cli.doctor.clock_check import Clock, of_session
 from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.test_pods import Pods

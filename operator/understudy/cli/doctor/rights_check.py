@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.cli.common.kubectl_proxy import Api, Refused
+from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused
 from understudy.cli.doctor.findings import Finding
 from understudy.cli.doctor.installation_check import Installed
 from understudy.controller.desired import monitor_deployment

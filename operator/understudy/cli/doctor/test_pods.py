@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 from understudy.api import names
+from understudy.cli.common.cluster_access.kubectl import Kubectl
+from understudy.cli.common.cluster_access.kubectl_proxy import Answer, Api
+from understudy.cli.common.cluster_access.pod_session import Session, session
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl
-from understudy.cli.common.kubectl_proxy import Answer, Api
-from understudy.cli.common.pod_session import Session, session
-from understudy.cli.common.wording import unix
+from understudy.cli.common.text.wording import unix
 from understudy.cli.doctor import pod_program
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.pod_diagnosis import trouble

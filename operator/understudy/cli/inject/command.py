@@ -10,8 +10,8 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.cli.common import confirmation, option_rules
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.robots import status_of
 from understudy.cli.inject import fault_commands, partition
 

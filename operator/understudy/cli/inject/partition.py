@@ -18,9 +18,9 @@ from email.utils import parsedate_to_datetime
 from pathlib import Path
 from typing import Any
 
+from understudy.cli.common.cluster_access.kubectl import Kubectl
+from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl
-from understudy.cli.common.kubectl_proxy import Api, Refused, proxied
 from understudy.cli.inject import network_cut
 from understudy.controller.desired import monitor_deployment
 from understudy.controller.observed import kube_objects

@@ -16,12 +16,13 @@ from pydantic import ValidationError
 from understudy.api import names
 from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.api.output_formats import structured
-from understudy.cli.common import option_rules, terminal
+from understudy.cli.common import option_rules
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl, add_options
-from understudy.cli.common.text_tables import Cell, format_table
-from understudy.cli.common.tree_text import plain
-from understudy.cli.common.wording import age, clock, counted, wrapped
+from understudy.cli.common.text import terminal
+from understudy.cli.common.text.text_tables import Cell, format_table
+from understudy.cli.common.text.tree_text import plain
+from understudy.cli.common.text.wording import age, clock, counted, wrapped
 from understudy.cli.inspect.tree import fetch_json, monitor_pod
 
 SUCCESS, NONE, ERROR = 0, 1, 2

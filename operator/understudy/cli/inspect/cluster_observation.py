@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from understudy.api import names
-from understudy.cli.common.kubectl import Kubectl
+from understudy.cli.common.cluster_access.kubectl import Kubectl
 from understudy.controller.observed import health_tree_sources, situation_strategies
 from understudy.controller.observed.observation import Observed
 from understudy.controller.reconcile import change_index

@@ -6,9 +6,9 @@ import argparse
 import sys
 
 from understudy.api.output_formats import structured
-from understudy.cli.common import terminal
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl, add_options
+from understudy.cli.common.text import terminal
 from understudy.cli.inspect import explanation
 from understudy.cli.inspect.cluster_observation import around
 from understudy.cli.inspect.explanation import Known

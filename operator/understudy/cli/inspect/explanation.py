@@ -17,9 +17,9 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec, Strategy, in_
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.cli.common.recovery_under_way import under_way
 from understudy.cli.common.robots import DRIVEN, UNWATCHED, Problem, Robot, is_reported, pool, robot, status_of
-from understudy.cli.common.time_bars import length
-from understudy.cli.common.tree_text import coloured, plain
-from understudy.cli.common.wording import age, listed, wrapped
+from understudy.cli.common.text.time_bars import length
+from understudy.cli.common.text.tree_text import coloured, plain
+from understudy.cli.common.text.wording import age, listed, wrapped
 from understudy.cli.inspect import limit_text
 from understudy.cli.inspect.cluster_observation import Around
 from understudy.controller.desired import effective_policy, standby_pods

@@ -13,10 +13,10 @@ from typing import TextIO
 
 from understudy.api import names
 from understudy.api.output_formats import structured
-from understudy.cli.common import terminal
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import CommandError, Forbidden
-from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.robots import Pool, Robot, pool, robot
+from understudy.cli.common.text import terminal
 from understudy.cli.inspect import status_screen
 from understudy.cli.inspect.status_screen import Look
 from understudy.controller.observed import kube_objects

@@ -7,10 +7,11 @@ import sys
 import time
 
 from understudy.api.output_formats import structured
-from understudy.cli.common import option_rules, recovery_text, terminal
+from understudy.cli.common import option_rules
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl, add_options
 from understudy.cli.common.robots import status_of
+from understudy.cli.common.text import recovery_text, terminal
 
 SUCCESS, ERROR = 0, 2
 """Exit statuses."""

@@ -13,10 +13,10 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.output_formats import structured
-from understudy.cli.common import terminal
+from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl, add_options
-from understudy.cli.common.tree_text import Rates, lines
+from understudy.cli.common.text import terminal
+from understudy.cli.common.text.tree_text import Rates, lines
 
 HEALTHY, NOT_HEALTHY, ERROR = 0, 1, 2
 """Exit statuses."""

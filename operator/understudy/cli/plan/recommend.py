@@ -15,8 +15,10 @@ from understudy.advice.strategy_figures import Figure, Way
 from understudy.api.kinds.fallback_pool import Readiness
 from understudy.api.kinds.requirements_spec import Level
 from understudy.api.output_formats import structured
-from understudy.cli.common import kubectl, option_rules, plot_files, terminal
+from understudy.cli.common import option_rules, plot_files
+from understudy.cli.common.cluster_access import kubectl
 from understudy.cli.common.errors import CommandError
+from understudy.cli.common.text import terminal
 from understudy.cli.manifests import manifest_reader, object_check
 from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.cli.plan import strategy_table

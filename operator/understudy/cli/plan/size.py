@@ -9,8 +9,9 @@ from collections.abc import Callable
 
 from understudy.advice.shortage_risk import MEASURES, MOST
 from understudy.api.output_formats import structured
-from understudy.cli.common import option_rules, plot_files, terminal
+from understudy.cli.common import option_rules, plot_files
 from understudy.cli.common.errors import CommandError
+from understudy.cli.common.text import terminal
 from understudy.cli.plan.pool_sizes import Question, calculate
 from understudy.cli.plan.size_text import size_text
 from understudy.cli.plan.text_wrap import wrap_labelled

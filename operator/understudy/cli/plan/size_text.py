@@ -6,8 +6,8 @@ import math
 
 from understudy.advice.monte_carlo import Estimate
 from understudy.advice.paper_model import INTERVAL
-from understudy.cli.common.text_tables import Cell, format_table
-from understudy.cli.common.wording import counted
+from understudy.cli.common.text.text_tables import Cell, format_table
+from understudy.cli.common.text.wording import counted
 from understudy.cli.plan.pool_sizes import Size
 from understudy.trees.core.leaf import duration
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_order import Order, RatedStrategy
-from understudy.cli.common.text_tables import Cell, format_table
+from understudy.cli.common.text.text_tables import Cell, format_table
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 

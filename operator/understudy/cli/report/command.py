@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from understudy.api import base, names
+from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.wording import clock, counted
+from understudy.cli.common.text.wording import clock, counted
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.page import page
-from understudy.cli.report.prometheus_client import Prometheus
-from understudy.cli.report.prometheus_figures import Measured, measured
+from understudy.cli.report.prometheus.prometheus_client import Prometheus
+from understudy.cli.report.prometheus.prometheus_figures import Measured, measured
 from understudy.cli.report.recovery_records import Findings, Span, findings
 
 SUCCESS, ERROR = 0, 2

@@ -9,10 +9,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 
 from understudy.api.kinds.robot_workload import Moments
-from understudy.cli.common.recovery_text import parts_of
 from understudy.cli.common.robots import Robot
-from understudy.cli.common.time_bars import NAMES
-from understudy.cli.report.prometheus_figures import Count, Measured, Pool, Time
+from understudy.cli.common.text.recovery_text import parts_of
+from understudy.cli.common.text.time_bars import NAMES
+from understudy.cli.report.prometheus.prometheus_figures import Count, Measured, Pool, Time
 from understudy.cli.report.recovery_records import Entry, Findings, Group, RobotPeriod, Span
 from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.failover.progress import rfc3339

@@ -9,11 +9,11 @@ from functools import cache
 from importlib import resources
 
 import understudy
-from understudy.cli.common.wording import clock
+from understudy.cli.common.text.wording import clock
 from understudy.cli.report import sections
-from understudy.cli.report.html_markup import Markup, element
-from understudy.cli.report.prometheus_figures import Measured
-from understudy.cli.report.prometheus_sections import whole_period
+from understudy.cli.report.drawing.html_markup import Markup, element
+from understudy.cli.report.prometheus.prometheus_figures import Measured
+from understudy.cli.report.prometheus.prometheus_sections import whole_period
 from understudy.cli.report.recovery_records import Findings
 
 

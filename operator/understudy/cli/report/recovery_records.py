@@ -13,10 +13,10 @@ from statistics import fmean
 from typing import Any
 
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
-from understudy.cli.common.recovery_text import parts_of, start_of
 from understudy.cli.common.robots import Robot, robot, status_of
-from understudy.cli.common.time_bars import NAMES
-from understudy.cli.common.wording import unix
+from understudy.cli.common.text.recovery_text import parts_of, start_of
+from understudy.cli.common.text.time_bars import NAMES
+from understudy.cli.common.text.wording import unix
 from understudy.cli.report.reserved_resources import Share, shares
 from understudy.cli.report.sample_statistics import Spread
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from understudy.cli.common.recovery_text import outcome, parts_of, tried
 from understudy.cli.common.robots import summary
-from understudy.cli.common.time_bars import NAMES, short
-from understudy.cli.common.wording import clock, counted, listed, unix
-from understudy.cli.report import charts, html_tables
-from understudy.cli.report.html_markup import Markup, element
-from understudy.cli.report.html_tables import Cell, moment, number, seconds, span
+from understudy.cli.common.text.recovery_text import outcome, parts_of, tried
+from understudy.cli.common.text.time_bars import NAMES, short
+from understudy.cli.common.text.wording import clock, counted, listed, unix
+from understudy.cli.report.drawing import charts, html_tables
+from understudy.cli.report.drawing.html_markup import Markup, element
+from understudy.cli.report.drawing.html_tables import Cell, moment, number, seconds, span
 from understudy.cli.report.recovery_records import Entry, Findings, RobotPeriod
 from understudy.cli.report.reserved_resources import ROLES, Amounts
 from understudy.cli.report.sample_statistics import Spread

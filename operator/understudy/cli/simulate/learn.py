@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.tree_text import plain
+from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.clock_text import wall
 from understudy.cli.simulate.leaf_history import Failure

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Protocol, TextIO
 
-from understudy.cli.common import terminal
-from understudy.cli.common.tree_text import WORDS, Rates, coloured, plain, rough, tree_lines
+from understudy.cli.common.text import terminal
+from understudy.cli.common.text.tree_text import WORDS, Rates, coloured, plain, rough, tree_lines
 from understudy.cli.simulate.clock_text import wall
 from understudy.cli.simulate.leaf_history import Evaluation, Failure
 from understudy.trees.core.observations import Observations

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
-from understudy.cli.common.text_tables import Cell, format_table
-from understudy.cli.common.tree_text import plain
+from understudy.cli.common.text.text_tables import Cell, format_table
+from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.clock_text import wall
 from understudy.cli.simulate.fault_times import matched

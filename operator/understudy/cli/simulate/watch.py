@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from understudy.api.base import seconds
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.tree_text import plain
+from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.cli.simulate.live_screen import Display, Lines, Screen, describe

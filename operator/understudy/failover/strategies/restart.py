@@ -69,7 +69,7 @@ class Restart(Strategy):
             raise NotVerified(f"{target.name} {reason}")
         if not own:
             await started(target, progress, means)
-        # A pod that has run for a while was brought up already (monitor/act/standby_lifecycle.py).
+        # A pod that has run for a while was brought up already (monitor/act/instances/standby_lifecycle.py).
         standing = bool(own) and means.agents.is_ready(target)[0]
         await make_drivable(target, progress, means, None if standing else self._recovery, within=end - loop_time())
         return target

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import PodControl
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from understudy.api.kinds.failure_policy import Safety
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.progress import Progress
 from understudy.monitor.decide.pause_state import PauseState
-from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.outcome import Outcome
 from understudy.ros.actions.repeated_publisher import Commander
 from understudy.ros.runtime.graph_node import Graph

@@ -5,19 +5,19 @@ from __future__ import annotations
 import time
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.monitor.act.abandonment import Abandonment
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.deferred_recovery import DeferredRecovery
-from understudy.monitor.act.garbage_collection import GarbageCollection
-from understudy.monitor.act.gate_opening import GateOpening
-from understudy.monitor.act.planned_switchover import PlannedSwitchovers
-from understudy.monitor.act.pod_labels import PodLabels
-from understudy.monitor.act.recovery_journal import RecoveryJournal
-from understudy.monitor.act.recovery_runner import RecoveryRunner, RecoveryStart
-from understudy.monitor.act.reflex_guard import ReflexGuard
+from understudy.monitor.act.gate.gate_opening import GateOpening
+from understudy.monitor.act.gate.reflex_guard import ReflexGuard
+from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.instances.pod_labels import PodLabels
+from understudy.monitor.act.instances.standby_supervision import StandbySupervision
+from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.recovery.abandonment import Abandonment
+from understudy.monitor.act.recovery.deferred_recovery import DeferredRecovery
+from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
+from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
+from understudy.monitor.act.recovery.recovery_runner import RecoveryRunner, RecoveryStart
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
-from understudy.monitor.act.standby_supervision import StandbySupervision
-from understudy.monitor.act.state_keeping import StateKeeping
 from understudy.monitor.decide.stage import DecideStage
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices

@@ -16,7 +16,7 @@ from understudy.failover.limits import budget as budgets
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.monitor.notices import BudgetCounted, Notices, RecoveryDeferred
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 

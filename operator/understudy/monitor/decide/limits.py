@@ -10,8 +10,8 @@ from understudy.monitor.decide.budget_spending import BudgetSpending
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.decide.retry_backoff import RetryBackoff
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.storm_condition import StormCondition
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.storm_condition import StormCondition
 from understudy.monitor.outcome import Outcome
 
 

@@ -8,7 +8,7 @@ import logging
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.monitor.notices import Notices, PauseChanged
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 

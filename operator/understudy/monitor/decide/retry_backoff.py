@@ -14,7 +14,7 @@ from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 

@@ -29,8 +29,8 @@ from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.dependencies import Dependencies, told
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.dependencies import Dependencies, told
 from understudy.monitor.outcome import Outcome
 
 

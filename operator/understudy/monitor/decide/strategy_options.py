@@ -12,8 +12,8 @@ from understudy.failover.protocol import Choice
 from understudy.failover.strategies.base import Means, Strategy
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import ApiError
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.storm_condition import StormCondition
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.storm_condition import StormCondition
 
 LOOK_WITHIN = 0.5
 """Maximum seconds that the check for what a planned hand-over needs may take."""

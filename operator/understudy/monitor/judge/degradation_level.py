@@ -17,7 +17,7 @@ from understudy.failover.degradation import Level
 from understudy.failover.interfaces import Instance
 from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.notices import BecameDegraded, Notices
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)

@@ -13,7 +13,7 @@ from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Gate, Instance, Instances
 from understudy.failover.reflex import TakenOver
 from understudy.monitor.observe.agent_connections import AgentConnections
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.trees.core.debounce import Debounce
 from understudy.trees.core.health_tree import Verdict
 

@@ -9,8 +9,8 @@ from understudy.api.kinds.robot_workload import Reflex
 from understudy.failover.interfaces import Gate
 from understudy.failover.progress import PodIdentity
 from understudy.failover.reflex import TakenOver, switched
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 
 LOOK = 0.005
 """Seconds between looks while the active pod is silent."""

@@ -16,7 +16,7 @@ from understudy.failover import situation
 from understudy.failover.progress import rfc3339
 from understudy.failover.situation import Rule
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from understudy.monitor.judge.gate_enforcement import GateEnforcement
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.judge.situation_tracking import SituationTracking
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.senses import Senses
 from understudy.trees.core.health_tree import Verdict
 

@@ -20,8 +20,8 @@ from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
 from understudy.kube.client import SECRETS, ApiError, Client
 from understudy.monitor.crash_points import CrashPoints
-from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 _logger = logging.getLogger(__name__)

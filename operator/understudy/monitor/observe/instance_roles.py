@@ -13,8 +13,8 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Gate, Instance
-from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.trees.languages.procedure_notations import composed
 from understudy.trees.source.problems import TreeError
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from understudy.kube.gates.base import Proof
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
-from understudy.monitor.observe.health_observer import HealthObserver
 from understudy.monitor.observe.instance_roles import InstanceRoles
-from understudy.monitor.observe.robot_readers import RobotReaders
+from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.wakeups import Wakeups
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.dependencies import Dependencies
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.dependencies import Dependencies
 from understudy.monitor.observe.senses import Senses
 from understudy.monitor.observe.wakeups import Looks
 

@@ -24,8 +24,8 @@ from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.failover.progress import Progress, rfc3339
 from understudy.kube.client import EVENTS, ApiError, Object
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.report import mcap_writer
 from understudy.monitor.report.mcap_writer import Content
 from understudy.monitor.report.recording_archive import RecordingArchive, TooBig

@@ -16,8 +16,8 @@ from collections.abc import Callable, Mapping
 
 from understudy.api.kinds.robot_workload import MonitorSettings
 from understudy.monitor.notices import Notices, StatusChanged
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.report.diagnostics_status import More, Said, said, status
 from understudy.ros.actions.diagnostics_topic import Diagnostics
 from understudy.ros.actions.snapshot_streams import LEAST, Streams

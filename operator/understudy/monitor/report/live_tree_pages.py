@@ -10,8 +10,8 @@ from importlib import resources
 from typing import Any
 
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.process.http_pages import HTML, JSON, Answer
 
 

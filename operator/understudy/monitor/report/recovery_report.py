@@ -7,7 +7,7 @@ import time
 
 from understudy.api.kinds.robot_workload import GateStatus, Recovery
 from understudy.failover.interfaces import Gate
-from understudy.monitor.act.recovery_messages import describe, describe_switchover, unverified
+from understudy.monitor.act.recovery.recovery_messages import describe, describe_switchover, unverified
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.notices import FailureDetected, Notices
 from understudy.monitor.outcome import Outcome

@@ -7,8 +7,8 @@ from understudy.monitor.act.stage import ActStage
 from understudy.monitor.decide.stage import DecideStage
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.report.recovery_report import RecoveryReport
 from understudy.monitor.report.status_conditions import StatusConditions
 

@@ -9,8 +9,8 @@ from understudy.monitor.decide.initial_activation import Candidates
 from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
-from understudy.monitor.observe.health_observer import HealthObserver
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 
 
 class StatusConditions:

@@ -25,7 +25,7 @@ from understudy.monitor.notices import (
     StatusAwaited,
     StatusChanged,
 )
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.report import monitor_metrics
 
 _logger = logging.getLogger(__name__)

@@ -13,8 +13,8 @@ import pytest
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
+from understudy.cli.common.cluster_access.kubectl import Kubectl
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl import Kubectl
 from understudy.cli.inspect import timeline
 
 NAME = "robot-17-navigation"

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl_proxy import Api, Refused
 
 
 class Handler(BaseHTTPRequestHandler):

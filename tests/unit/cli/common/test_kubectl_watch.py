@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from understudy.cli.common import kubectl_watch
-from understudy.cli.common.kubectl_watch import Watch, waiting
+from understudy.cli.common.cluster_access import kubectl_watch
+from understudy.cli.common.cluster_access.kubectl_watch import Watch, waiting
 
 LONG = 30.0
 """Seconds that are waited for anything."""

@@ -6,7 +6,7 @@ import pytest
 
 from tests.support import fleet
 from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
-from understudy.cli.common.recovery_text import lines
+from understudy.cli.common.text.recovery_text import lines
 
 
 def told(*recoveries: Recovery, columns: int | None = 100, last: int = 3, count: int | None = None) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from understudy.cli.common.time_bars import NAMES, bar, length, short, stacked
+from understudy.cli.common.text.time_bars import NAMES, bar, length, short, stacked
 
 OLD, NEW = "robot-17-navigation-7k2xq", "robot-17-navigation-x8v2m"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tests.support.fake_monitor import leaf, state
-from understudy.cli.common.tree_text import Rates, lines
+from understudy.cli.common.text.tree_text import Rates, lines
 
 
 def told(*looks: dict[str, object], colours: bool = False) -> list[str]:

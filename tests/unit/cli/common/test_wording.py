@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support.fleet import NOW, ago
-from understudy.cli.common.wording import age, clock, wrapped
+from understudy.cli.common.text.wording import age, clock, wrapped
 
 
 @pytest.mark.parametrize(

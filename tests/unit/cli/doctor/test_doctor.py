@@ -20,7 +20,7 @@ from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus
 from understudy.api.schema.definitions import definitions
-from understudy.cli.common.kubectl_proxy import Answer, Refused
+from understudy.cli.common.cluster_access.kubectl_proxy import Answer, Refused
 from understudy.cli.doctor import (
     clock_check,
     discovery_check,

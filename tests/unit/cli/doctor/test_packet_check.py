@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 from understudy.api import names
+from understudy.cli.common.cluster_access.kubectl_proxy import Answer
+from understudy.cli.common.cluster_access.pod_session import Session
 from understudy.cli.common.errors import CommandError
-from understudy.cli.common.kubectl_proxy import Answer
-from understudy.cli.common.pod_session import Session
 from understudy.cli.doctor import packet_check, pod_program
 from understudy.cli.doctor.clock_check import of_session
 

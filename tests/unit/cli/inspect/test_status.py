@@ -22,7 +22,7 @@ import yaml
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
-from understudy.cli.common.terminal import BEGIN, END
+from understudy.cli.common.text.terminal import BEGIN, END
 from understudy.cli.inspect.status import REFRESH, main
 
 REPOSITORY = Path(__file__).parents[4]

@@ -6,7 +6,7 @@ from math import inf
 
 import pytest
 
-from understudy.cli.report.histograms import Bucket, Histogram
+from understudy.cli.report.prometheus.histograms import Bucket, Histogram
 
 
 def histogram(*below: float) -> Histogram:

@@ -13,10 +13,10 @@ from tests.support.html_pages import Read, value
 from tests.unit.cli.report import fleet
 from tests.unit.cli.report.fleet import DAY, HOSTILE, NOW
 from understudy.cli.report.csv_sheets import sheets
-from understudy.cli.report.histograms import Histogram
 from understudy.cli.report.page import page
-from understudy.cli.report.prometheus_figures import WHOLE, Count, Measured, Pool, Step, Time
-from understudy.cli.report.promql import came, selector
+from understudy.cli.report.prometheus.histograms import Histogram
+from understudy.cli.report.prometheus.prometheus_figures import WHOLE, Count, Measured, Pool, Step, Time
+from understudy.cli.report.prometheus.promql import came, selector
 from understudy.cli.report.recovery_records import findings
 
 URL = "http://localhost:9090"

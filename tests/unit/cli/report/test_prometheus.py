@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from understudy.cli.common.errors import CommandError
-from understudy.cli.report.prometheus_client import Prometheus, Series
+from understudy.cli.report.prometheus.prometheus_client import Prometheus, Series
 
 ANSWER = {"status": "success", "data": {"result": [{"metric": {"a": "b"}, "value": [12.5, "3"]}]}}
 

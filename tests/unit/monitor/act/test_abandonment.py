@@ -29,15 +29,15 @@ from understudy.failover.strategies.base import Means, Strategy
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.network_policy import GATE
-from understudy.monitor.act import abandonment
-from understudy.monitor.act.abandonment import Abandonment
-from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.recovery_journal import RecoveryJournal
-from understudy.monitor.act.recovery_runner import RecoveryRunner
+from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.recovery import abandonment
+from understudy.monitor.act.recovery.abandonment import Abandonment
+from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
+from understudy.monitor.act.recovery.recovery_runner import RecoveryRunner
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe import interrupted_recovery
-from understudy.monitor.observe.cluster_view import ClusterView
 from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.objects import interrupted_recovery
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 FAILED = Instance(name="w-1", uid="u1")

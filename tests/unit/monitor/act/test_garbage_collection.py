@@ -10,7 +10,7 @@ import aiohttp
 
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.monitor.act.garbage_collection import FAILED_FOR, LEFT_FOR, GarbageCollection
+from understudy.monitor.act.instances.garbage_collection import FAILED_FOR, LEFT_FOR, GarbageCollection
 
 DRIVES = Instance(name="spare-1", uid="uid-1", pool="spare", running=True, claim="uid-w/1")
 LEFT = replace(DRIVES, name="spare-2", uid="uid-2", claim="uid-w/2")

@@ -14,7 +14,7 @@ from understudy.api.kinds.pause_spec import Pause
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
-from understudy.monitor.act.gate_opening import ASK_AGAIN
+from understudy.monitor.act.gate.gate_opening import ASK_AGAIN
 from understudy.monitor.loop import MonitorLoop
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)

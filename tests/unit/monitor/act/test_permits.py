@@ -17,8 +17,8 @@ from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import Object
-from understudy.monitor.act import permits as module
-from understudy.monitor.act.permits import Permits, Word, witnesses, word
+from understudy.monitor.act.gate import permits as module
+from understudy.monitor.act.gate.permits import Permits, Word, witnesses, word
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.ros.dds.host_ids import VENDOR, host_id

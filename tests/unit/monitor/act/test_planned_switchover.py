@@ -23,9 +23,9 @@ from understudy.failover.strategies.base import Means, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Prepared
-from understudy.monitor.act import planned_switchover
 from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.planned_switchover import PlannedSwitchovers
+from understudy.monitor.act.recovery import planned_switchover
+from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)

@@ -12,7 +12,7 @@ from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import ApiError
-from understudy.monitor.act.pod_control import PodControl, instance_of
+from understudy.monitor.act.instances.pod_control import PodControl, instance_of
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
 

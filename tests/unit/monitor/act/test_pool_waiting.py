@@ -22,8 +22,8 @@ from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
-from understudy.monitor.act.pool_waiting import PoolQueue
-from understudy.monitor.act.recovery_messages import describe
+from understudy.monitor.act.recovery.pool_waiting import PoolQueue
+from understudy.monitor.act.recovery.recovery_messages import describe
 
 NOW = time.time()
 

@@ -27,12 +27,12 @@ from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
 from understudy.kube.watched_collection import Reflector
-from understudy.monitor.act.gate_control import GateControl
-from understudy.monitor.act.pod_control import PodControl
-from understudy.monitor.act.pool_waiting import REASON, PoolQueue
+from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.recovery.pool_waiting import REASON, PoolQueue
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 POOL = "spare"

@@ -22,7 +22,7 @@ from tests.unit.monitor.state_monitor import POSE, STANDBY, Monitor
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import RestoredState, State
 from understudy.api.protocol.kept_state import Motion
-from understudy.monitor.act import state_keeping as module
+from understudy.monitor.act.instances import state_keeping as module
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.state_store import StateStore
 

@@ -21,8 +21,8 @@ from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.registry import choices
 from understudy.failover.strategies.restart import Restart
-from understudy.monitor.act import standby_lifecycle
-from understudy.monitor.act.standby_lifecycle import Bringing
+from understudy.monitor.act.instances import standby_lifecycle
+from understudy.monitor.act.instances.standby_lifecycle import Bringing
 from understudy.monitor.observe import agent_connections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles, Role, managed, role_of

@@ -25,9 +25,9 @@ from understudy.api.protocol.kept_state import KeptState, NotRestored
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.progress import Progress
-from understudy.monitor.act import state_keeping as module
-from understudy.monitor.act.recovery_runner import RecoveryRunner
-from understudy.monitor.act.standby_supervision import receivers
+from understudy.monitor.act.instances import state_keeping as module
+from understudy.monitor.act.instances.standby_supervision import receivers
+from understudy.monitor.act.recovery.recovery_runner import RecoveryRunner
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.loop import MonitorLoop
 from understudy.ros.runtime.graph_node import Graph

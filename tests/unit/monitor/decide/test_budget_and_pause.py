@@ -19,7 +19,7 @@ from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError
 from understudy.monitor import loop
-from understudy.monitor.act.planned_switchover import PlannedSwitchovers
+from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
 from understudy.monitor.decide.stage import Resolution
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.loop import MonitorLoop

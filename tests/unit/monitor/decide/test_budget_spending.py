@@ -14,7 +14,7 @@ from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor.decide.budget_spending import BudgetSpending
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 BUDGET = {"recoveries": 2, "within": "10m"}
 

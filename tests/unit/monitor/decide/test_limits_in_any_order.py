@@ -14,8 +14,8 @@ from tests.unit.interleavings import simulation
 from understudy.failover.limits.state import InForce
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
-from understudy.monitor.act.deferred_recovery import DeferredRecovery
-from understudy.monitor.observe.storm_condition import StormCondition
+from understudy.monitor.act.recovery.deferred_recovery import DeferredRecovery
+from understudy.monitor.observe.objects.storm_condition import StormCondition
 
 BUDGET = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
 GUARD = {"stormGuard": {"percent": 40, "workloads": 2, "within": "5s", "holdFor": "15s"}}

@@ -12,7 +12,7 @@ from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 UNTIL = "1970-01-01T00:20:00Z"
 END = 1200.0

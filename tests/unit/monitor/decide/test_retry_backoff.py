@@ -12,7 +12,7 @@ from tests.unit.monitor.takeovers import policy, took_over
 from understudy.api.kinds.robot_workload import Attempt, Recovery
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
 from understudy.failover.limits.backoff import MOST as BACKOFF_MOST
-from understudy.monitor.act.recovery_messages import describe, unverified
+from understudy.monitor.act.recovery.recovery_messages import describe, unverified
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.decide.retry_backoff import RetryBackoff
 from understudy.monitor.judge.failure_detection import Failure

@@ -29,7 +29,7 @@ from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.judge.stage import Judgement
 from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.notices import BecameDegraded, PublishedStatus
-from understudy.monitor.observe.storm_condition import StormCondition
+from understudy.monitor.observe.objects.storm_condition import StormCondition
 from understudy.trees.core.health_tree import Verdict
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)

@@ -116,7 +116,7 @@ def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while
     from rclpy.qos import qos_profile_action_status_default
     from std_msgs.msg import String
 
-    from understudy.monitor.observe.health_observer import HealthObserver
+    from understudy.monitor.observe.robot.health_observer import HealthObserver
     from understudy.ros.runtime.graph_node import Graph
 
     given = FailurePolicySpec.model_validate(

@@ -17,7 +17,7 @@ from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.monitor.judge import situation_tracking as situations
 from understudy.monitor.judge.situation_tracking import HEARING, LOOK, SituationTracking
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.context_detection import Seen, Situating
+from understudy.monitor.observe.robot.context_detection import Seen, Situating
 from understudy.monitor.report import monitor_metrics
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.core.observations import RecordedObservations, TopicRecord

@@ -10,7 +10,7 @@ import pytest
 
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 GOOD = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}

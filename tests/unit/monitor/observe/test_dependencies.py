@@ -26,12 +26,12 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import NETWORK_POLICIES, Object
-from understudy.monitor.act.recovery_messages import describe
+from understudy.monitor.act.recovery.recovery_messages import describe
 from understudy.monitor.decide.stage import Resolution
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.observe.dependencies import Dependencies, begin, following
+from understudy.monitor.observe.objects.dependencies import Dependencies, begin, following
 from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.status_writer import QUIET, StatusWriter
 from understudy.trees.core.health_tree import Verdict

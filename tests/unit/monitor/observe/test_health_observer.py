@@ -11,7 +11,7 @@ import pytest
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.interfaces import GateState, Instance
-from understudy.monitor.observe.resource_meter import ResourceMeter
+from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.trees.core.observations import PodCondition
 from understudy.trees.languages.short import health_loader
 from understudy.trees.leaves.custom_leaf import kind_of
@@ -26,7 +26,7 @@ def observer(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    from understudy.monitor.observe.health_observer import HealthObserver
+    from understudy.monitor.observe.robot.health_observer import HealthObserver
 
     made = HealthObserver()
     made.follow(
@@ -108,7 +108,7 @@ def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(observ
 
 
 async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output() -> None:
-    from understudy.monitor.observe.health_observer import GatedReaders
+    from understudy.monitor.observe.robot.health_observer import GatedReaders
     from understudy.ros.observe.sample_sources import Sources
 
     class Sight:

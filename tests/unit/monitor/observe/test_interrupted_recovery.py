@@ -11,7 +11,7 @@ import pytest
 from tests.unit.monitor.takeovers import took_over
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import Progress, rfc3339
-from understudy.monitor.observe.interrupted_recovery import concluded, interrupted
+from understudy.monitor.observe.objects.interrupted_recovery import concluded, interrupted
 
 
 def begun(at: float) -> Progress:

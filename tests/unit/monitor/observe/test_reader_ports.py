@@ -6,7 +6,7 @@ import pytest
 
 from understudy.api import names
 from understudy.monitor.judge.gate_enforcement import Judgement
-from understudy.monitor.observe.reader_ports import Reading, judge
+from understudy.monitor.observe.robot.reader_ports import Reading, judge
 from understudy.ros.middleware import Locator
 
 CMD_VEL, ARM = "/cmd_vel", "/arm/command"

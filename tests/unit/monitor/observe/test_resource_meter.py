@@ -12,8 +12,8 @@ from aiohttp import web
 
 from understudy.api import names
 from understudy.kube.client import Access, Client
-from understudy.monitor.observe import resource_meter
-from understudy.monitor.observe.resource_meter import ResourceMeter
+from understudy.monitor.observe.objects import resource_meter
+from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 
 
 class MetricsApi:

@@ -17,8 +17,8 @@ from tests.support.notices import RecordedNotices
 from understudy.api.conditions import condition
 from understudy.api.kinds.robot_workload import Output
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe import robot_readers
-from understudy.monitor.observe.robot_readers import RobotReaders
+from understudy.monitor.observe.robot import robot_readers
+from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.ros.runtime.graph_node import Endpoint
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")

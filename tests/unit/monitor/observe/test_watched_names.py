@@ -22,8 +22,8 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
-from understudy.monitor.observe import cluster_view as viewing
-from understudy.monitor.observe.cluster_view import ClusterView
+from understudy.monitor.observe.objects import cluster_view as viewing
+from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
 Watch = tuple[str, str | None, str | None]

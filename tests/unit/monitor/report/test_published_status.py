@@ -18,7 +18,7 @@ from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError, Client, Object
-from understudy.monitor.act.recovery_messages import describe_switchover
+from understudy.monitor.act.recovery.recovery_messages import describe_switchover
 from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.report import monitor_metrics, status_writer
 from understudy.monitor.report.status_writer import StatusWriter

@@ -1,0 +1,256 @@
+"""Runs kubectl for all requests to a cluster, so that every way to authenticate that kubectl supports works here too."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import re
+import select
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from understudy.cli.common import shell_completion
+from understudy.cli.common.cluster_access.kubectl_watch import Watch, waiting
+from understudy.cli.common.errors import CommandError, Forbidden
+
+TIMEOUT = 15.0
+"""Seconds within which the API server must answer, and a port forwarding must start."""
+
+PATIENCE = 1.0
+"""Seconds after which the output of a running kubectl is shown: a credential plugin may display a login code or ask a question."""
+
+WORKLOADS = "robotworkloads.understudy.dev"
+
+_CREDENTIALS = "getting credentials: "
+"""Part of kubectl's message if the kubeconfig's credential plugin failed. A plugin that asks questions needs a terminal."""
+
+_LOG = re.compile(rb"[IWEF]\d{4} ")
+"""The beginning of a line of kubectl's log. Messages for people do not have it."""
+
+_REMEDIES = {
+    "connection to the server localhost:8080 was refused": "kubectl found no kubeconfig and tried the default address; set --kubeconfig or "
+    "KUBECONFIG",
+    "did you specify the right host or port": "check that the API server runs, or choose another cluster with --context or --kubeconfig",
+    "current-context must exist": "the kubeconfig has no current context; set --context, --kubeconfig or KUBECONFIG",
+    "context was not found": "kubectl config get-contexts lists the available contexts",
+    'context "': "kubectl config get-contexts lists the available contexts",
+    "have a resource type": "Understudy is not installed in this cluster; install the chart, or choose another cluster with --context",
+    _CREDENTIALS: "log in with the kubeconfig's credential plugin, for example by running kubectl get pods in a terminal",
+    "Unauthorized": "the cluster does not accept your credentials; log in again, or choose another user with --context or --kubeconfig",
+}
+"""What to do about a message of kubectl that does not say it, by a part of the message."""
+
+_GUESS = " - did you specify the right host or port?"
+
+_NO_CREDENTIALS = "the kubeconfig has no credentials for this cluster, and kubectl asked for a user; log in or choose another --context"
+"""The meaning of kubectl's message ``EOF``: it asked a question on standard input, which is closed."""
+
+_FORWARDING = re.compile(r"Forwarding from 127\.0\.0\.1:(\d+) ")
+
+
+def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False) -> None:
+    """Add the options that choose the cluster and the namespace. Call it last: it also answers shell completion."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("-n", "--namespace", help="namespace (default: that of the kubeconfig's context)")
+    if all_namespaces:
+        where.add_argument("-A", "--all-namespaces", action="store_true", help="all namespaces")
+    parser.add_argument("--context", help="context of the kubeconfig")
+    parser.add_argument("--kubeconfig", help="path of the kubeconfig")
+    shell_completion.offer(parser, {"NAME": _robots, "NAMESPACE": _namespaces, "CONTEXT": _contexts})
+
+
+def _robots(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """Return the names of RobotWorkloads, for shell completion."""
+    return _named(parsed_args, WORKLOADS)
+
+
+def _namespaces(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """Return the names of namespaces, for shell completion."""
+    return _named(parsed_args, "namespaces")
+
+
+def _named(given: argparse.Namespace, kind: str) -> list[str]:
+    try:
+        return [item["metadata"]["name"] for item in Kubectl(given).get(kind)["items"]]
+    except CommandError:
+        return []
+
+
+def _contexts(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+    """Return the contexts of the kubeconfig, for shell completion."""
+    try:
+        return Kubectl(parsed_args).contexts()
+    except CommandError:
+        return []
+
+
+class Kubectl:
+    """Runs kubectl for one cluster and one namespace."""
+
+    def __init__(self, given: argparse.Namespace) -> None:
+        """``given`` holds the options of :func:`add_options`. Raises CommandError if kubectl is not installed."""
+        if shutil.which("kubectl") is None:
+            raise CommandError("kubectl is not on the PATH; install it, because all requests to the cluster use it")
+        where = {"namespace": given.namespace, "context": given.context, "kubeconfig": given.kubeconfig}
+        self._options = [f"--{key}={value}" for key, value in where.items() if value]
+        self._given: str | None = given.namespace
+        self._stdin: int | None = subprocess.DEVNULL
+        """Closed, because nobody would see a question that kubectl itself asks, such as for a user name."""
+
+    @property
+    def namespace(self) -> str:
+        """The given namespace, or that of the context. Raises CommandError with kubectl's message."""
+        if not self._given:
+            contexts = json.loads(self._run("config", "view", "--minify", "-o", "json")).get("contexts") or [{}]
+            self._given = (contexts[0].get("context") or {}).get("namespace") or "default"
+        return self._given
+
+    def contexts(self) -> list[str]:
+        """Return the names of the kubeconfig's contexts. Raises CommandError with kubectl's message."""
+        return [one["name"] for one in json.loads(self._run("config", "view", "-o", "json")).get("contexts") or []]
+
+    def command(self, *arguments: str) -> list[str]:
+        """Return the command line of a kubectl process that runs in parallel to other requests."""
+        return ["kubectl", *self._options, *arguments]
+
+    def get(self, kind: str, *arguments: str) -> Any:
+        """Return an object, or a list of objects. Raises CommandError with kubectl's message."""
+        return json.loads(self._got(kind, *arguments))
+
+    def find(self, kind: str, name: str, *arguments: str) -> Any:
+        """Return an object, or None if it does not exist; for several names, a list of those that exist. Raises CommandError."""
+        text = self._got(kind, name, *arguments, "--ignore-not-found")
+        return json.loads(text) if text.strip() else None
+
+    def patch(self, kind: str, name: str, body: Any) -> Any:
+        """Change an object by a merge patch and return the result. Raises CommandError with kubectl's message."""
+        return json.loads(self._run("patch", kind, name, "--type=merge", "-p", json.dumps(body), "-o", "json"))
+
+    def annotate(self, kind: str, name: str, note: str, value: str) -> None:
+        """Set an annotation of an object. Raises CommandError with kubectl's message."""
+        self._run("annotate", kind, name, "--overwrite", f"{note}={value}")
+
+    def execute(self, pod: str, container: str, *program: str) -> str:
+        """Run a program in a container and return its output. Raises CommandError with its message, or kubectl's."""
+        command = self.command("exec", pod, "-c", container, "--", *program)
+        try:
+            done = subprocess.run(
+                command, stdin=self._stdin, capture_output=True, text=True, timeout=2 * TIMEOUT, check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            raise CommandError(f"{program[0]} in pod {pod} did not finish within {error.timeout:g} s") from error
+        if done.returncode:
+            lines = [line for line in done.stderr.strip().splitlines() if not line.startswith("command terminated")]
+            raise CommandError(
+                lines[-1] if lines else f"{program[0]} in pod {pod} failed with exit status {done.returncode}"
+            )
+        return done.stdout
+
+    def delete(self, kinds: str, *arguments: str) -> None:
+        """Delete objects without waiting until they are gone. Raises CommandError with kubectl's message."""
+        self._run("delete", kinds, *arguments, "--ignore-not-found", "--wait=false")
+
+    def _got(self, kind: str, *arguments: str) -> str:
+        return self._run("get", kind, *arguments, "-o", "json")
+
+    def _run(self, *arguments: str) -> str:
+        command = [*self.command(*arguments), f"--request-timeout={TIMEOUT:g}s"]
+        status, output, errors = _run_command(command, self._stdin)
+        if status and _CREDENTIALS in errors and self._stdin is not None and _is_interactive():
+            self._stdin = None
+            status, output, errors = _run_command(command, self._stdin)
+        if status:
+            refused = Forbidden if "Error from server (Forbidden)" in errors else CommandError
+            raise refused(explain_failure(errors) or f"kubectl failed with exit status {status}")
+        return output
+
+    @contextlib.contextmanager
+    def changes(self, kind: str, *arguments: str, also: Sequence[str] = ()) -> Iterator[Callable[[float], bool]]:
+        """Yield a function that waits up to the given seconds for a change of the objects and returns whether there was one.
+
+        It does not say what changed: the caller fetches all objects again. The watch restarts after the API server ends it.
+        ``also`` is the kind and the arguments of an optional second watch, for which the user may lack the permission.
+        """
+
+        watches = [
+            Watch(self.command("get", *asked, "--watch-only", "-o", "name"))
+            for asked in ((kind, *arguments), also)
+            if asked
+        ]
+        with waiting(*watches) as wait:
+            yield wait
+
+    @contextlib.contextmanager
+    def forwarded(self, pod: str, port: int) -> Iterator[int]:
+        """Forward a port of this machine to a port of a pod, and yield it. Raises CommandError."""
+        command = self.command("port-forward", f"pod/{pod}", f":{port}", "--address=127.0.0.1")
+        with subprocess.Popen(
+            command, stdin=self._stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        ) as running:
+            try:
+                yield _port(running)
+            finally:
+                running.terminate()
+
+
+def _is_interactive() -> bool:
+    """Return whether a person can answer questions: not during shell completion."""
+    # It is None if it was closed, as by `<&-`.
+    return sys.stdin is not None and sys.stdin.isatty() and not shell_completion.is_asked()
+
+
+def _run_command(command: Sequence[str], stdin: int | None) -> tuple[int, str, str]:
+    """Run a command; return its exit status, output and error output. Error output of a slow command is shown meanwhile."""
+    shown = heard = 0
+    with subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
+        try:
+            while True:
+                try:
+                    output, errors = running.communicate(timeout=PATIENCE)
+                except subprocess.TimeoutExpired as waiting:
+                    errors = waiting.stderr or b""
+                    _show(errors[shown:heard])
+                    shown, heard = heard, len(errors)
+                else:
+                    return running.returncode, output.decode(), errors.decode(errors="replace")
+        except BaseException:
+            running.kill()
+            raise
+
+
+def _show(errors: bytes) -> None:
+    """Print error output except log lines. A question has no line break at its end."""
+    words = b"".join(line for line in errors.splitlines(keepends=True) if not _LOG.match(line))
+    print(words.decode(errors="replace"), end="", file=sys.stderr, flush=True)
+
+
+def explain_failure(text: str) -> str:
+    """Return the reason for a failure of kubectl from its last line of output, with what to do about it."""
+    lines = text.strip().splitlines()
+    message = lines[-1].removeprefix("error: ").removeprefix("Error in configuration: ") if lines else ""
+    if message == "EOF":
+        return _NO_CREDENTIALS
+    remedy = next((text for part, text in _REMEDIES.items() if part in message), "")
+    return f"{message.removesuffix(_GUESS)}: {remedy}" if remedy else message
+
+
+def _port(running: subprocess.Popen[str]) -> int:
+    assert running.stdout is not None, "it is a pipe"
+    assert running.stderr is not None, "it is a pipe"
+    end = time.monotonic() + TIMEOUT
+    while (left := end - time.monotonic()) > 0:
+        if not select.select([running.stdout], [], [], left)[0]:
+            break
+        line = running.stdout.readline()
+        if found := _FORWARDING.match(line):
+            return int(found[1])
+        if not line:
+            raise CommandError(
+                f"the monitor cannot be reached: {explain_failure(running.stderr.read()) or 'kubectl port-forward ended'}"
+            )
+    raise CommandError(f"the monitor cannot be reached: kubectl port-forward did not start within {TIMEOUT:g} s")

@@ -1,0 +1,64 @@
+"""Formats times, counts and paragraphs for a terminal."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+from datetime import UTC, datetime
+
+from understudy.cli.common.text.tree_text import plain
+
+_UNITS = ((86400, "d"), (3600, "h"), (60, "m"), (1, "s"))
+
+
+def unix(moment: str) -> float:
+    """Parse an RFC 3339 time into unix seconds."""
+    return datetime.fromisoformat(moment).timestamp()
+
+
+def age(moment: str, now: float) -> str:
+    """Return how long ago a time was, in its two largest units as kubectl writes it: 12s, 4m12s, 2d3h."""
+    left = max(0, int(now - unix(moment)))
+    told: list[str] = []
+    for size, unit in _UNITS:
+        count, left = divmod(left, size)
+        if count or told:
+            told.append(f"{count}{unit}" if count else "")
+    return "".join(told[:2]) or "0s"
+
+
+def clock(moment: str | float) -> str:
+    """Format a time (RFC 3339, or unix seconds) as date and time in UTC, as in the cluster's logs."""
+    return datetime.fromtimestamp(unix(moment) if isinstance(moment, str) else moment, UTC).strftime(
+        "%Y-%m-%d %H:%M:%SZ"
+    )
+
+
+def wrapped(text: str, columns: int | None, *, indent: int, hanging: int | None = None) -> list[str]:
+    """Wrap an untrusted text (:func:`plain`) to a width; ``indent`` is for the first line and ``hanging`` for the others.
+
+    Returns one line if ``columns`` is None.
+    """
+    first, others = " " * indent, " " * (indent if hanging is None else hanging)
+    if columns is None:
+        return [f"{first}{plain(text)}"]
+    width = max(columns, len(others) + 20)
+    # Long words are cut by the terminal rather than broken: a command that is copied from here must stay in one piece.
+    return textwrap.wrap(
+        plain(text),
+        width,
+        initial_indent=first,
+        subsequent_indent=others,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def counted(number: int, one: str, many: str = "") -> str:
+    """Format a number of things, in singular or plural."""
+    return f"{number} {one if number == 1 else many or f'{one}s'}"
+
+
+def listed(parts: Iterable[str]) -> str:
+    """Join the parts that are not empty with commas."""
+    return ", ".join(part for part in parts if part)

@@ -1,0 +1,246 @@
+"""The gate as the failover protocol sees it: commits over the last known epoch, and packets as the proof."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import time
+
+import aiohttp
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.failover.abandoned import GivenUp, ended
+from understudy.failover.interfaces import GateState, Instance, Superseded
+from understudy.failover.progress import Progress, beside
+from understudy.kube import claims
+from understudy.kube.client import ApiError, Client
+from understudy.kube.gates.base import GateRecord, Proof
+from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import GateCommitted, Notices
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+
+_logger = logging.getLogger(__name__)
+
+RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
+
+WAKING = 15.0
+"""Seconds after the API server's return for which a 401 or 403 is not final: it may not have loaded the roles yet."""
+
+
+class GateControl:
+    """Implements :class:`understudy.failover.interfaces.Gate` for one workload, over its kind of gate."""
+
+    def __init__(
+        self,
+        client: Client,
+        view: ClusterView,
+        fleet: PodControl,
+        probes: Proof,
+        crash_points: CrashPoints,
+        notices: Notices,
+    ) -> None:
+        self._client, self._view, self._fleet, self._probes = client, view, fleet, probes
+        self._crash_points, self._kind, self._notices = crash_points, view.gate_kind, notices
+        self._cached: tuple[int, GateState] = (-1, GateState())
+        self._own: tuple[str, int, str] = ("", 0, "")
+        """The recovery that this monitor committed last: its id, the epoch of the commit, and the record that was sent with it."""
+
+    @property
+    def record(self) -> GateRecord | None:
+        """Its record, as last seen or committed; None if there is no gate object."""
+        gate = self._view.gates.items.get(names.gate(self._view.workload))
+        return GateRecord.of(gate) if gate else None
+
+    @property
+    def exists(self) -> bool:
+        """Whether it is there: the operator has created it, and nobody has deleted it."""
+        return self.record is not None
+
+    @property
+    def state(self) -> GateState:
+        """Its state, as last seen or committed."""
+        if self._cached[0] != self._view.gates.revision:
+            self._cached = (self._view.gates.revision, self._read())
+        return self._cached[1]
+
+    def _read(self) -> GateState:
+        record = self.record
+        if record is None:
+            return GateState()
+        recovery = None
+        if record.recovery:
+            try:
+                recovery = Progress.model_validate_json(record.recovery)
+            except ValidationError as error:
+                _logger.warning("cannot read the recovery in the gate's annotations: %s", error)
+        return GateState(
+            epoch=record.epoch,
+            active=record.active,
+            active_uid=record.active_uid,
+            recovery=recovery,
+            admitted=record.admitted,
+            admitted_uid=record.admitted_uid,
+        )
+
+    async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
+        """Open it for one instance, or close it, at the next epoch.
+
+        Raises Superseded, also if another writer has committed since the recovery did, or names a pod that the recovery is not about.
+        """
+        begun = self.record
+        if begun is None:
+            raise Superseded(f"{self._kind.object_kind} {names.gate(self._view.workload)} does not exist")
+        self._still_ours(begun, progress)
+        if (instance := target) is not None:
+            await claims.answered(lambda: self._fleet.label(instance))
+        record, retry, away = begun, RETRY_FIRST, -math.inf
+        name, uid = (target.name, target.uid) if target else ("", "")
+        self._crash_points.step("before commit")
+        recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
+        waits_for = progress.waiting.pool if progress is not None and progress.waiting is not None else ""
+        if progress is not None:
+            self._own = (progress.id, begun.epoch, recovery)
+        asked = time.monotonic()
+        while True:
+            try:
+                gate = await self._kind.commit(
+                    self._client,
+                    self._view.namespace,
+                    self._view.workload,
+                    over=record,
+                    active=name,
+                    active_uid=uid,
+                    recovery=recovery,
+                    waits_for=waits_for,
+                )
+                break
+            except ApiError as error:
+                waking = error.status in (401, 403) and time.monotonic() - away < WAKING
+                if error.status < 500 and error.status not in (409, 429) and not waking:
+                    raise
+                _logger.warning("committing the gate: %s", error)
+                if waking:
+                    await asyncio.sleep(RETRY_FIRST)
+            except (aiohttp.ClientError, TimeoutError, OSError) as error:
+                _logger.warning("committing the gate: the API server does not answer: %r", error)
+                away = time.monotonic()
+                await asyncio.sleep(retry)
+                retry = min(2 * retry, RETRY_MOST)
+            record = await self._reread(begun, uid, recovery) or record
+            if record.epoch > begun.epoch:
+                self._own = (self._own[0], record.epoch, recovery)
+                return self.state
+        self._notices.add(GateCommitted(time.monotonic() - asked))
+        self._view.gates.put(gate)
+        self._own = (self._own[0], begun.epoch + 1, recovery)
+        self._crash_points.step("after commit")
+        return self.state
+
+    def _still_ours(self, begun: GateRecord, progress: Progress | None) -> None:
+        """Raise Superseded if a recovery under way would undo another writer's commit, by a second monitor or ``understudy fence``.
+
+        A commit of a recovery that is not under way is written over any other.
+        """
+        if progress is None or progress.result != "Running":
+            return
+        id_, epoch, sent = self._own
+        if id_ == progress.id:
+            # A commit without an answer may have been carried out. The record that was sent is also there if another writer has closed the
+            # gate since and left the rest as it was.
+            carried_out = begun.recovery == sent and (tells := beside(sent)) is not None and begun.epoch == tells.epoch
+            if begun.epoch != epoch and not carried_out:
+                raise Superseded(f"the gate is at epoch {begun.epoch} by another writer, this recovery knew {epoch}")
+            return
+        about = [*progress.failed, progress.target, progress.former, progress.taken_over]
+        if begun.active_uid and begun.active_uid not in {pod.uid for pod in about if pod is not None}:
+            raise Superseded(f"the gate names {begun.active} by another writer, which this recovery is not about")
+
+    async def admit(self, standby: Instance | None) -> bool:
+        """Let a standby through beside the pod in control, or none; whether that was written.
+
+        Tried once: a commit matters more and may be waiting, and the caller decides again soon anyway.
+        """
+        record = self.record
+        if record is None or not record.active:
+            return False
+        name, uid = (standby.name, standby.uid) if standby else ("", "")
+        try:
+            if standby is not None:
+                await self._fleet.label(standby)
+            gate = await self._kind.admit(
+                self._client,
+                self._view.namespace,
+                self._view.workload,
+                over=record,
+                admitted=name,
+                admitted_uid=uid,
+            )
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("admitting %s at the gate: %r", name or "no standby", error)
+            return False
+        self._view.gates.put(gate)
+        return True
+
+    def left_by(self, recovery: str) -> GivenUp | None:
+        """The record that a recovery (its id) that this monitor abandoned has left at the gate, or may still leave; None for none."""
+        id_, epoch, sent = self._own
+        if id_ == recovery:
+            return GivenUp(id=id_, epoch=epoch, sent=sent)
+        record = self.record
+        found = beside(record.recovery) if record is not None else None
+        if record is None or found is None or found.id != recovery:
+            return None
+        return GivenUp(id=recovery, epoch=record.epoch, sent=record.recovery)
+
+    async def end_recovery(self, over: GateRecord) -> None:
+        """Mark the recovery in this record as ended, if the gate still has this record.
+
+        Tried once, as :meth:`admit` is, and for the same reason.
+        """
+        found = beside(over.recovery)
+        if found is None:
+            return
+        try:
+            gate = await self._kind.end_recovery(
+                self._client,
+                self._view.namespace,
+                self._view.workload,
+                over=over,
+                recovery=ended(found).model_dump_json(),
+            )
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            _logger.warning("marking recovery %s as abandoned at the gate: %r", found.id, error)
+            return
+        _logger.info("marked recovery %s as abandoned at the gate", found.id)
+        self._view.gates.put(gate)
+
+    async def _reread(self, begun: GateRecord, uid: str, recovery: str) -> GateRecord | None:
+        """Read the gate after a refused or unanswered commit, which may have been carried out; None if it cannot be read."""
+        try:
+            gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
+        except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
+            return None
+        record = GateRecord.of(gate)
+        ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery
+        if record.epoch != begun.epoch and not ours:
+            self._view.gates.put(gate)
+            raise Superseded(f"the gate is at epoch {record.epoch} by another writer, this monitor knew {begun.epoch}")
+        self._view.gates.put(gate)
+        return record
+
+    async def lets_through(self, instance: Instance) -> bool:
+        """Whether it names an instance at this moment, read from the API server. Raises what a request raises."""
+        gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
+        record = GateRecord.of(gate)
+        return instance.uid in (record.active_uid, record.admitted_uid)
+
+    async def enforced(self, target: Instance, *, since: float) -> float:
+        """Wait until a packet of the instance gets through; when the first one did, in Unix seconds."""
+        return await self._probes.wait(target.uid, since)
+
+    def last_packet(self, uid: str) -> float | None:
+        """When a packet of a pod last got through, in Unix seconds; None if none did."""
+        return self._probes.last(uid)

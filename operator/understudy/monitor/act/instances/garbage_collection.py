@@ -1,0 +1,93 @@
+"""Deletes what recoveries left behind: claimed pods that nobody prepares, and failed pods whose deletion failed.
+
+A claim may succeed after its monitor gave it up, or died together with its journal. Such a pod is useless: it belongs
+to this workload, but no recovery knows it and no pool counts it. A failed pod counts as a standby, and would keep its
+place.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Sequence
+
+import aiohttp
+
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import PodIdentity
+from understudy.kube.client import ApiError
+from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.notices import Notices
+
+_logger = logging.getLogger(__name__)
+
+LEFT_FOR = 30.0
+"""Minimum seconds that a claimed pod was not active before it is deleted. Another monitor of this workload may be
+preparing it, while this one is about to be replaced by it."""
+
+
+FAILED_FOR = 2.0
+"""Seconds after which a failed pod is deleted again: its first deletion may be seen only then."""
+
+
+class GarbageCollection:
+    """Pods of one workload that are not active and have no use."""
+
+    def __init__(self, fleet: PodControl, gate: GateControl, notices: Notices) -> None:
+        self._fleet, self._gate, self._notices = fleet, gate, notices
+        self._since: dict[str, float] = {}
+        self._failed: dict[str, PodIdentity] = {}
+        """Pods that failed in the last recovery, or in one before, by UID."""
+        self._deleting: asyncio.Task[None] | None = None
+
+    def remember(self) -> None:
+        """Note the pods that failed in the recovery in the gate's record: the next recovery may begin at once."""
+        recovery = self._gate.state.recovery
+        if recovery is not None:
+            self._failed |= {pod.uid: pod for pod in recovery.replaced}
+
+    def add(self, pod: PodIdentity) -> None:
+        """Add a pod that a recovery began to prepare and does not need."""
+        self._failed[pod.uid] = pod
+
+    def failed(self) -> list[PodIdentity]:
+        """Pods that failed in earlier recoveries and still exist: the next recovery deletes them too, whichever monitor
+        finishes it."""
+        self.remember()
+        active = self._gate.state.active_uid
+        there = {i.uid for i in self._fleet.of_workload() if i.usable}
+        return [pod for uid, pod in self._failed.items() if uid in there and uid != active]
+
+    def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
+        """Look at every instance while no recovery is under way. ``now`` is by a clock that is never set. Returns at
+        once."""
+        state = self._gate.state
+        in_use = (state.active_uid, state.admitted_uid)
+        self.remember()
+        there = {i.uid for i in instances if i.uid not in in_use}
+        self._failed = {uid: pod for uid, pod in self._failed.items() if uid in there}
+        left = [
+            i
+            for i in instances
+            if not i.terminating
+            and i.uid not in in_use
+            and not state.closed
+            and (i.claim or (i.uid in self._failed and i.usable))
+        ]
+        self._since = {i.uid: self._since.get(i.uid, now) for i in left}
+        due = [i for i in left if now - self._since[i.uid] >= (FAILED_FOR if i.uid in self._failed else LEFT_FOR)]
+        if due and (self._deleting is None or self._deleting.done()):
+            self._deleting = asyncio.create_task(self._delete(due))
+
+    async def _delete(self, due: Sequence[Instance]) -> None:
+        for instance in due:
+            with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+                # The last seen state of the gate may be old.
+                if await self._gate.lets_through(instance):
+                    continue
+                await self._fleet.retire(instance)
+                _logger.warning("%s was left behind by a recovery: deleted", instance.name)
+                why = "has failed" if instance.uid in self._failed else "was claimed by a recovery that did not succeed"
+                self._notices.event("Normal", "LeftoverDeleted", f"{instance.name} {why}: it is deleted")

@@ -1,0 +1,204 @@
+"""The workload's pods as instances, and what may be done to them: claim, retire, replace, label."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractAsyncContextManager
+from functools import partial
+
+from understudy.api import names
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover.interfaces import ClaimLost, Instance
+from understudy.kube import claims
+from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Client, Object
+from understudy.kube.watched_collection import any_changed
+from understudy.monitor.crash_points import CrashPoints
+from understudy.monitor.notices import Notices, PodClaimed
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.trees.core.observations import PodCondition
+
+_logger = logging.getLogger(__name__)
+
+CRASH_LOOP = "CrashLoopBackOff"
+"""The kubelet's reason for a container that it does not start at once, because it ended repeatedly."""
+
+EVICTION = "DeletionByTaintManager"
+"""Why a pod is deleted whose node is not ready or cannot be reached (its condition DisruptionTarget)."""
+
+STATEFUL_SET_GRACE = 1
+"""Seconds that a failed pod of a StatefulSet gets: its replacement has the same name and waits for it to be gone."""
+
+
+def instance_of(pod: Object) -> Instance:
+    """A pod as an instance."""
+    metadata, status = pod["metadata"], pod.get("status", {})
+    labels = metadata.get("labels") or {}
+    conditions = {c["type"]: c["status"] for c in status.get("conditions") or []}
+    reasons = {c["type"]: c.get("reason") for c in status.get("conditions") or []}
+    containers = [c for c in status.get("containerStatuses") or [] if c.get("name") != names.AGENT_CONTAINER]
+    terminating = bool(metadata.get("deletionTimestamp"))
+    return Instance(
+        name=metadata["name"],
+        uid=metadata["uid"],
+        ip=status.get("podIP", ""),
+        pool=labels.get(names.POOL, ""),
+        running=status.get("phase") == "Running",
+        ready=conditions.get("Ready") == "True",
+        held=labels.get(names.HELD) == "true",
+        terminating=terminating,
+        node=pod["spec"].get("nodeName") or "",
+        has_agent=any(c["name"] == names.AGENT_CONTAINER for c in pod["spec"]["containers"]),
+        claim=(metadata.get("annotations") or {}).get(names.CLAIM, ""),
+        template_hash=labels.get(names.TEMPLATE_HASH, ""),
+        created=metadata.get("creationTimestamp", ""),
+        restarts=sum(c.get("restartCount", 0) for c in containers),
+        crashing=any(((c.get("state") or {}).get("waiting") or {}).get("reason") == CRASH_LOOP for c in containers),
+        evicted=terminating and reasons.get("DisruptionTarget") == EVICTION,
+        conditions=tuple(
+            PodCondition(c["type"], c["status"], c.get("reason") or "") for c in status.get("conditions") or []
+        ),
+    )
+
+
+class PodControl:
+    """Implements :class:`understudy.failover.interfaces.Instances` over the watched pods."""
+
+    def __init__(self, client: Client, view: ClusterView, crash_points: CrashPoints, notices: Notices) -> None:
+        self._client, self._view, self._crash_points, self._notices = client, view, crash_points, notices
+        self._instances: list[Instance] = []
+        self._revision: tuple[int, int] | None = None
+
+    @property
+    def _settings(self) -> WorkloadSettings:
+        settings = self._view.settings
+        assert settings is not None, "the view waits for the settings"
+        return settings
+
+    @property
+    def _template_hashes(self) -> dict[str, str]:
+        """Template hashes of the pods of each pool that may be claimed; empty if any may."""
+        return {choice.name: choice.template_hash for choice in self._settings.pools}
+
+    def of_workload(self) -> Sequence[Instance]:
+        """Every instance of this workload, terminating ones included."""
+        if self._revision != self._view.pods_revision:
+            self._revision = self._view.pods_revision
+            self._instances = [instance_of(pod) for pod in self._view.all_pods()]
+        return self._instances
+
+    def find(self, uid: str) -> Instance | None:
+        """The instance of this workload with a UID."""
+        return next((i for i in self.of_workload() if i.uid == uid), None)
+
+    def unclaimed(self, pool: str) -> Sequence[Instance]:
+        """Pods of a shared pool that are ready at its present template and belong to nobody, oldest first; of those that were
+        looked for.
+        """
+        current = self._template_hashes
+        if pool not in current:
+            return []
+        held = (instance_of(pod) for pod in self._view.unclaimed(pool).items.values())
+        fitting = [
+            i
+            for i in held
+            if i.pool == pool
+            and i.held
+            and i.ready
+            and i.usable
+            and (not current[pool] or not i.template_hash or i.template_hash == current[pool])
+        ]
+        return sorted(fitting, key=lambda i: (i.created, i.name))
+
+    async def look(self, pool: str, *, part: bool = False) -> None:
+        """Look which pods of a shared pool are unclaimed, or which of some of them."""
+        asked = claims.part(self._settings.uid) if part else ""
+        await self._view.unclaimed(pool).look(asked, self._template_hashes.get(pool, ""))
+
+    def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
+        """Go on looking, meanwhile."""
+        return self._view.unclaimed(pool).followed()
+
+    def stocked(self, pool: str) -> bool:
+        """Whether a shared pool has a pod that this workload could claim, according to the operator's last report."""
+        return pool in self._view.stocked
+
+    async def claim(self, instance: Instance, claim: str) -> Instance:
+        """Make an unclaimed pod an instance of this workload. Raises ClaimLost."""
+        pod = self._view.unclaimed(instance.pool).items.get(instance.name)
+        if pod is None or pod["metadata"]["uid"] != instance.uid:
+            raise ClaimLost(instance.name)
+        self._crash_points.step("before claim")
+        begun = time.monotonic()
+        try:
+            claimed = await claims.claim(
+                self._client, pod, workload=self._view.workload, workload_uid=self._settings.uid, claim=claim
+            )
+        except ApiError as error:
+            if error.status in (403, 404, 409, 422):
+                _logger.info("claim of %s lost: %s", instance.name, error.message)
+                self._notices.add(PodClaimed("Lost", time.monotonic() - begun))
+                raise ClaimLost(instance.name) from error
+            raise
+        self._notices.add(PodClaimed("Won", time.monotonic() - begun))
+        self._view.pods.put(claimed)
+        self._crash_points.step("after claim")
+        return instance_of(claimed)
+
+    async def retire(self, instance: Instance) -> None:
+        """Delete a failed pod for good: its controller creates another only if that is still needed."""
+        self._crash_points.step("before retire")
+        settings = self._settings
+        wanted = any(pool.readiness != "Uninitialized" for pool in settings.pools)
+        if instance.from_source and settings.source_kind == "ReplicaSet" and not wanted:
+            await self._scale(0)
+        else:
+            await self._delete(instance)
+
+    async def replace(self, failed: Sequence[Instance]) -> None:
+        """Delete failed pods and have the workload's own controller run a new one.
+
+        Asked until it is answered, which who calls bounds: either can be repeated. Raises ApiError where it is refused.
+        """
+        self._crash_points.step("before replace")
+        left = [i for i in self.of_workload() if i.from_source and i.usable and i.uid not in {f.uid for f in failed}]
+        if self._settings.source_kind == "ReplicaSet" and not left:
+            await claims.answered(partial(self._scale, 1))
+        for instance in failed:
+            if not instance.terminating:
+                await claims.answered(partial(self._delete, instance))
+        self._crash_points.step("after replace")
+
+    async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
+        """Wait for an instance of this workload that satisfies the predicate, and return the newest."""
+        while True:
+            fitting = [i for i in self.of_workload() if predicate(i)]
+            if fitting:
+                return max(fitting, key=lambda i: (i.created, i.name))
+            sources = [self._view.pods] + ([self._view.source_pods] if self._view.source_pods else [])
+            await any_changed(sources)
+
+    async def label(self, instance: Instance) -> None:
+        """Give a pod of the workload's own controller the labels with which the gate selects it."""
+        pod = next((p for p in self._view.all_pods() if p["metadata"]["uid"] == instance.uid), None)
+        if pod is None:
+            return
+        wanted = {names.WORKLOAD: self._view.workload, names.INSTANCE: instance.name}
+        labels = pod["metadata"].get("labels") or {}
+        if any(labels.get(key) != value for key, value in wanted.items()):
+            body = {"metadata": {"uid": instance.uid, "labels": wanted}}
+            self._view.pods.put(await self._client.patch(PODS, self._view.namespace, instance.name, body))
+
+    async def _delete(self, instance: Instance) -> None:
+        grace = STATEFUL_SET_GRACE if self._settings.source_kind == "StatefulSet" else None
+        await self._client.delete(PODS, self._view.namespace, instance.name, uid=instance.uid, grace_seconds=grace)
+
+    async def _scale(self, replicas: int) -> None:
+        await self._client.patch(
+            REPLICA_SETS,
+            self._view.namespace,
+            self._settings.source_name,
+            {"spec": {"replicas": replicas}},
+            subresource="scale",
+        )

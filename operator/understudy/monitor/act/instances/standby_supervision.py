@@ -1,0 +1,71 @@
+"""Looks after waiting instances: decides what each is to become, prepares it, and deletes those that have no use."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+from understudy.api.base import seconds
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover.interfaces import Agents, Instance
+from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.instances.standby_lifecycle import Bringing
+from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.notices import Notices
+from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.instance_roles import InstanceRoles
+
+
+class StandbySupervision:
+    """The standbys of one workload, and other instances that are not prepared yet."""
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        agents: AgentConnections,
+        roles: InstanceRoles,
+        current: CurrentRecovery,
+        keeping: StateKeeping,
+        notices: Notices,
+    ) -> None:
+        self._cluster, self._agents, self._roles, self._current = cluster, agents, roles, current
+        self._keeping = keeping
+        self._bringing = Bringing(cluster.pods, agents, roles, notices)
+
+    def housekeeping(
+        self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool
+    ) -> None:
+        """Look at every instance that nothing else handles. During a pause nothing is done to any of them. Returns at
+        once."""
+        if not paused:
+            self._bring(instances, policy, settings)
+        active_uid = self._cluster.gate.state.active_uid
+        given = receivers(instances, settings, self._agents, active_uid=active_uid) if not paused else []
+        self._keeping.housekeeping(self._cluster.pods.find(active_uid), given)
+
+    def _bring(self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings) -> None:
+        if (spec := self._cluster.view.spec) is None:
+            return
+        held = self._current.held
+        cared = [i for i in instances if held is None or not held.has_failed(i.uid)]
+        self._bringing.housekeeping(
+            cared, policy, spec, settings, self._roles.driver, lambda: self._keeping.select(time.time())
+        )
+
+
+def receivers(
+    instances: Sequence[Instance], settings: WorkloadSettings, agents: Agents, *, active_uid: str
+) -> list[tuple[Instance, float]]:
+    """Return the standbys that are given state while they wait (``keepUp`` of their pool), each with its period in seconds."""
+    periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
+    if not periods:
+        return []
+    # A pod of the workload's own controller is a standby like the pods of pools.
+    return [
+        (instance, periods.get(instance.pool, min(periods.values())))
+        for instance in instances
+        if instance.uid != active_uid and instance.usable and instance.has_agent and not instance.held
+        if (not instance.pool or instance.pool in periods) and agents.is_ready(instance)[0]
+    ]

@@ -1,0 +1,112 @@
+"""Marks abandoned recoveries in the record at the gate, so that they do not count as under way.
+
+The first commit of a recovery writes a record at the gate. The recovery counts as under way until the status lists it.
+If an error of the API server stops it, or another writer is first, the status never lists it. Workloads that depend on
+this one would wait for its end, and so would workloads that wait for the same shared pool. The same holds for a
+recovery whose monitor is gone and that nobody has recorded, such as that of the older of two monitors of this workload.
+
+The mark is written in the background while no recovery is under way, and tried again until the gate has it. A recovery
+never waits for the mark: at worst its commit is refused once, because the mark was written first, and is sent again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+
+from understudy.failover.abandoned import GivenUp
+from understudy.failover.progress import LASTS, Committed, Progress, beside, under_way
+from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
+from understudy.monitor.notices import Notices
+
+_logger = logging.getLogger(__name__)
+
+
+class Abandonment:
+    """The abandoned recoveries of one workload, for as long as the record at its gate may say otherwise."""
+
+    def __init__(self, gate: GateControl, journal: RecoveryJournal, notices: Notices) -> None:
+        self._gate, self._journal, self._notices = gate, journal, notices
+        self._kept: list[GivenUp] | None = None
+        """The recoveries that were abandoned; None until those of an earlier monitor were taken over."""
+        self._left: tuple[str, float] = ("", 0.0)
+        """The recovery in the gate's record that is not this monitor's, and since when it has been there while the
+        robot was driven (monotonic seconds)."""
+        self._status_conditions: asyncio.Task[None] | None = None
+
+    @property
+    def ids(self) -> set[str]:
+        """Ids of the recoveries that a new monitor does not continue."""
+        self._forget_past_ones()
+        return {one.id for one in self._known}
+
+    def abandon(self, progress: Progress) -> None:
+        """Mark a recovery as abandoned, for this monitor and for the one in the next container."""
+        self._note(progress)
+        self._journal.forget()
+
+    def _note(self, progress: Progress) -> None:
+        left = self._gate.left_by(progress.id)
+        if left is None:
+            return  # it had not reached the gate
+        # An earlier one may stand there still: this one need not have come further than to ask for a commit.
+        record = self._gate.record
+        there = [one for one in self._known if record is not None and one.stands(record.epoch, record.recovery)]
+        self._keep([*(one for one in there if one.id != left.id), left])
+
+    def look(self) -> None:
+        """Write the mark if the gate says otherwise. Called now and then while nothing is recovered; returns at
+        once."""
+        self._forget_past_ones()
+        record = self._gate.record
+        if record is None or (self._status_conditions is not None and not self._status_conditions.done()):
+            return
+        given_up = any(one.stands(record.epoch, record.recovery) for one in self._known)
+        if self._is_left(record.recovery) or given_up:
+            self._status_conditions = asyncio.create_task(self._gate.end_recovery(record))
+
+    def _is_left(self, text: str) -> bool:
+        """Whether another monitor would have recorded it by now: the robot has been driven for so long by an instance that is healthy."""
+        found, driven = self._gate.state.recovery, self._notices.status.health in ("Healthy", "Degraded")
+        # The outcome of a switchover is observed by itself (understudy.monitor.act.recovery.planned_switchover).
+        if (
+            found is None
+            or found.switchover is not None
+            or not under_way(Committed.of(found), self._notices.status.told)
+        ):
+            text = ""
+        now = time.monotonic()
+        if not driven or not text or self._left[0] != text:
+            self._left = (text if driven else "", now)
+            return False
+        return now - self._left[1] >= LASTS
+
+    @property
+    def _known(self) -> list[GivenUp]:
+        if self._kept is None:
+            self._kept = self._journal.journal.given_up()
+        return self._kept
+
+    def _forget_past_ones(self) -> None:
+        """Forget the recoveries that the gate's record does not name, and can no longer name."""
+        record = self._gate.record
+        if record is None or not self._known:
+            return
+        found = beside(record.recovery)
+        said = found.id if found is not None and found.result != "Running" else ""
+        left = [
+            one
+            for one in self._known
+            if one.id != said and (one.stands(record.epoch, record.recovery) or one.may_come(record.epoch))
+        ]
+        if left != self._known:
+            self._keep(left)
+
+    def _keep(self, given_up: list[GivenUp]) -> None:
+        self._kept = given_up
+        try:
+            self._journal.journal.give_up(given_up)
+        except OSError as error:
+            _logger.error("what was given up would not outlast a restart: %s", error)

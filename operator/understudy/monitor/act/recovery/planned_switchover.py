@@ -1,0 +1,382 @@
+"""Planned switchovers: notices requests, has an understudy prepared beside the loop, and reports the outcome.
+
+A user requests a switchover with an annotation of the RobotWorkload; the operator requests one for a node that is being
+drained. Both outlast a restart of this process, and so does the report about the last request, so that it is carried
+out once. Nothing else is changed until the gate is switched, so an interrupted preparation simply starts again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import aiohttp
+
+from understudy.api import names
+from understudy.api.conditions import now as moment
+from understudy.api.kinds.switchover_spec import ENDED, Drain, Kind, Phase, Request, SwitchoverStatus, parse
+from understudy.failover import switchover
+from understudy.failover.bring_up import BringUp
+from understudy.failover.interfaces import Instance, NotAvailable, Superseded
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies.restart import Restart
+from understudy.failover.switchover import Prepared
+from understudy.kube.client import ApiError
+from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.decide.strategy_options import StrategyOptions
+from understudy.monitor.notices import Notices
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.outcome import Outcome
+
+_logger = logging.getLogger(__name__)
+
+EXPIRES = 600.0
+"""Seconds after which a request is not begun any more. The user no longer waits for it by then, and their clock may be
+a little off."""
+
+PATIENCE = 30.0
+"""Seconds that a request waits for an understudy, or for anything else that prevents it. The request of a drain waits
+as long as the drain lasts."""
+
+LOOK = 1.0
+"""Seconds between two looks whether a waiting request can begin."""
+
+TELL = 5.0
+"""Seconds between two updates of why a request waits. Figures in that message may change at every look."""
+
+AGAIN = 30.0
+"""Seconds after which a drain tries again if an understudy existed but did not come into control."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """A requested switchover."""
+
+    kind: Kind
+    reason: str
+    request: str = ""
+    drain: Drain | None = None
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What distinguishes this request from others."""
+        return self.kind, self.request, self.drain.uid if self.drain is not None else ""
+
+    def unfit(self, instance: Instance) -> str | None:
+        """Why an instance is not one that was requested; None if it is."""
+        if self.kind == "Failback" and not instance.from_source:
+            return "is not of the workload's own controller"
+        if self.drain is not None and instance.node in self.drain.cordoned:
+            return f"is on {instance.node}, which is cordoned too"
+        return None
+
+
+class PlannedSwitchovers:
+    """The planned switchovers of one workload."""
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        options: StrategyOptions,
+        keeping: StateKeeping,
+        current: CurrentRecovery,
+        garbage: GarbageCollection,
+        notices: Notices,
+    ) -> None:
+        self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
+        self._options, self._keeping, self._current = options, keeping, current
+        self._garbage, self._notices = garbage, notices
+        self._task: asyncio.Task[Prepared] | None = None
+        self._wanted: Wanted | None = None
+        self._progress: Progress | None = None
+        self._touched: PodIdentity | None = None
+        """The understudy that was changed for a switchover: it has no other use."""
+        self._next = 0.0
+        self._told_at = 0.0
+        self._waits_since: tuple[tuple[str, str, str], float] = (("", "", ""), 0.0)
+
+    @property
+    def preparing(self) -> str:
+        """UID of the understudy that is being prepared; nothing else may use it meanwhile."""
+        target = self._progress.target if self._progress is not None else None
+        return target.uid if target is not None else ""
+
+    def look(self, lacking: str) -> Prepared | None:
+        """Return the understudy that can drive instead of the active instance, once there is one that should.
+
+        ``lacking`` is why none can be prepared now, if so. Called at every look while nothing has failed, and returns
+        at once.
+        """
+        wanted = self._asked(time.time())
+        now = time.monotonic()
+        if self._task is not None:
+            if wanted is None or self._wanted is None or wanted.key != self._wanted.key:
+                self._abandon("it is not asked for any more")
+            elif self._task.done():
+                return self._outcome(self._task) if not lacking else None
+            elif now >= self._next and self._progress is not None:
+                self._say(self._progress, "Preparing", "An understudy is being brought to where it can drive.")
+            return None
+        if wanted is None:
+            self._over_and_done()
+            return None
+        if now < self._next:
+            return None
+        self._next = now + LOOK
+        if lacking:
+            self._wait(wanted, lacking, now)
+        else:
+            self._begin(wanted)
+        return None
+
+    def failed(self, reason: str) -> PodIdentity | None:
+        """Something has failed, which comes first: the understudy that was being prepared by the first strategy, if one was."""
+        wanted = self._wanted if self._task is not None else self._asked(time.time())
+        progress = self._progress if self._task is not None else None
+        self._stop()
+        if wanted is not None and wanted.request:
+            self._end("NotDone", f"Something else came first: {reason}.", wanted)
+        if progress is None or progress.target is None:
+            return None
+        if progress.index == 0 and wanted is not None and wanted.kind != "Failback":
+            return progress.target
+        self._leave(progress, progress.target)
+        return None
+
+    async def carry_out(self, prepared: Prepared) -> Outcome | None:
+        """Switch the gate to an understudy that can drive, or check the outcome of a switch that an earlier monitor
+        began.
+
+        None if the gate was not switched.
+        """
+        progress, means = prepared.progress, self._options.means()
+        self._say_switching(progress)
+        _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
+        try:
+            with self._current.during(progress):
+                async with self._keeping.recovering():
+                    if progress.former is None:
+                        await switchover.switch(prepared, means)
+                    else:
+                        await switchover.settle(progress, means)
+        except (NotAvailable, Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            if progress.result == "Running":
+                reason = str(error) or f"the API server did not answer within {switchover.COMMIT_WITHIN:g} s"
+                _logger.warning("switchover %s given up: %s", progress.id, reason)
+                self._give_up(progress, reason)
+                return None
+            _logger.warning("the former pod is not deleted yet: %r", error)
+        return Outcome("SwitchedOver" if progress.result == "Recovered" else "NotSwitchedOver", progress)
+
+    def _say_switching(self, progress: Progress) -> None:
+        self._task = None
+        target = progress.target.name if progress.target is not None else ""
+        self._say(progress, "Switching", f"The gate is being switched to {target}.")
+
+    def _give_up(self, progress: Progress, reason: str) -> None:
+        # Nobody needs what was prepared. Should it drive after all, that will be seen.
+        self._leave(progress, self._touched)
+        self._stop()
+        self._rest(progress.switchover)
+        text = f"The gate was not switched: {reason}."
+        self._notices.event("Warning", "SwitchoverNotDone", text)
+        self._say(progress, "NotDone", text)
+
+    def done(self, progress: Progress, text: str) -> None:
+        """Finish a switchover whose gate was switched and whose outcome is known."""
+        self._stop()
+        if progress.result != "Recovered":
+            self._rest(progress.switchover)
+        self._say(progress, "Done" if progress.result == "Recovered" else "NotDone", text, recovery=progress.id)
+
+    def unsettled(self) -> Progress | None:
+        """A switchover whose commit was carried out after it had been given up, or by a monitor that is gone."""
+        found = self._gate.state.recovery
+        if found is None or found.switchover is None or found.result != "Running":
+            return None
+        if found.id in self._notices.status.recorded or found.target is None:
+            return None
+        return found.model_copy(deep=True) if found.target.uid == self._gate.state.active_uid else None
+
+    # -- what is asked for ------------------------------------------------------------------------------------------
+
+    def _asked(self, now: float) -> Wanted | None:
+        text = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(names.SWITCHOVER)
+        if text and not self._was_handled(text) and (wanted := self._requested(text, now)) is not None:
+            return wanted
+        drain = self._view.settings.drain if self._view.settings is not None else None
+        if drain is None or drain.uid != self._gate.state.active_uid:
+            return None
+        return Wanted("Drain", f"node {drain.node} is to be emptied (it is cordoned)", drain=drain)
+
+    def _was_handled(self, text: str) -> bool:
+        said = self._notices.status.switchover
+        return said is not None and said.handled == text
+
+    def _requested(self, text: str, now: float) -> Wanted | None:
+        """The switchover that a request asks for; None if the request has no effect, which is reported."""
+        try:
+            found = parse(text)
+        except ValueError as error:
+            self._end("NotDone", f"Annotation {names.SWITCHOVER}: {error}.", Wanted("Failover", "", text))
+            return None
+        wanted = Wanted(found.kind, f"{found.kind.lower()} asked for by annotation", text)
+        if self._task is None and (over := self._over(found, now)) is not None:
+            self._end("NotDone", over, wanted)
+            return None
+        active = self._fleet.find(self._gate.state.active_uid)
+        if found.kind == "Failback" and self._task is None and active is not None and active.from_source:
+            self._end("Done", f"{active.name} of the workload's own controller is in control already.", wanted)
+            return None
+        return wanted
+
+    def _over(self, found: Request, now: float) -> str | None:
+        """Why a request comes too late."""
+        if now - found.at > EXPIRES:
+            return f"It was asked for {now - found.at:.0f} s ago, and nobody took it up. Ask again."
+        # Written with the gate, this lasts also where a status that a monitor wrote before its end is carried out after it.
+        last = self._gate.state.recovery
+        if last is not None and last.moments.get("detected", 0.0) > found.at:
+            what = "Control was handed over" if last.planned else "It failed and was recovered"
+            return f"{what} since it was asked for. Ask again, if it is still wanted."
+        return None
+
+    # -- preparing --------------------------------------------------------------------------------------------------
+
+    def _begin(self, wanted: Wanted) -> None:
+        choices, means = self._options.choices(), self._options.means()
+        begun = time.time()
+        progress = Progress.begin(wanted.reason, last_healthy=begun, detected=begun, planned=True)
+        progress.switchover, progress.request = wanted.kind, wanted.request
+        if wanted.kind == "Failback" and not any(isinstance(choice.strategy, Restart) for choice in choices):
+            choices = [*choices, self._home(choices)]
+        self._wanted, self._progress = wanted, progress
+        if self._is_new(wanted):
+            self._notices.event("Normal", "SwitchoverBegun", f"A switchover is being prepared: {wanted.reason}")
+            self._say(progress, "Preparing", "An understudy is being brought to where it can drive.")
+        self._task = asyncio.create_task(switchover.prepare(progress, choices, means, wanted.unfit))
+
+    def _home(self, choices: Sequence[Choice]) -> Choice:
+        """Has the workload's own controller run a pod, where the policy has no such strategy."""
+        spec = self._view.spec
+        bring_up = BringUp.of("bringUp", spec.bring_up) if spec is not None else None
+        return Choice(Restart(recovery=bring_up), max([PATIENCE, *(choice.verify_within for choice in choices)]))
+
+    def _outcome(self, task: asyncio.Task[Prepared]) -> Prepared | None:
+        wanted = self._wanted
+        assert wanted is not None, "it was begun"
+        try:
+            prepared = task.result()
+        except Exception as error:  # whatever an API server or an agent answers, the robot is driven
+            _logger.warning("preparing a switchover: %r", error)
+            self._stop()
+            self._wait(
+                wanted, f"the API server or an agent did not do what it was asked for ({error})", time.monotonic()
+            )
+            return None
+        if prepared.target is not None:
+            self._touched = prepared.progress.target
+            return prepared
+        self._stop()
+        if prepared.passing:
+            self._wait(wanted, prepared.reason, time.monotonic())
+        else:
+            self._rest(wanted.kind)
+            self._end("NotDone", f"No understudy could drive, and nothing was changed: {prepared.reason}.", wanted)
+        return None
+
+    def _wait(self, wanted: Wanted, reason: str, now: float) -> None:
+        reason = reason.rstrip(".")
+        if self._waits_since[0] != wanted.key:
+            self._waits_since = (wanted.key, now)
+        if wanted.request and now - self._waits_since[1] >= PATIENCE:
+            self._end("NotDone", f"It could not begin for {PATIENCE:g} s, and nothing was changed: {reason}.", wanted)
+            return
+        new = self._is_new(wanted)
+        if new:
+            kind = "Warning" if wanted.drain is not None else "Normal"
+            self._notices.event(kind, "SwitchoverWaits", f"{wanted.reason}: {reason}")
+        said = self._notices.status.switchover
+        if new or (said is not None and said.phase != "Waiting") or now - self._told_at >= TELL:
+            self._told_at = now
+            self._tell(
+                SwitchoverStatus(
+                    kind=wanted.kind, request=wanted.request, phase="Waiting", message=f"{reason}.", since=moment()
+                )
+            )
+
+    def _abandon(self, reason: str) -> None:
+        wanted, progress = self._wanted, self._progress
+        self._stop()
+        if progress is not None:
+            self._leave(progress, progress.target)
+        if wanted is not None:
+            self._end("NotDone", f"Nothing was changed: {reason}.", wanted)
+
+    def _over_and_done(self) -> None:
+        """Nobody asks for one. What waited, or was being prepared by an earlier monitor, comes to its end with that."""
+        said = self._notices.status.switchover
+        if said is not None and said.phase not in ENDED:
+            message = "Nothing was changed: it is not asked for any more."
+            self._tell(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
+
+    def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
+        """An understudy that something was done to is not needed. A pod of the workload's own controller is that one's business."""
+        if target is not None and progress.strategy != Restart.name:
+            self._garbage.add(target)
+
+    def _rest(self, kind: Kind | None) -> None:
+        """Have what goes on asking ask again after a while only."""
+        self._next = time.monotonic() + (AGAIN if kind == "Drain" else LOOK)
+
+    def _stop(self) -> None:
+        if self._task is not None:
+            self._task.cancel()
+        self._task = self._wanted = self._progress = self._touched = None
+
+    # -- saying -----------------------------------------------------------------------------------------------------
+
+    def _is_new(self, wanted: Wanted) -> bool:
+        """Whether the last report is about another request."""
+        said = self._notices.status.switchover
+        return said is None or said.phase in ENDED or (said.kind, said.request) != (wanted.kind, wanted.request)
+
+    def _say(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
+        target = progress.target.name if progress.target is not None else ""
+        kind = progress.switchover
+        assert kind is not None, "it is a switchover"
+        self._tell(
+            SwitchoverStatus(
+                kind=kind,
+                request=progress.request,
+                phase=phase,
+                message=message,
+                target=target,
+                recovery=recovery,
+                since=moment(),
+            )
+        )
+
+    def _end(self, phase: Phase, message: str, wanted: Wanted) -> None:
+        """End the request without a change of the gate."""
+        _logger.info("switchover (%s): %s", wanted.kind, message)
+        known = self._notices.status.switchover
+        self._tell(
+            SwitchoverStatus(kind=wanted.kind, request=wanted.request, phase=phase, message=message, since=moment())
+        )
+        if known is None or known.message != message:
+            kind, reason = ("Normal", "SwitchoverDone") if phase == "Done" else ("Warning", "SwitchoverNotDone")
+            self._notices.event(kind, reason, message)
+
+    def _tell(self, status: SwitchoverStatus) -> None:
+        before = self._notices.status.switchover
+        handled = status.request if status.request and status.phase in ENDED else before.handled if before else ""
+        if before is not None and before.phase == status.phase:
+            status = status.model_copy(update={"since": before.since})
+        self._notices.say_switchover(status.model_copy(update={"handled": handled}))

@@ -1,0 +1,127 @@
+"""Begins recoveries and carries them out, one at a time, by the protocol of understudy.failover."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import aiohttp
+
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.failover import reflex
+from understudy.failover.interfaces import Superseded
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice, recover
+from understudy.kube.client import ApiError
+from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.instances.garbage_collection import GarbageCollection
+from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.recovery.abandonment import Abandonment
+from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
+from understudy.monitor.decide.retry_backoff import RetryBackoff
+from understudy.monitor.decide.strategy_options import StrategyOptions
+from understudy.monitor.judge.failure_detection import Failure
+from understudy.monitor.judge.reflex_takeover import ReflexTakeover
+from understudy.monitor.notices import Notices
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.objects import dependencies
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.objects.dependencies import following
+from understudy.monitor.outcome import Outcome
+
+_logger = logging.getLogger(__name__)
+
+REFLEX_WITHIN = 10.0
+"""Seconds within which a standby that took over by the reflex must be seen to drive alone, once the gate names it."""
+
+ENDS = (Superseded, ApiError, aiohttp.ClientError, OSError)
+"""What ends a recovery before its strategies were tried: another writer of the gate, or an API server that refuses or is away."""
+
+
+class RecoveryStart:
+    """Begins the recoveries of one workload."""
+
+    def __init__(
+        self,
+        cluster: Cluster,
+        switchovers: PlannedSwitchovers,
+        garbage: GarbageCollection,
+        retries: RetryBackoff,
+        takeover: ReflexTakeover,
+    ) -> None:
+        self._view, self._gate = cluster.view, cluster.gate
+        self._switchovers, self._garbage, self._retries = switchovers, garbage, retries
+        self._takeover = takeover
+
+    def begin(self, failure: Failure, first_strategy: int) -> Progress:
+        """Return the record of the recovery that begins, with the strategy of this index."""
+        prepared = self._switchovers.failed(failure.reason)
+        state = self._gate.state
+        failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
+        if failure.taken is not None:
+            return reflex.begin(failure.taken, failed[0], self._takeover.deadline)
+        if failure.follows and failed:
+            if prepared is not None:
+                self._garbage.add(prepared)
+            onset, detected = failure.onset, failure.detected
+            return dependencies.begin(failure.follows, failed[0], self._view.spec, onset=onset, detected=detected)
+        progress = Progress.begin(
+            failure.reason,
+            last_healthy=failure.onset,
+            detected=failure.detected,
+            failed=[*failed, *self._garbage.failed()],
+            planned=failure.planned,
+        )
+        progress.target = prepared
+        self._retries.begin(failure, state.active_uid)
+        progress.index = first_strategy
+        return progress
+
+
+class RecoveryRunner:
+    """The recoveries of one workload."""
+
+    def __init__(
+        self,
+        view: ClusterView,
+        options: StrategyOptions,
+        keeping: StateKeeping,
+        current: CurrentRecovery,
+        abandonment: Abandonment,
+        notices: Notices,
+    ) -> None:
+        self._view, self._options, self._keeping = view, options, keeping
+        self._current, self._abandonment, self._notices = current, abandonment, notices
+
+    async def carry_out(self, progress: Progress, policy: FailurePolicySpec) -> Outcome:
+        """Carry a recovery out by a policy. Nothing is raised: what ends it early is in the outcome."""
+        with self._notices.recovering():
+            # The condition says why, so it comes before the health.
+            self._notices.condition("Recovering", "True", progress.occasion, progress.reason)
+            self._notices.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
+            try:
+                async with self._keeping.recovering():
+                    done = await self._recovered(progress, self._options.choices())
+            except ENDS as error:
+                if isinstance(error, Superseded) or progress.result != "Recovered":
+                    return self.abandoned(progress, error)
+                _logger.warning("the failed pod is not deleted yet: %s", error)
+                done = progress
+            return Outcome("Recovered" if done.result == "Recovered" else "NothingVerified", done, policy)
+
+    def abandoned(self, progress: Progress, error: Exception) -> Outcome:
+        """Return the outcome of a recovery that an error ended. If it is tried again, that is another recovery: by then whoever
+        failed may be healthy again, or another instance may be in control.
+        """
+        self._abandonment.abandon(progress)
+        return Outcome("Superseded" if isinstance(error, Superseded) else "Stopped", progress, error=error)
+
+    async def _recovered(self, progress: Progress, choices: Sequence[Choice]) -> Progress:
+        means = self._options.means()
+        with self._current.during(progress):
+            if progress.taken_over is not None:
+                await reflex.commit(progress, means)
+                choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
+            elif progress.follows and self._view.spec is not None:
+                choices = following(progress.follows, self._view.spec, choices)
+            return await recover(progress, choices, means)

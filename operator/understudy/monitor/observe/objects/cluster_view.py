@@ -1,0 +1,263 @@
+"""What the monitor knows of the cluster: its workload, policy, settings, gate and pods, kept by watches."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Sequence
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.kinds.failure_policy import FailurePolicySpec, following, in_force
+from understudy.api.kinds.procedure_spec import Procedure
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Client, Object
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateKind
+from understudy.kube.watched_collection import Reflector, any_changed
+from understudy.monitor.observe.objects.unclaimed_pods import Unclaimed
+from understudy.monitor.observe.wakeups import Wakeups
+from understudy.trees.languages.procedure_notations import composed
+from understudy.trees.source.problems import TreeError
+
+_logger = logging.getLogger(__name__)
+
+POLICY_WITHIN = 10.0
+"""Seconds that a monitor waits for its policy when it begins. It may be refused for as long as the operator is away, or does not follow a
+spec, which names another policy than before: the gate is looked after meanwhile.
+"""
+
+
+def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
+    """What is wrong with the trees of procedures, each with what messages call it; None where they load."""
+    for name, procedure in procedures:
+        if procedure is not None:
+            try:
+                composed(procedure, path=name)
+            except TreeError as error:
+                return str(error)
+    return None
+
+
+def _only(name: str) -> str:
+    return f"metadata.name={name}"
+
+
+class ClusterView:
+    """Local copies of everything the monitor decides by."""
+
+    def __init__(
+        self,
+        client: Client,
+        namespace: str,
+        workload: str,
+        wakeups: Wakeups,
+        gate: GateKind = registry.DEFAULT,
+    ) -> None:
+        """``gate`` is the kind of its gate."""
+        self.client, self.namespace, self.workload = client, namespace, workload
+        self._wakeups = wakeups
+        self.gate_kind = gate
+
+        self.workloads = Reflector(client, WORKLOADS, namespace, fields=_only(workload), on_change=self._refer)
+        self.policies = self._watching_policy("")
+        """The policy that the workload refers to, and no other."""
+        self.settings_maps = Reflector(
+            client, CONFIG_MAPS, namespace, fields=_only(names.settings(workload)), on_change=self._queue
+        )
+        self.gates = Reflector(client, gate.resource, namespace, fields=_only(names.gate(workload)))
+        self.pods = Reflector(
+            client, PODS, namespace, labels=f"{names.WORKLOAD}={workload}", on_change=wakeups.pod_changed
+        )
+        self._unclaimed: dict[str, Unclaimed] = {}
+        self.waiting_gates = [
+            Reflector(client, resource, namespace, labels=names.WAITS_FOR) for resource in registry.GATE_RESOURCES
+        ]
+        """The gates whose workloads wait for a pod of a shared pool: mostly none. Watched if this one could wait for one too."""
+        self.source_pods: Reflector | None = None
+        self._group: asyncio.TaskGroup | None = None
+        self._referred = ""
+        self._policy_watch: asyncio.Task[None] | None = None
+        self._waiting_watches: list[asyncio.Task[None]] = []
+        self._policy: FailurePolicySpec | None = None
+        self._policy_version = ""
+        self._followed: tuple[FailurePolicySpec | None, WorkloadSettings | None, FailurePolicySpec | None] = (None,) * 3
+        self._spec: tuple[int, RobotWorkloadSpec | None] = (-1, None)
+        self._settings: tuple[int, WorkloadSettings | None] = (-1, None)
+
+    async def run(self, group: asyncio.TaskGroup) -> None:
+        """Start the watches and wait until the first copies are there."""
+        self._group = group
+        watches = [self.workloads, self.settings_maps, self.gates, self.pods]
+        for watch in watches:
+            group.create_task(watch.run())
+        for watch in watches:
+            await watch.synced.wait()
+        try:
+            async with asyncio.timeout(POLICY_WITHIN):
+                while self._referred and not self.policies.synced.is_set():
+                    await any_changed((self.policies, self.workloads))
+        except TimeoutError:
+            _logger.warning("FailurePolicy %s cannot be read yet: beginning without one", self._referred)
+        while self.settings is None:
+            _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
+            await self.settings_maps.changed()
+        if self.settings.source_selector:
+            labels = ",".join(f"{key}={value}" for key, value in self.settings.source_selector.items())
+            self.source_pods = Reflector(
+                self.client, PODS, self.namespace, labels=labels, on_change=self._wakeups.pod_changed
+            )
+            group.create_task(self.source_pods.run())
+            await self.source_pods.synced.wait()
+
+    def _watching_policy(self, name: str) -> Reflector:
+        """A watch of a policy. By its name: the right to read all of a namespace is more than a monitor has."""
+        return Reflector(self.client, POLICIES, self.namespace, fields=_only(name))
+
+    def _refer(self) -> None:
+        """Watch the policy that the workload refers to now. Until it is there, the one before stays in force."""
+        spec = self.spec
+        if self._group is None or spec is None or spec.failure_policy_ref.name == self._referred:
+            return
+        self._take_in(self.policies.items.get(self._referred))
+        self._referred = spec.failure_policy_ref.name
+        if self._policy_watch is not None:
+            self._policy_watch.cancel()
+        self.policies = self._watching_policy(self._referred)
+        self._policy_watch = self._group.create_task(self.policies.run())
+
+    def _queue(self) -> None:
+        """Watch who waits for pods of shared pools as long as there is one that this workload may claim from.
+
+        It is not waited for: without it nothing is wrong, but two that wait may take turns less well.
+        """
+        settings = self.settings
+        if self._group is None or settings is None:
+            return
+        shared = any(pool.readiness == "Uninitialized" for pool in settings.pools)
+        if shared and not self._waiting_watches:
+            self._waiting_watches = [self._group.create_task(one.run()) for one in self.waiting_gates]
+        elif not shared:
+            for watch in self._waiting_watches:
+                watch.cancel()
+            self._waiting_watches = []
+
+    @property
+    def pods_revision(self) -> tuple[int, int]:
+        """Changes whenever one of the workload's pods does."""
+        return self.pods.revision, self.source_pods.revision if self.source_pods else 0
+
+    @property
+    def object(self) -> Object | None:
+        """The RobotWorkload itself, or None when it is gone."""
+        return self.workloads.items.get(self.workload)
+
+    @property
+    def retired(self) -> bool:
+        """Whether the workload is being deleted: then nothing is recovered."""
+        item = self.object
+        return item is None or bool(item["metadata"].get("deletionTimestamp"))
+
+    @property
+    def spec(self) -> RobotWorkloadSpec | None:
+        """The workload's spec in force: while it cannot be followed, the last one that could. None where it is gone."""
+        if self._spec[0] != self.workloads.revision:
+            item, spec = self.object, None
+            if item is not None:
+                spec = self._spec[1]
+                try:
+                    given = RobotWorkloadSpec.model_validate(item["spec"])
+                    trees = ((f"dependsOn[{i}].procedure", d.procedure) for i, d in enumerate(given.depends_on))
+                    if spec is None or (problem := unloadable(("bringUp", given.bring_up), *trees)) is None:
+                        spec = given
+                    else:
+                        # Whether it is to be left alone does not depend on the rest.
+                        spec = spec.model_copy(update={"pause": given.pause})
+                        _logger.error(
+                            "RobotWorkload %s cannot be followed, keeping its last spec: %s", self.workload, problem
+                        )
+                except ValidationError as error:
+                    _logger.error("RobotWorkload %s cannot be read, keeping its last spec: %s", self.workload, error)
+            self._spec = (self.workloads.revision, spec)
+        return self._spec[1]
+
+    @property
+    def settings(self) -> WorkloadSettings | None:
+        """What the operator resolved for this monitor; while somebody has deleted it, as it was last."""
+        if self._settings[0] != self.settings_maps.revision:
+            item = self.settings_maps.items.get(names.settings(self.workload))
+            found = self._settings[1]
+            if item is not None:
+                found = WorkloadSettings.model_validate_json(item["data"]["settings.json"])
+            self._settings = (self.settings_maps.revision, found)
+        return self._settings[1]
+
+    @property
+    def policy(self) -> FailurePolicySpec | None:
+        """The policy in force: the one referred to, or, while that is missing or cannot be followed, the last good one.
+
+        If it leaves its strategies to the operator, or has situations, it has those that the operator put in force for this workload.
+        If there is no earlier policy, one with a recovery that does not load is better than none: then that strategy fails, and
+        the workload is watched nevertheless.
+        """
+        given, settings = self._given_policy(), self.settings
+        if given is None or not given.varies:
+            self._followed = (given, settings, given)
+        elif self._followed[0] is not given or self._followed[1] is not settings:
+            before = self._followed[2]
+            found = following(given, settings.strategies if settings is not None else None)
+            if found is None:
+                _logger.error(
+                    "no strategies were chosen yet, keeping the last ones: see the condition StrategiesChosen"
+                )
+            # The same object as long as it says the same: who has followed it once need not again.
+            self._followed = (given, settings, before if found is None or found == before else found)
+        return self._followed[2]
+
+    def _given_policy(self) -> FailurePolicySpec | None:
+        """The last good policy, as it was written."""
+        spec = self.spec
+        self._take_in(self.policies.items.get(spec.failure_policy_ref.name) if spec else None)
+        return self._policy
+
+    def _take_in(self, item: Object | None) -> None:
+        if item is not None and (version := item["metadata"]["uid"] + item["metadata"]["resourceVersion"]) != (
+            self._policy_version
+        ):
+            self._policy_version = version
+            try:
+                given = in_force(FailurePolicySpec.model_validate(item["spec"]), item.get("status"))
+                if given is None:
+                    _logger.error(
+                        "FailurePolicy %s has no health tree yet, keeping the last one: see its Accepted condition",
+                        item["metadata"]["name"],
+                    )
+                elif self._policy is None or (problem := unloadable(*given.recoveries)) is None:
+                    self._policy = given
+                else:
+                    _logger.error(
+                        "FailurePolicy %s cannot be followed, keeping the last one: %s",
+                        item["metadata"]["name"],
+                        problem,
+                    )
+            except ValidationError as error:
+                _logger.error(
+                    "FailurePolicy %s cannot be read, keeping the last one: %s", item["metadata"]["name"], error
+                )
+
+    def unclaimed(self, pool: str) -> Unclaimed:
+        """The unclaimed pods of a shared pool."""
+        return self._unclaimed.setdefault(pool, Unclaimed(self.client, self.namespace, pool))
+
+    @property
+    def stocked(self) -> Sequence[str]:
+        """The shared pools that this workload could claim from, by what the operator said last."""
+        found: list[str] = ((self.object or {}).get("status") or {}).get("stocked") or []
+        return found
+
+    def all_pods(self) -> list[Object]:
+        """The pods of this workload, those that its referred controller just made included."""
+        pods = dict(self.source_pods.items) if self.source_pods else {}
+        return list((pods | self.pods.items).values())

@@ -1,0 +1,316 @@
+"""What the monitor sees of the workloads that its own depends on, and what that means for a failure here.
+
+It reads their status and their gates, each by name: the operator says which, and gives the right to. Where it names none nothing is
+watched and nothing is put off.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+from pydantic import ValidationError
+
+from understudy.api import names
+from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
+from understudy.api.protocol.monitor_settings import WorkloadSettings
+from understudy.failover.bring_up import BringUp
+from understudy.failover.dependency import Due, Held, Outage, Seen, due, held, outage
+from understudy.failover.interfaces import Instance
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies.reinitialize import Reinitialize
+from understudy.failover.strategies.restart import Restart
+from understudy.kube.client import WORKLOADS, Resource
+from understudy.kube.gates import registry
+from understudy.kube.gates.base import GateRecord
+from understudy.kube.watched_collection import Reflector
+from understudy.monitor.notices import Notices
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.wakeups import Wakeups
+
+_logger = logging.getLogger(__name__)
+
+CONDITION = "DependencyFailed"
+"""The condition that says that a failure is not acted on, since it may follow from another workload's."""
+
+VERIFIED_WITHIN = 10.0
+"""Seconds that an instance which is brought up again has besides its procedures, until it is seen to drive."""
+
+RESTARTED_WITHIN = 60.0
+"""Seconds that a restart has where the policy has none."""
+
+
+class _Watched:
+    """The status and the gate of one workload, each by a watch."""
+
+    def __init__(self, view: ClusterView, name: str, wakeups: Wakeups) -> None:
+        self._name = name
+
+        def reflector(resource: Resource, item: str) -> Reflector:
+            only = f"metadata.name={item}"
+            return Reflector(view.client, resource, view.namespace, fields=only, on_change=wakeups.dependency_changed)
+
+        self.statuses = reflector(WORKLOADS, name)
+        self.gates = [reflector(resource, names.gate(name)) for resource in registry.GATE_RESOURCES]
+        self._tasks: list[asyncio.Task[None]] = []
+        self._seen: tuple[tuple[int, int], Seen] = ((-1, -1), Seen())
+
+    def begin(self) -> None:
+        """Start the watches."""
+        self._tasks = [asyncio.create_task(one.run()) for one in (self.statuses, *self.gates)]
+
+    def end(self) -> None:
+        """Stop them."""
+        for task in self._tasks:
+            task.cancel()
+
+    @property
+    def synced(self) -> bool:
+        """Whether anything is known."""
+        return self.statuses.synced.is_set()
+
+    @property
+    def seen(self) -> Seen:
+        """How it is, as far as it has said."""
+        revision = (self.statuses.revision, sum(one.revision for one in self.gates))
+        if self._seen[0] != revision:
+            self._seen = (revision, self._read())
+        return self._seen[1]
+
+    def _read(self) -> Seen:
+        item = self.statuses.items.get(self._name)
+        if item is None:
+            return Seen()
+        gates = (one.items.get(names.gate(self._name)) for one in self.gates)
+        gate = next((one for one in gates if one is not None), None)
+        try:
+            status = RobotWorkloadStatus.model_validate(item.get("status") or {})
+            text = GateRecord.of(gate).recovery if gate is not None else ""
+            return Seen.of(status, Progress.model_validate_json(text) if text else None)
+        except ValidationError as error:
+            _logger.warning("what RobotWorkload %s says cannot be read: %s", self._name, error)
+            return Seen()
+
+
+class Dependencies:
+    """The workloads that one workload depends on."""
+
+    def __init__(self, view: ClusterView, notices: Notices, wakeups: Wakeups) -> None:
+        self._view, self._notices, self._wakeups = view, notices, wakeups
+        self._given: WorkloadSettings | None = None
+        self._watched: dict[str, _Watched] = {}
+        self._outages: dict[str, Outage] = {}
+        self._followed: dict[str, str] | None = None
+        """By name, the recoveries after which was done what is done then. None until an earlier monitor's word was taken over."""
+        self._noticed: float | None = None
+        """Since when it has failed without a break."""
+        self._reason = ""
+        """The reason as it was first reported: a figure in it may change with every look, and the message should not."""
+
+    # -- watching them --------------------------------------------------------------------------------------------------
+
+    def follow(self, settings: WorkloadSettings | None) -> None:
+        """Watch those that the operator names, and no others."""
+        if settings is None or settings is self._given:
+            return
+        self._given, followed = settings, self._known()
+        wanted = [one.name for one in settings.upstream]
+        for name in self._watched.keys() - set(wanted):
+            self._watched.pop(name).end()
+            self._outages.pop(name, None)
+        for name in wanted:
+            if name not in self._watched:
+                self._watched[name] = _Watched(self._view, name, self._wakeups)
+                self._watched[name].begin()
+        if not wanted:
+            followed.clear()
+            self._tell()
+            self._notices.withdraw(CONDITION)
+
+    def look(self, now: float) -> None:
+        """Take in how they are."""
+        if not self._watched:
+            return
+        for name, watched in self._watched.items():
+            if watched.synced and (found := outage(self._outages.get(name), watched.seen, now)) is not None:
+                self._outages[name] = found
+        self._begin_to_follow()
+
+    def _begin_to_follow(self) -> None:
+        """What was recovered before it was first seen asks for nothing: the instance in control began after it, or without it."""
+        followed = self._known()
+        before = dict(followed)
+        direct = {one.name for one in self._direct}
+        for name in before.keys() - direct:
+            del followed[name]
+        for name in direct - before.keys():
+            if self._watched[name].synced:
+                last = self._watched[name].seen.last
+                followed[name] = last.id if last is not None else ""
+        if followed != before:
+            self._tell()
+
+    def _known(self) -> dict[str, str]:
+        """The recoveries after which was done what is done then, by name; first of all those of which an earlier monitor has said so."""
+        if self._followed is None:
+            self._followed = {one.name: one.recovery for one in self._notices.status.followed}
+        return self._followed
+
+    @property
+    def _direct(self) -> list[Dependency]:
+        spec = self._view.spec
+        return [one for one in spec.depends_on if one.name in self._watched] if spec is not None else []
+
+    # -- a failure here -------------------------------------------------------------------------------------------------
+
+    def notice(self, onset: float, detected: float) -> None:
+        """Note that the health tree fails. Workloads that depend on this one learn it at once, since this one may wait for others."""
+        if self._watched and self._noticed is None:
+            self._noticed = detected
+            self._notices.set(failing_since=onset)
+            self._notices.hurry()
+
+    def well(self, pod: str) -> None:
+        """The health tree holds, or cannot tell."""
+        self._noticed, self._reason = None, ""
+        if self._holds:
+            self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} does not fail any more.")
+
+    def hold(self, reason: str, onset: float, now: float) -> float | None:
+        """By when to look again at a failure that is not acted on yet; None where it is to be acted on."""
+        if not self._watched:
+            return None
+        noticed = min(self._noticed, now) if self._noticed is not None else now
+        reason = self._reason = self._reason or reason
+        found = held(onset, noticed, now, depends_on=self._direct, outages=self._outages)
+        if found is None:
+            if self._holds:
+                text = f"{reason}; it has lasted for {now - noticed:.1f} s, and is acted on as a failure of its own."
+                self._notices.condition(CONDITION, "False", "OwnFailure", text)
+            return None
+        if found.name:
+            self._say(found, reason)
+        return found.until
+
+    @property
+    def _holds(self) -> bool:
+        """Whether it is said that a failure is held."""
+        return bool(self._watched) and self._notices.status.reason(CONDITION) in ("Held", "Settling")
+
+    def _say(self, found: Held, reason: str) -> None:
+        until = datetime.fromtimestamp(found.until, UTC).strftime("%H:%M:%S UTC")
+        if found.settling:
+            why, then = "Settling", f"is healthy again; if it lasts, it is acted on at {until}"
+        else:
+            health = self._watched[found.name].seen.health
+            why, then = "Held", f"is {health}; that one comes first, and this is acted on at {until} at the latest"
+        text = f"{found.name}, on which it depends, {then}"
+        began = not self._holds
+        self._notices.condition(CONDITION, "True", why, f"{reason}; {text}.")
+        if began:
+            _logger.warning("%s: %s", reason, text)
+            self._notices.event("Warning", CONDITION, f"{reason}; {text}")
+
+    # -- after a recovery there -----------------------------------------------------------------------------------------
+
+    def due(self, active: Instance, now: float) -> Due | None:
+        """What is to be done with the instance in control now, since others were recovered."""
+        if not self._watched or self._given is None:
+            return None
+        seen = {name: watched.seen for name, watched in self._watched.items()}
+        found = due(self._direct, self._given.upstream, seen, self._outages, followed=self._known(), now=now)
+        if found is None:
+            return None
+        if _created(active) >= found.since:
+            _logger.info("%s began after %s: nothing is done", active.name, told(found.follows))
+            self.note(found.follows)
+            return None
+        spec = self._view.spec
+        if spec is None or not (restarts(found.follows, spec) or procedures(found.follows, spec)):
+            self.note(found.follows)
+            return None
+        if not restarts(found.follows, spec) and not active.has_agent:
+            text = (
+                f"{told(found.follows)}: nothing can be run on {active.name}, which has no agent, since a referred controller made it. "
+                "Use onRecovery Restart, or a template"
+            )
+            self._notices.event("Warning", "NoAgent", text)
+            self.note(found.follows)
+            return None
+        return found
+
+    def note(self, found: Sequence[DependencyRecovery]) -> None:
+        """What is done after these recoveries was done."""
+        if found:
+            self._known().update({one.name: one.recovery for one in found})
+            self._tell()
+
+    def _tell(self) -> None:
+        followed = self._known()
+        self._notices.follow([DependencyRecovery(name=name, recovery=followed[name]) for name in sorted(followed)])
+
+
+def begin(
+    found: Sequence[DependencyRecovery],
+    active: PodIdentity,
+    spec: RobotWorkloadSpec | None,
+    *,
+    onset: float,
+    detected: float,
+) -> Progress:
+    """Return the record of what is done to the instance in control after these recoveries. Times are unix seconds."""
+    progress = Progress.begin(told(found), last_healthy=onset, detected=detected)
+    progress.follows = list(found)
+    if spec is not None and restarts(found, spec):
+        progress.failed = [active]
+    else:
+        progress.target = active
+    return progress
+
+
+def told(found: Sequence[DependencyRecovery]) -> str:
+    """After which recoveries something is done."""
+    listed = ", ".join(one.name for one in found)
+    return f"{listed}, on which it depends, {'was' if len(found) == 1 else 'were'} recovered"
+
+
+def restarts(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec) -> bool:
+    """Whether the pod in control is replaced after these recoveries."""
+    followed = {one.name for one in found}
+    return any(one.on_recovery == "Restart" for one in spec.depends_on if one.name in followed)
+
+
+def procedures(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec) -> list[BringUp]:
+    """What is run on the instance in control after these recoveries, each once."""
+    followed = {one.name for one in found}
+    listed: dict[str, BringUp] = {}
+    for index, one in enumerate(spec.depends_on):
+        procedure = {
+            "Reinitialize": BringUp.of("bringUp", spec.bring_up),
+            "Procedure": BringUp.of(f"dependsOn[{index}].procedure", one.procedure),
+        }.get(one.on_recovery)
+        if one.name in followed and procedure is not None:
+            listed.setdefault(procedure.digest, procedure)
+    return list(listed.values())
+
+
+def following(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec, choices: Sequence[Choice]) -> list[Choice]:
+    """What is done after these recoveries, and then the policy's own ``choices``: for where that comes to nothing."""
+    if restarts(found, spec):
+        usual = next((one for one in choices if isinstance(one.strategy, Restart)), None)
+        bring_up = BringUp.of("bringUp", spec.bring_up)
+        return [usual or Choice(Restart(recovery=bring_up), RESTARTED_WITHIN), *choices]
+    listed = procedures(found, spec)
+    if not listed:
+        return list(choices)
+    name = "Reinitialize" if all(one.name == "bringUp" for one in listed) else "Procedure"
+    within = sum(one.within for one in listed) + VERIFIED_WITHIN
+    return [Choice(Reinitialize(name, listed), within), *choices]
+
+
+def _created(instance: Instance) -> float:
+    """When its pod was made, in whole unix seconds; 0 where that is not known."""
+    return datetime.fromisoformat(instance.created).timestamp() if instance.created else 0.0

@@ -1,0 +1,299 @@
+"""What the monitor sees of the robot's ROS graph, and what the policy's health tree makes of it."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
+from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
+from understudy.failover.interfaces import Gate, Instance, Instances
+from understudy.monitor.judge.degraded_tree import Busy, Wellness
+from understudy.monitor.observe.objects.resource_meter import ResourceMeter
+from understudy.monitor.observe.robot.context_detection import Seen, Situating
+from understudy.ros.observe.offered_qos import offers
+from understudy.ros.observe.sample_rings import SampleRing
+from understudy.ros.observe.topic_watch import TopicWatch
+from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
+from understudy.ros.runtime.graph_node import Graph
+from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_fields
+from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
+from understudy.trees.core.observations import Observations, PodState, TopicRecord
+from understudy.trees.core.snapshots import Shown, Snapshot, snapshot, states
+from understudy.trees.languages.notations import load_monitoring
+from understudy.trees.source.problems import TreeError
+
+_logger = logging.getLogger(__name__)
+
+REMEMBERED = 60.0
+"""Seconds for which samples are still attributed to a pod whose object is gone: its process may outlive it."""
+
+LOOK = 0.002
+"""Seconds between looks while a switch is being verified."""
+
+POD_LOOK = 0.1
+"""Seconds after which the state of the active pod is passed on again: another pod may have become active."""
+
+
+class HealthObserver:
+    """The health tree over drained subscriptions."""
+
+    def __init__(self, meter: ResourceMeter | None = None) -> None:
+        """``meter`` measures what the pod in control uses of its node; without one, no leaf can judge that."""
+        self.graph = Graph("understudy_monitor")
+        self.coming = ArrivalWakeups()
+        """Reports messages that must be looked at as they arrive."""
+        self._watching = TopicWatch(self.graph, arrivals=self.coming)
+        self._tree: HealthTree | None = None
+        self._loaded: tuple[Monitoring, list[Output]] | None = None
+        self._outputs: list[Output] = []
+        self._problems: list[str] = []
+        self._wellness = Wellness()
+        self._situating = Situating()
+        self._aside: set[str] = set()
+        """Topics that are received for these two alone."""
+        self._addresses: dict[str, tuple[str, float]] = {}
+        self._pod: Instance | None = None
+        self._asked: WatchedTopic | None = None
+        """What is asked of the pod in control."""
+        self._meter = meter
+        self.addresses: dict[str, str] = {}
+        """IP by pod name, of the instances that exist or existed a moment ago."""
+
+    def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
+        """Watch what this policy's tree and this workload need; one that does not load leaves the last in force."""
+        outputs = spec.outputs if spec else self._outputs
+        again = self._wellness.follow(policy, spec) | self._situating.follow(policy)
+        if self._loaded == (policy.monitoring, outputs):
+            if again:
+                self._watch(spec)
+            return
+        self._loaded = (policy.monitoring, outputs)
+        self._outputs = outputs
+        self._problems = []
+        try:
+            self._tree = load_monitoring(policy.monitoring, fields=message_fields)
+            self._tree.begin(time.time())
+        except TreeError as error:
+            _logger.error("the policy's tree does not load, the last one stays: %s", error)
+            self._problems.append(
+                f"The policy's health tree does not load, the last good one stays in force: {error.in_short()}."
+            )
+        for index, output in enumerate(outputs):
+            try:
+                interface_class(output.type)
+            except TypeNotInstalled as error:
+                self._problems.append(f"outputs[{index}].type: {error}.")
+        self._watch(spec)
+
+    def _watch(self, spec: RobotWorkloadSpec | None) -> None:
+        """Watch what the trees need, and a reflex: each topic once."""
+        types = {output.topic: output.type for output in self._outputs if output.topic}
+        wanted = {topic.name: topic for topic in (self._tree.topics if self._tree is not None else [])}
+        self._aside = set()
+        for need in [*self._wellness.topics, *self._situating.topics]:
+            known = wanted.get(need.name)
+            if need.heard and (known is None or not known.heard):
+                self._aside.add(need.name)
+            elif known is not None and known.heard:
+                need = replace(need, type=known.type)  # as the health tree has it, which must not go blind by this
+            wanted[need.name] = known.joined(need) if known is not None else need
+        self._asked = next((topic for topic in wanted.values() if topic.pod), None)
+        if spec is not None and spec.gate.reflex is not None:
+            # Which instance they come from is watched, whether the tree judges them or not.
+            for name, type_ in types.items():
+                need = WatchedTopic(name, type_, 0.0, None)
+                wanted[name] = wanted[name].joined(need) if name in wanted else need
+        self._watching.follow(
+            topic if topic.type else replace(topic, type=types.get(topic.name)) for topic in wanted.values()
+        )
+
+    @property
+    def observations(self) -> Observations:
+        """What was received, for health trees."""
+        return self._watching
+
+    @property
+    def heard(self) -> dict[str, TopicRecord]:
+        """What was received of each topic that the health tree judges, of what counts for the instance in control."""
+        judged = self._tree.judged if self._tree is not None else []
+        found = {topic.name: self._watching.topic(topic.name) for topic in judged if topic.heard}
+        return {name: record for name, record in found.items() if record is not None}
+
+    @property
+    def problems(self) -> list[str]:
+        """What is not watched and why, with what to do."""
+        unmetered = self._meter.problems if self._meter is not None else []
+        watched = [*self._watching.problems, *self._watching.sources.problems()]
+        blind = [f"{one}." for one in self._tree.blind] if self._tree is not None else []
+        return [*self._problems, *self._wellness.problems, *self._situating.problems, *watched, *unmetered, *blind]
+
+    @property
+    def waiting(self) -> list[str]:
+        """Topics that cannot be watched before somebody publishes them."""
+        return self._watching.waiting
+
+    @property
+    def summary(self) -> str:
+        """What is watched."""
+        topics = [topic.name for topic in self._tree.judged] if self._tree else []
+        return f"Watching {', '.join(topics) or 'nothing'}."
+
+    def snapshot(self) -> Snapshot | None:
+        """The health tree as it was at its last evaluation."""
+        return snapshot(self._tree, self._watching, time.time()) if self._tree is not None else None
+
+    @property
+    def states(self) -> Sequence[Shown]:
+        """How each node of the health tree was then."""
+        return states(self._tree) if self._tree is not None else ()
+
+    def record(self, ring: SampleRing | None) -> None:
+        """Keep the messages themselves in a ring from now on, or no longer."""
+        self._watching.record(ring)
+
+    def offered(self, topic: str) -> str:
+        """What the publishers of a topic offer now, as a recording has it."""
+        return offers(self.graph.offered(topic))
+
+    @property
+    def gated(self) -> list[str]:
+        """Gated topics whose messages the tree watches, and can."""
+        outputs = {output.topic for output in self._outputs if output.topic}
+        judged = self._tree.judged if self._tree else []
+        return [topic.name for topic in judged if topic.heard and topic.name in outputs]
+
+    @property
+    def expected(self) -> list[str]:
+        """Of those, the ones that an instance in control must be sending now: a robot without a goal may stand still."""
+        if self._tree is None:
+            return []
+        now = time.time()
+        counting = self._tree.counting(self._watching, now=now, since=now)
+        return [topic for topic in self.gated if topic in counting]
+
+    def drain(self, instances: Sequence[Instance], active: str) -> None:
+        """Take in what has arrived, attributed to the instances there are (and were a moment ago)."""
+        now = time.time()
+        for instance in instances:
+            if instance.ip:
+                self._addresses[instance.name] = (instance.ip, now)
+        for name in [n for n, (_, seen) in self._addresses.items() if now - seen > REMEMBERED]:
+            del self._addresses[name]
+        self.addresses = {name: ip for name, (ip, _) in self._addresses.items()}
+        self._watching.attribute(self.addresses, active)
+        self._watching.drain()
+        self._look_at_pod(instances, active)
+        unwatchable = self._watching.unwatchable
+        if self._tree is not None:
+            self._tree.leave_out(unwatchable - self._aside)
+        self._wellness.leave_out(unwatchable)
+        self._situating.leave_out(unwatchable)
+
+    def _look_at_pod(self, instances: Sequence[Instance], active: str) -> None:
+        """Have said of the pod in control what its object says, where a tree asks for it."""
+        watching, before, wanted = self._watching, self._pod, self._asked
+        self._pod = next((i for i in instances if i.name == active), None) if wanted is not None else None
+        if self._meter is not None:
+            self._meter.want(active if wanted is not None and wanted.usage else "")
+        if self._pod is None:
+            watching.pod_state = None
+            return
+        now, last = time.time(), watching.pod_state
+        if last is None or self._pod is not before or abs(now - last.received) >= POD_LOOK:
+            usage = self._meter.usage if self._meter is not None else None
+            watching.pod_state = PodState(now, self._pod.conditions, self._pod.restarts, usage)
+
+    def verdict(self, *, now: float, since: float) -> Verdict:
+        """The health tree's verdict on the instance in control. Times are unix seconds."""
+        if self._tree is None:
+            return Verdict("Starting", "the policy has no health tree that loads", "", None)
+        return self._tree.evaluate(self._watching, now=now, since=since)
+
+    def wellness(self, *, now: float, since: float) -> Verdict:
+        """What the tree of ``spec.degraded`` says of the instance in control. Times are unix seconds."""
+        return self._wellness.verdict(self._watching, now=now, since=since)
+
+    def busy(self, *, now: float, since: float) -> Busy | None:
+        """Why the robot does not count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
+        return self._wellness.busy(self._watching, now=now, since=since)
+
+    def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
+        """What is seen of each situation of the policy; ``goals`` are the actions that have some. Times are unix seconds."""
+        return self._situating.seen(self._watching, goals, now=now, since=since)
+
+    def deadline(self, *, now: float, since: float) -> float | None:
+        """When the verdict could get worse with no further message."""
+        return self._tree.deadline(self._watching, now=now, since=since) if self._tree else None
+
+    def last_from(self, pod: str) -> float | None:
+        """When a gated topic was last received from a pod; None for never."""
+        times = [last for topic in self.gated if (last := self._watching.last_from(topic, pod)) is not None]
+        return max(times, default=None)
+
+    def last_well(self, pod: str) -> float | None:
+        """When the outputs that count now were last received from a pod; None for never, or where none of them counts."""
+        times = [last for topic in self.expected if (last := self._watching.last_from(topic, pod)) is not None]
+        return max(times, default=None)
+
+    def arrivals(self, topic: str, pod: str) -> Sequence[float]:
+        """When a topic was received from a pod, of late; unix seconds."""
+        return self._watching.arrivals(topic, pod)
+
+    def ambiguous(self, pod: str) -> bool:
+        """Whether a pod's samples cannot be distinguished from those of another instance."""
+        return any(pod in names for names in self._watching.sources.ambiguous)
+
+    def outputs(self, fleet: Instances, gate: Gate) -> GatedReaders:
+        """The gated readers as the failover protocol sees them."""
+        return GatedReaders(self, self._watching, fleet, gate)
+
+
+class GatedReaders:
+    """Implements :class:`understudy.failover.interfaces.Outputs`."""
+
+    def __init__(self, observer: HealthObserver, watching: TopicWatch, fleet: Instances, gate: Gate) -> None:
+        self._observer, self._watching, self._fleet, self._gate = observer, watching, fleet, gate
+
+    @property
+    def expected(self) -> Sequence[str]:
+        """Gated topics that the health tree watches, and that count now."""
+        return self._observer.expected
+
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        """Wait for a sample of each expected topic from the instance, received after a time; when the first came.
+
+        None where nothing is expected, or no longer is: a task may end, and with it what only it needs.
+        """
+        while True:
+            self._drain()
+            if not self.expected:
+                return None
+            # Two pods that cannot be distinguished: what comes through the gate is from the one it names.
+            ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
+            found = [self._first(topic, instance.name, since, ambiguous) for topic in self.expected]
+            if all(time is not None for time in found):
+                return min(time for time in found if time is not None)
+            await asyncio.sleep(LOOK)
+
+    def _first(self, topic: str, pod: str, since: float, ambiguous: bool) -> float | None:
+        if not ambiguous:
+            return self._watching.first_from(topic, pod, since=since)
+        record = self._watching.topic(topic)
+        return record.last if record is not None and record.last is not None and record.last >= since else None
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        """When a sample of any other instance last got through, in unix seconds (0 if never), and from which pod."""
+        self._drain()
+        found = [
+            last
+            for topic in self._observer.gated
+            if (last := self._watching.last_from_others(topic, instance.name)) is not None
+        ]
+        return max(found, default=(0.0, ""))
+
+    def _drain(self) -> None:
+        self._observer.drain(self._fleet.of_workload(), self._gate.state.active)
