@@ -12,14 +12,14 @@ from understudy.kube.client import Object
 
 def in_short(policy: Object, pools: Mapping[str, Object]) -> str:
     """Return the strategies in order, such as ``Executing, Restart``; ``Auto`` if they are selected for each workload."""
-    told = []
+    listed = []
     for strategy in (policy.get("spec") or {}).get("strategies") or []:
-        if strategy.get("type") in ("Restart", "Auto"):
-            told.append(strategy["type"])
-            continue
         pool = (strategy.get("poolRef") or {}).get("name", "")
-        told.append(pool_reader.readiness(pools[pool]) if pool in pools else f"Fallback/{pool}")
-    return ", ".join(told)
+        if strategy.get("type") != "Fallback":
+            listed.append(strategy.get("type", ""))
+        else:
+            listed.append(pool_reader.readiness(pools[pool]) if pool in pools else f"Fallback/{pool}")
+    return ", ".join(listed)
 
 
 def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping[str, Object]) -> list[Condition]:

@@ -95,8 +95,8 @@ def considered(observed: Observed, understanding: WorkloadPlan) -> list[Consider
     """Return the strategies that count now, in the policy's order; empty while the policy is missing or invalid."""
     there, found = resources(observed, understanding), []
     for strategy in _strategies(observed, understanding):
-        if strategy.type == "Restart" or strategy.pool_ref is None:
-            found.append(Considered(strategy, "Restart", availability.restart(there)))
+        if strategy.pool_ref is None:
+            found.append(Considered(strategy, strategy.type, availability.restart(there)))
         else:
             name = strategy.pool_ref.name
             found.append(Considered(strategy, f"Fallback from pool {name}", availability.fallback(name, there)))
