@@ -237,11 +237,11 @@ class Listener(Protocol):
 class Client:
     """Sends requests to one API server. Use it as an asynchronous context manager."""
 
-    listener: Listener | None = None
-
-    def __init__(self, access: Access, *, timeout: float = 10.0, connections: int = 32) -> None:
+    def __init__(
+        self, access: Access, *, timeout: float = 10.0, connections: int = 32, listener: Listener | None = None
+    ) -> None:
         """``connections`` is the largest number of simultaneous connections; 0 for no limit."""
-        self._access, self._connections = access, connections
+        self._access, self._connections, self._listener = access, connections, listener
         self._timeout = aiohttp.ClientTimeout(total=timeout)
         self._session: aiohttp.ClientSession | None = None
         self._token = access.token
@@ -317,8 +317,8 @@ class Client:
                 text = await response.read()
                 status = response.status
         finally:
-            if self.listener is not None:
-                self.listener.asked(method, path, status)
+            if self._listener is not None:
+                self._listener.asked(method, path, status)
         if status == 401 and self._access.plugin is not None:
             self._access.plugin.reject()
         if status >= 400:
@@ -463,16 +463,16 @@ class Client:
             headers=await self._headers(),
             timeout=timeout,
         ) as response:
-            if self.listener is not None:
-                self.listener.asked("WATCH", resource.path(namespace), response.status)
+            if self._listener is not None:
+                self._listener.asked("WATCH", resource.path(namespace), response.status)
             if response.status == 401 and self._access.plugin is not None:
                 self._access.plugin.reject()
             if response.status >= 400:
                 raise Expired if response.status == 410 else _error(response.status, await response.text())
             buffer = b""
             async for chunk in response.content.iter_any():
-                if self.listener is not None:
-                    self.listener.heard(resource.plural)
+                if self._listener is not None:
+                    self._listener.heard(resource.plural)
                 *lines, buffer = (buffer + chunk).split(b"\n")
                 for line in lines:
                     event = json.loads(line)

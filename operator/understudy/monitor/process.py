@@ -83,8 +83,7 @@ async def _run(workload: str, namespace: str, state: Path) -> None:
 
 async def _protect(workload: str, namespace: str, state: Path) -> None:
     alive = {"ready": 0.0}
-    async with Client(default_access()) as client, asyncio.TaskGroup() as group:
-        client.listener = monitor_metrics.TRAFFIC
+    async with Client(default_access(), listener=monitor_metrics.TRAFFIC) as client, asyncio.TaskGroup() as group:
         wakeups = Wakeups()
         gate_kind = registry.KINDS[os.environ.get(names.GATE_KIND_VARIABLE, registry.DEFAULT.kind)]
         view = ClusterView(client, namespace, workload, wakeups, gate_kind)
@@ -120,9 +119,9 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
             black_box=black_box,
             notices=notices,
         )
-        telling = DiagnosticsPublisher(view, observer, notices, lambda: parts.keeping.taken)
-        showing = LiveTreePages(view, observer, notices, lambda: telling.problems)
-        pages |= {"/": showing.page, "/tree": showing.tree}
+        diagnostics = DiagnosticsPublisher(view, observer, notices, lambda: parts.keeping.taken)
+        live_tree = LiveTreePages(view, observer, notices, lambda: diagnostics.problems)
+        pages |= {"/": live_tree.page, "/tree": live_tree.tree}
         monitor_loop = MonitorLoop(parts)
         looks = monitor_loop.observe.looks
         REGISTRY.register(
@@ -133,7 +132,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         group.create_task(permits.run())
         group.create_task(writer.run())
         group.create_task(meter.run())
-        group.create_task(telling.run())
+        group.create_task(diagnostics.run())
         group.create_task(black_box.run())
         group.create_task(readership.run())
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))

@@ -43,8 +43,8 @@ async def test_requests_are_counted_by_result_and_the_times_of_watch_events_are_
         labels = {"method": method, "resource": "pods", "code": code}
         return registry.get_sample_value("understudy_api_requests_total", labels)
 
-    async with Client(Access(server, ssl.create_default_context())) as client:
-        client.listener = Traffic(*series(registry))
+    access = Access(server, ssl.create_default_context())
+    async with Client(access, listener=Traffic(*series(registry))) as client:
         await client.list(PODS, "fleet")
         with pytest.raises(ApiError):
             await client.get(PODS, "fleet", "a")
@@ -59,8 +59,8 @@ async def test_requests_are_counted_by_result_and_the_times_of_watch_events_are_
     assert heard is not None
     assert before <= heard <= time.time()
 
-    async with Client(Access("http://127.0.0.2:1", ssl.create_default_context())) as client:
-        client.listener = Traffic(*series(registry := CollectorRegistry()))
+    access, registry = Access("http://127.0.0.2:1", ssl.create_default_context()), CollectorRegistry()
+    async with Client(access, listener=Traffic(*series(registry))) as client:
         with pytest.raises(aiohttp.ClientError):
             await client.list(PODS, "fleet")
         assert requests("GET", "error") == 1

@@ -61,8 +61,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
     """Run an operator until ``stop`` is set, a signal arrives or the lease is lost, and return the exit status."""
     kopf_handlers.quiet()
     # A fleet's lists are long, and each watch of each namespace has a connection.
-    async with Client(access, timeout=20, connections=0) as client:
-        client.listener = operator_metrics.TRAFFIC
+    async with Client(access, timeout=20, connections=0, listener=operator_metrics.TRAFFIC) as client:
         lease = Lease(client, options.lease_namespace, options.lease, options.identity, timing=options.timing)
         store, expectations = Store(), Expectations()
         reconciler = Reconciler(

@@ -275,8 +275,8 @@ func TestRandomChanges(t *testing.T) {
 		}
 		models := []*policy.Model{here.Model(), there.Model()}
 		for n, node := range []string{"here", "there"} {
-			if again := scratch(node, c); text(models[n]) != text(anew) {
-				t.Fatalf("step %d (%s): the index of %s has\n%s\nand from scratch it would have\n%s", step, what, node, text(models[n]), text(anew))
+			if fresh := scratch(node, c); text(models[n]) != text(fresh) {
+				t.Fatalf("step %d (%s): the index of %s has\n%s\nand from scratch it would have\n%s", step, what, node, text(models[n]), text(fresh))
 			}
 		}
 		if step%10 == 0 {
