@@ -135,7 +135,7 @@ def situations(monkeypatch: pytest.MonkeyPatch) -> None:
         return {CARRYING: Seen(self._workload in getattr(self._robots, "busy", ()), "it is")}
 
     monkeypatch.setattr(world, "policy", policy)
-    monkeypatch.setattr(senses.Sight, "situations", seen, raising=False)
+    monkeypatch.setattr(senses.HealthObserver, "situations", seen, raising=False)
     monkeypatch.setattr(simulation, "Invariants", Settled)
 
 

@@ -253,7 +253,7 @@ async def test_one_that_waits_ends_when_nobody_asks_for_it_any_more() -> None:
     assert scene.told.phase == "Waiting"
     scene.view.settings.drain = None
     assert await scene.looked(0.05) is None
-    assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: it isn't asked for any more.")
+    assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: it is not asked for any more.")
 
 
 async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_waits() -> None:

@@ -245,7 +245,7 @@ class TestHandingOver:
         world.found, world.busy = SLOW, GOAL
         world.look(10, given=HANDED)
         assert world.levels.due is None
-        assert world.notices.conditions["Degraded"][2].endswith("It isn't handed over yet: a goal of /go is active.")
+        assert world.notices.conditions["Degraded"][2].endswith("It is not handed over yet: a goal of /go is active.")
         world.busy = None
         world.look(2.5, given=HANDED)
         assert world.levels.due is None

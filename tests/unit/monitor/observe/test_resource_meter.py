@@ -159,7 +159,7 @@ async def test_an_answer_of_another_form_ends_nothing(api: Any, meter: ResourceM
     served.items = items
     meter.want("w-1")
     await until(lambda: meter.problems)
-    assert "answers otherwise than expected" in meter.problems[0]
+    assert "returned an unexpected answer" in meter.problems[0]
     served.items = []
     served.has("w-1", 1, drive=("1", "1Mi"))
     await until(lambda: meter.usage)
