@@ -22,11 +22,11 @@ class PauseState:
         self._view, self._notices = view, notices
         self._known: tuple[Pause | None, bool] = (None, False)
         self._resumed = ""
-        """When somebody had said to go on, while the pause was in force: what they say of it later is of its end."""
+        """The value of the annotation ``resumed`` while the pause was in force. A later value belongs to the end of the pause."""
         self._adopted = True
-        """Whether what an earlier monitor has said is still to be looked at."""
+        """Whether the condition of an earlier monitor has not been compared yet."""
         self.ended = 0.0
-        """When the last pause was over: what went on before is nobody's failure."""
+        """When the last pause ended (Unix seconds). Silence before that is not a failure."""
 
     @property
     def on(self) -> Pause | None:

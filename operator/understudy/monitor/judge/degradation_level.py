@@ -49,7 +49,9 @@ class DegradationLevel:
         self._lacking: Busy | None = None
         self._handed_over: float | None = None
         self._due = False
-        self._in_force = True  # so that what an earlier monitor said is taken back where the policy says nothing of it
+        self._in_force = (
+            True  # so that the condition of an earlier monitor is withdrawn if the policy has no spec.degraded
+        )
 
     @property
     def degraded(self) -> bool:
@@ -58,7 +60,7 @@ class DegradationLevel:
 
     @property
     def due(self) -> str | None:
-        """Why the instance is to be handed over now; None if it is not."""
+        """The reason to hand over the instance now; None if that is not due."""
         return f"degraded: {self._words}; rescheduled while idle" if self._due and self.degraded else None
 
     def handed_over(self) -> None:
@@ -89,7 +91,7 @@ class DegradationLevel:
         self._notices.withdraw(CONDITION)
 
     def _begin(self, active: Instance, clock: float) -> None:
-        """Another instance is judged: what was said of the last one is not so of this one, unless a new monitor just looks on."""
+        """Start to judge another instance. Its level is unknown, unless this is a new monitor that continues with the same instance."""
         said = self._notices.status.find(CONDITION)
         self._level, self._idle_since, self._due, self._lacking = Level(), None, False, None
         if said is not None and said.status == "True":

@@ -1,4 +1,4 @@
-"""The trees of ``spec.degraded``, judged by what the health tree's subscriptions receive: a topic of both is received once."""
+"""The trees of ``spec.degraded``, judged from what the health tree's subscriptions receive: a topic of both is received once."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Wellness:
         """The topics to watch; some may be listed more than once."""
         trees = [tree for tree in (self._well, self._idle) if tree is not None]
         statuses = [WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True) for task in self._tasks]
-        # That it is not well may wait for the next look, whatever a message says.
+        # Degradation is not urgent: a message does not cause a look.
         return [*(replace(topic, prompt=False) for tree in trees for topic in tree.topics), *statuses]
 
     def leave_out(self, topics: Collection[str]) -> None:

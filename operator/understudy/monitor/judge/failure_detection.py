@@ -58,7 +58,7 @@ class FailureDetector:
         self.since = time.time()
 
     def restart(self, since: float | None = None) -> None:
-        """Watch the active instance by what was received since a time (Unix seconds); without one, from now on."""
+        """Judge the active instance from what was received since a time (Unix seconds); without one, from now on."""
         self.since = since if since is not None else time.time()
         self._debounce.clear()
 
@@ -91,7 +91,7 @@ class FailureDetector:
         self.since = min(self.since, now)
         verdict = self._observer.verdict(now=now, since=self.since)
         if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
-            # This monitor is new, its instance is not: what its own agent says counts, not the grace for a start.
+            # This monitor is new and its instance is not: the report of its agent counts, not the grace for a start.
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
                 return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)

@@ -33,7 +33,7 @@ RETRY = 0.05
 """Seconds before an unanswered request is sent again; requests can be repeated."""
 
 ANSWER_LATE = 1.0
-"""Seconds after an operation's own end at which its answer is given up: it has a way to go."""
+"""Seconds after an operation's own deadline until its answer counts as lost: the answer needs time on the network."""
 
 READ_AGAIN = 10.0
 """Seconds between two looks at a Secret whose token an agent refuses: it may be another one since."""
@@ -81,7 +81,7 @@ class AgentConnections:
                 self._configure(uid)
 
     async def settle(self, instances: Sequence[Instance], within: float) -> None:
-        """Follow the instances and wait until each agent has said how it is, or so many seconds have passed."""
+        """Follow the instances and wait until each agent has reported its state, or until so many seconds have passed."""
         self.follow(instances)
         wanted = [i for i in instances if i.has_agent and i.running and not i.held and not i.terminating]
         end = asyncio.get_running_loop().time() + within

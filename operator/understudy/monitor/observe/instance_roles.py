@@ -1,4 +1,4 @@
-"""What each instance should be brought to, and when it counts as ready: the one in control drives, standbys have their pool's readiness."""
+"""The state that each instance should reach, and when it counts as ready: the active one drives, standbys have their pool's readiness."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def role_of(
     brought: str = "",
     ready: bool = False,
 ) -> Role:
-    """Return what an instance should be. ``brought`` is what it was brought to, as far as is known; ``ready`` is whether it
+    """Return the role of an instance. ``brought`` is the readiness that it reached, if known; ``ready`` is whether it
     met its role until now.
 
     A standby that an earlier procedure made ready keeps that role: the present procedure may fail, so it runs on the pod that

@@ -25,7 +25,7 @@ STALLED = 0.03
 be in its queues yet either, and silence is judged only after as long again."""
 
 STALL_MOST = 0.25
-"""Most seconds that a verdict is put off for a stall: a node that is starved for longer cannot be waited for."""
+"""Maximum seconds that a verdict waits because of a stall: a node that is starved for longer cannot be waited for."""
 
 
 class Wakeups:
@@ -60,7 +60,7 @@ class Looks:
         self.late = 0.0
         """By how many seconds the present look is late."""
         self.trusted_from = 0.0
-        """From when on silence tells something."""
+        """Silence counts from here on (Unix seconds)."""
         self.count = 0
         """Looks so far."""
         self.overruns = 0
@@ -88,7 +88,7 @@ class Looks:
         return now
 
     async def until(self, moment: float) -> None:
-        """Wait for the next look: at this moment, or sooner where something has come or is to be looked at."""
+        """Wait for the next look: at this moment, or earlier if a message arrives or a wake-up is requested."""
         self._next = moment
         with contextlib.ExitStack() as stack:
             if self._arrivals is not None and self._arrivals.asked:

@@ -92,11 +92,11 @@ class BlackBox:
             ring.let_go()
         self._present = progress.id
         ring.hold(progress.moments.get("detected", time.time()))
-        # The loop comes to it when the failover waits for the API server.
+        # The loop runs this while the failover waits for the API server.
         asyncio.get_running_loop().call_soon(self._trace)
 
     def end(self, progress: Progress) -> None:
-        """It is dealt with, or given up."""
+        """Note that the recovery ended or was abandoned."""
         if progress.id != self._present:
             return
         self._present = ""
@@ -121,7 +121,7 @@ class BlackBox:
             await asyncio.sleep(LOOK)
 
     def _follow(self) -> None:
-        """Keep what the policy says."""
+        """Record what the policy's ``blackBox`` asks for."""
         policy = self._view.policy
         settings = policy.black_box if policy is not None else self._settings
         if settings is self._settings:

@@ -52,7 +52,7 @@ class DiagnosticsPublisher:
         notices: Notices,
         kept: Callable[[], Mapping[str, float]] = dict,
     ) -> None:
-        """``kept`` says when the state was taken that would be restored now, in Unix seconds, by what it is of."""
+        """``kept`` returns, by the name of each part of the kept state, when it was captured (Unix seconds)."""
         self._view, self._observer, self._notices, self._kept = view, observer, notices, kept
         self._settings = MonitorSettings()
         self._diagnostics: Diagnostics | None = None

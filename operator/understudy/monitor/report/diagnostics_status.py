@@ -54,7 +54,7 @@ class More(NamedTuple):
     standby: str
     """As the operator puts it, such as ``Executing (1/1)``."""
     kept: Mapping[str, float]
-    """When the state was taken that would be restored now, in Unix seconds, by what it is of."""
+    """By the name of each part of the kept state, when it was captured (Unix seconds)."""
     tree: Snapshot | None
 
 

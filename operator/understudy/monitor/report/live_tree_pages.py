@@ -21,7 +21,7 @@ class LiveTreePages:
     def __init__(
         self, view: ClusterView, observer: HealthObserver, notices: Notices, notes: Callable[[], Sequence[str]] = tuple
     ) -> None:
-        """``notes`` says what else a person should know, in plain words."""
+        """``notes`` returns sentences that the page shows beside the tree."""
         self._view, self._observer, self._notices, self._notes = view, observer, notices, notes
 
     def state(self) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class TooBig(Exception):
 
 
 class RecordingArchive:
-    """A folder of recordings. Nothing of it is made before the first one is kept."""
+    """A folder of recordings. It is created with the first recording."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

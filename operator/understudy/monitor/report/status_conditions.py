@@ -1,4 +1,4 @@
-"""What the status says of a workload that is watched: how it is, whether all of it is seen, and what would be done if it failed."""
+"""Reports a watched workload in its status: its health, whether its topics are received, and the strategy that a failure would use."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def word(instance: Instance, state: GateState, replaced: Collection[str], recove
 def witnesses(
     instance: Instance, pods: Sequence[Object], *, workload: str, readers: Collection[bytes], robots: Sequence[str]
 ) -> list[str]:
-    """Addresses that show an instance that it is not cut off, where one of them answers.
+    """Addresses that prove to an instance that it is not cut off, if one of them answers.
 
     First the robots, wherever they are, since who reaches its robot may drive it: pods on whose hosts (the first four bytes
     of a GID) there are readers of its outputs, and single addresses outside the cluster (CIDRs). Then pods on other nodes.

@@ -112,7 +112,7 @@ class Bringing:
                 self._stop(care)
             return
         if (care.procedure, care.brought) != (procedure, found.brought):
-            # The outcome of the last procedure says nothing about this one, which may be its correction.
+            # This procedure may correct the last one, so the outcome of the last one does not count.
             self._stop(care)
             care.procedure, care.brought = procedure, found.brought
             care.problem, care.wait = "", RETRY_FIRST

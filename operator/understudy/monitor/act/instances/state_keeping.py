@@ -167,7 +167,7 @@ class StateKeeping:
         self._carrier.follow(state)
         self._odometry.follow(dict(self._carrier.topics))
         if self._adopted:
-            # Only now it is known what of it is wanted. The policy may be another by then, or back.
+            # The policy decides which parts are still needed. It may have changed meanwhile, or changed back.
             self._keeper.adopt(self._adopted, time.time())
             self._carrier.adopt(self._adopted)
             self._adopted = {}
@@ -176,7 +176,7 @@ class StateKeeping:
         """Leave ages as they are when the clock is set."""
         before, now, after = time.monotonic(), time.time(), time.monotonic()
         if after - before > CLOCK_STEP / 4:
-            return  # this process was stalled just here: the next look tells
+            return  # this process was stalled between the three readings: the next look repeats them
         step, self._offset = now - before - self._offset, now - before
         if abs(step) > CLOCK_STEP:
             self._keeper.shift(step)
@@ -394,7 +394,7 @@ def _given(entry: RestoredState) -> str:
 
 
 def _answers(answer: Mapping[str, Any]) -> Iterator[tuple[Key, bytes]]:
-    """What nodes said of their parameters and states; only states in which a node rests can be restored."""
+    """Parameters and lifecycle states as nodes reported them. Only the states unconfigured, inactive and active can be restored."""
     for node, values in answer.get("parameters", {}).items():
         yield Key("Parameters", node), json.dumps(values, sort_keys=True).encode()
     for node, state in answer.get("lifecycle", {}).items():

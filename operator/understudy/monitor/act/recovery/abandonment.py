@@ -57,7 +57,7 @@ class Abandonment:
         self._keep([*(one for one in there if one.id != left.id), left])
 
     def look(self) -> None:
-        """Write the mark if the gate says otherwise. Called now and then while nothing is recovered; returns at
+        """Write the mark if the gate's record does not have it. Called at intervals while no recovery is in progress; returns at
         once."""
         self._forget_past_ones()
         record = self._gate.record

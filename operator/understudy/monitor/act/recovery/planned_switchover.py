@@ -196,7 +196,7 @@ class PlannedSwitchovers:
         self._say(progress, "Done" if progress.result == "Recovered" else "NotDone", text, recovery=progress.id)
 
     def unsettled(self) -> Progress | None:
-        """A switchover whose commit was carried out after it had been given up, or by a monitor that is gone."""
+        """Return a switchover whose gate was switched after it was abandoned, or by an earlier monitor."""
         found = self._gate.state.recovery
         if found is None or found.switchover is None or found.result != "Running":
             return None
@@ -320,7 +320,7 @@ class PlannedSwitchovers:
             self._end("NotDone", f"Nothing was changed: {reason}.", wanted)
 
     def _over_and_done(self) -> None:
-        """Nobody asks for one. What waited, or was being prepared by an earlier monitor, comes to its end with that."""
+        """Close the report about a request that waited or was being prepared by an earlier monitor: nobody requests a switchover now."""
         said = self._notices.status.switchover
         if said is not None and said.phase not in ENDED:
             message = "Nothing was changed: it is not asked for any more."

@@ -96,7 +96,7 @@ class RecoveryRunner:
     async def carry_out(self, progress: Progress, policy: FailurePolicySpec) -> Outcome:
         """Carry a recovery out by a policy. Nothing is raised: what ends it early is in the outcome."""
         with self._notices.recovering():
-            # The condition says why, so it comes before the health.
+            # The condition has the reason, so it is set before the health.
             self._notices.condition("Recovering", "True", progress.occasion, progress.reason)
             self._notices.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
             try:

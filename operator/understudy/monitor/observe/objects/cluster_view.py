@@ -162,7 +162,7 @@ class ClusterView:
 
     @property
     def spec(self) -> RobotWorkloadSpec | None:
-        """The workload's spec in force: while it cannot be followed, the last one that could. None where it is gone."""
+        """The workload's spec in force: the last valid one while the present one is invalid. None if the workload is gone."""
         if self._spec[0] != self.workloads.revision:
             item, spec = self.object, None
             if item is not None:
@@ -173,7 +173,7 @@ class ClusterView:
                     if spec is None or (problem := unloadable(("bringUp", given.bring_up), *trees)) is None:
                         spec = given
                     else:
-                        # Whether it is to be left alone does not depend on the rest.
+                        # The pause does not depend on the rest of the spec.
                         spec = spec.model_copy(update={"pause": given.pause})
                         _logger.error(
                             "RobotWorkload %s cannot be followed, keeping its last spec: %s", self.workload, problem
@@ -212,7 +212,7 @@ class ClusterView:
                 _logger.error(
                     "no strategies were chosen yet, keeping the last ones: see the condition StrategiesChosen"
                 )
-            # The same object as long as it says the same: who has followed it once need not again.
+            # The same object as long as its content is equal, so that readers can compare by identity.
             self._followed = (given, settings, before if found is None or found == before else found)
         return self._followed[2]
 
@@ -253,7 +253,7 @@ class ClusterView:
 
     @property
     def stocked(self) -> Sequence[str]:
-        """The shared pools that this workload could claim from, by what the operator said last."""
+        """The shared pools that this workload could claim from, according to the operator's last settings."""
         found: list[str] = ((self.object or {}).get("status") or {}).get("stocked") or []
         return found
 

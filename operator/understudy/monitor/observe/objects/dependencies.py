@@ -34,7 +34,7 @@ from understudy.monitor.observe.wakeups import Wakeups
 _logger = logging.getLogger(__name__)
 
 CONDITION = "DependencyFailed"
-"""The condition that says that a failure is not acted on, since it may follow from another workload's."""
+"""The condition for a failure that is held because the failure of another workload may have caused it."""
 
 VERIFIED_WITHIN = 10.0
 """Seconds that an instance which is brought up again has besides its procedures, until it is seen to drive."""
@@ -74,7 +74,7 @@ class _Watched:
 
     @property
     def seen(self) -> Seen:
-        """How it is, as far as it has said."""
+        """The state of the workload according to its status and gate."""
         revision = (self.statuses.revision, sum(one.revision for one in self.gates))
         if self._seen[0] != revision:
             self._seen = (revision, self._read())
@@ -154,7 +154,7 @@ class Dependencies:
             self._tell()
 
     def _known(self) -> dict[str, str]:
-        """The recoveries after which was done what is done then, by name; first of all those of which an earlier monitor has said so."""
+        """Return by name the recoveries that this workload has reacted to. At first they are those that an earlier monitor recorded."""
         if self._followed is None:
             self._followed = {one.name: one.recovery for one in self._notices.status.followed}
         return self._followed
@@ -180,7 +180,7 @@ class Dependencies:
             self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} does not fail any more.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
-        """By when to look again at a failure that is not acted on yet; None where it is to be acted on."""
+        """Return when to look again at a failure that is held; None if it is not held."""
         if not self._watched:
             return None
         noticed = min(self._noticed, now) if self._noticed is not None else now
@@ -197,7 +197,7 @@ class Dependencies:
 
     @property
     def _holds(self) -> bool:
-        """Whether it is said that a failure is held."""
+        """Whether the status reports that a failure is held."""
         return bool(self._watched) and self._notices.status.reason(CONDITION) in ("Held", "Settling")
 
     def _say(self, found: Held, reason: str) -> None:
@@ -217,7 +217,7 @@ class Dependencies:
     # -- after a recovery there -----------------------------------------------------------------------------------------
 
     def due(self, active: Instance, now: float) -> Due | None:
-        """What is to be done with the instance in control now, since others were recovered."""
+        """Return the recoveries of dependencies that the active instance must react to now; None if there are none."""
         if not self._watched or self._given is None:
             return None
         seen = {name: watched.seen for name, watched in self._watched.items()}
@@ -298,7 +298,7 @@ def procedures(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec) -> 
 
 
 def following(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec, choices: Sequence[Choice]) -> list[Choice]:
-    """What is done after these recoveries, and then the policy's own ``choices``: for where that comes to nothing."""
+    """Return the reaction to these recoveries, followed by the policy's own ``choices`` in case the reaction does not succeed."""
     if restarts(found, spec):
         usual = next((one for one in choices if isinstance(one.strategy, Restart)), None)
         bring_up = BringUp.of("bringUp", spec.bring_up)
@@ -312,5 +312,5 @@ def following(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec, choi
 
 
 def _created(instance: Instance) -> float:
-    """When its pod was made, in whole unix seconds; 0 where that is not known."""
+    """Return when its pod was created, in whole Unix seconds; 0 if unknown."""
     return datetime.fromisoformat(instance.created).timestamp() if instance.created else 0.0

@@ -37,7 +37,7 @@ def interrupted(
 
 
 def concluded(gate: Gate, published: PublishedStatus) -> Progress | None:
-    """The last recovery, of which the gate still tells and the status that it recovered: an earlier monitor's."""
+    """Return the last recovery of an earlier monitor, if the gate still has its record and the status lists it as recovered."""
     left, last = gate.state.recovery, published.last
     if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
         return None

@@ -45,7 +45,7 @@ class ResourceMeter:
         self._problem = ""
 
     def want(self, pod: str) -> None:
-        """Ask for this pod's from now on; for none's where it is empty."""
+        """Measure this pod from now on; none if the name is empty."""
         if pod == self._pod:
             return
         self._pod, self._usage, self._stamp, self._problem = pod, None, "", ""

@@ -1,4 +1,4 @@
-"""The unclaimed pods of a shared pool, as far as this monitor has asked for them.
+"""The unclaimed pods of a shared pool, of the labels that this monitor listed.
 
 Nobody watches them all the time: each claim, and each step of the pod that takes its place, would be sent to every monitor of a
 fleet, though hardly any of them ever needs one. Who does asks then, and watches only while it waits.
@@ -31,7 +31,7 @@ class Unclaimed:
 
     @property
     def items(self) -> Mapping[str, Object]:
-        """As they were when it was asked last, or as the watch tells while there is one."""
+        """The pods of the last list, or those of the watch while one runs."""
         return self._watched.items if self._watched.synced.is_set() else self._found
 
     async def look(self, part: str = "", template_hash: str = "") -> None:

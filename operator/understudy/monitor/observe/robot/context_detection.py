@@ -1,4 +1,4 @@
-"""Sees in which of the policy's situations the robot is, by what the health tree's subscriptions receive."""
+"""Detects which of the policy's situations the robot is in, from what the health tree's subscriptions receive."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class Situating:
             if sign.task is not None:
                 found.append(WatchedTopic(sign.task.topic, STATUS_TYPE, 0.0, None, task=True))
             elif sign.tree is not None:
-                # In which situation it is may wait for the next look, whatever a message says.
+                # Situations are not urgent: a message does not cause a look.
                 found += [replace(topic, prompt=False) for topic in sign.tree.topics]
         return found
 
@@ -87,7 +87,7 @@ class Situating:
         self._blind = topics
 
     def seen(self, observations: Observations, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
-        """What is seen of each situation, by name. ``goals`` are the actions that have goals, by what the task proxy says."""
+        """Return the observation of each situation, by name. ``goals`` are the actions that have goals according to the action proxy."""
         return {name: self._seen(sign, observations, goals, now=now, since=since) for name, sign in self._signs.items()}
 
     def _seen(

@@ -194,7 +194,7 @@ class HealthObserver:
         self._situating.leave_out(unwatchable)
 
     def _look_at_pod(self, instances: Sequence[Instance], active: str) -> None:
-        """Have said of the pod in control what its object says, where a tree asks for it."""
+        """Pass the state of the active pod's object to the trees, if one of them needs it."""
         watching, before, wanted = self._watching, self._pod, self._asked
         self._pod = next((i for i in instances if i.name == active), None) if wanted is not None else None
         if self._meter is not None:
@@ -214,7 +214,7 @@ class HealthObserver:
         return self._tree.evaluate(self._watching, now=now, since=since)
 
     def wellness(self, *, now: float, since: float) -> Verdict:
-        """What the tree of ``spec.degraded`` says of the instance in control. Times are unix seconds."""
+        """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
         return self._wellness.verdict(self._watching, now=now, since=since)
 
     def busy(self, *, now: float, since: float) -> Busy | None:
@@ -235,7 +235,7 @@ class HealthObserver:
         return max(times, default=None)
 
     def last_well(self, pod: str) -> float | None:
-        """When the outputs that count now were last received from a pod; None for never, or where none of them counts."""
+        """Return when the outputs that count now were last received from a pod; None if never, or if none of them counts."""
         times = [last for topic in self.expected if (last := self._watching.last_from(topic, pod)) is not None]
         return max(times, default=None)
 

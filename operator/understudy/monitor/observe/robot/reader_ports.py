@@ -20,7 +20,7 @@ class Reading:
 
     topic: str
     node: str
-    """Fully qualified; empty where it is not known."""
+    """Fully qualified; empty if unknown."""
     places: tuple[Locator, ...]
     """Where it listens."""
 
