@@ -3,34 +3,20 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import HealthCheck, settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from tests.unit.action_proxy.ledgers import status, world
 from tests.unit.action_proxy.world import ABORTED, CANCELED, SUCCEEDED, World
-from understudy.action_proxy.client_goals import ACCEPTED, CANCELING, EXECUTING, AttemptState, Phase
+from understudy.action_proxy.client_goals import ACCEPTED, CANCELING, EXECUTING
 from understudy.action_proxy.goal_ledger import (
     CANCEL_ENDED,
     CANCEL_OK,
     CANCEL_REJECTED,
     CANCEL_UNKNOWN,
-    MOST_BYTES,
-    MOST_KEPT,
     REFUSED,
     UNDECIDED,
-    GoalLedger,
 )
 
-
-@pytest.fixture
-def world() -> World:
-    made = World()
-    made.switch("a")
-    return made
-
-
-def status(world: World, goal: str) -> int:
-    return world.ledger.goals[goal].status
+__all__ = ["world"]  # fixtures
 
 
 class TestOneInstance:
@@ -386,191 +372,3 @@ class TestMirrors:
         world.instances["a"].rejects = True
         world.ask()
         assert world.instances["b"].starts == []
-
-
-class TestRestart:
-    @pytest.mark.parametrize("step", range(6))
-    def test_at_any_step_no_goal_is_lost_and_every_answer_is_given(self, step: int) -> None:
-        world = World()
-        world.switch("a")
-        goal = world.ask(work=False)
-        goal_id = world.ledger.goals[goal].id
-        if step == 1:
-            world.ledger.advance(world.now)
-        if step >= 2:
-            world.ledger.advance(world.now)
-            world.work()
-        if step == 3:
-            world.ledger.advance(world.now)  # the answer is known, kept, and doesn't go out
-        if step >= 4:
-            world.go()
-            world.want(goal)
-        if step == 5:
-            world.ledger.report("a", goal_id, AttemptState.ENDED, world.now, status=SUCCEEDED, result="a")
-            del world.instances["a"].running[goal_id]
-            world.instances["a"].ended[goal_id] = SUCCEEDED
-            world.ledger.advance(world.now)
-        world.restart()
-        assert world.accepted == {goal: True}
-        assert world.instances["a"].starts == [goal]
-        if step < 5:
-            world.want(goal)
-            world.end("a", goal)
-        assert world.results == {goal: (SUCCEEDED, "a")}
-
-    def test_a_switch_during_the_restart_of_the_proxy_is_followed(self, world: World) -> None:
-        goal = world.ask()
-        world.want(goal)
-        kept = world.ledger.to_wire()
-        world.active, world.epoch = "b", 2
-        world.ledger = type(world.ledger).from_wire(kept, world.now)
-        world.ledger.report("a", goal, AttemptState.ENDED, world.now, status=SUCCEEDED, result="a")
-        world.tell()
-        assert world.results == {}
-        assert world.instances["b"].starts == [goal]
-
-
-class TestWithoutTheJournal:
-    """As when the monitor's pod is on another node now: what the instance in control kept is taken up."""
-
-    def test_goals_are_adopted_from_the_active_instance(self, world: World) -> None:
-        goal = world.ask()
-        world.want(goal)
-        note = world.ledger.orders("a")[0].note
-        world.ledger = GoalLedger()
-        world.tell()
-        world.ledger.adopt("b", goal, note, "goal", None, world.now)
-        assert world.ledger.goals == {}
-        world.ledger.adopt("a", goal, note, "goal", None, world.now)
-        world.ledger.report("a", goal, AttemptState.RUNNING, world.now)
-        world.go()
-        assert status(world, goal) == EXECUTING
-        world.switch("b")
-        assert world.instances["b"].starts == [goal]
-        world.end("b", goal)
-        assert world.results == {goal: (SUCCEEDED, "b")}
-
-    def test_a_goal_that_ended_meanwhile_is_reported_and_never_sent_again(self, world: World) -> None:
-        goal = world.ask()
-        world.want(goal)
-        note = world.ledger.orders("a")[0].note
-        world.ledger = GoalLedger()
-        world.tell()
-        world.ledger.adopt("a", goal, note, "goal", (ABORTED, "a"), world.now)
-        world.switch("b")
-        assert world.results == {goal: (ABORTED, "a")}
-        assert world.instances["b"].starts == []
-
-
-def test_results_are_kept_within_bounds(world: World) -> None:
-    for _ in range(MOST_KEPT + 10):
-        world.end("a", world.ask())
-    assert len(world.ledger.goals) == MOST_KEPT
-    for _ in range(3):
-        goal = world.ask()
-        world.ledger.report("a", goal, AttemptState.ENDED, world.now, status=SUCCEEDED, result="x" * (MOST_BYTES // 2))
-        world.now += 1
-        world.go()
-    assert sum(len(g.end.result) for g in world.ledger.goals.values() if g.end) <= MOST_BYTES
-
-
-class Machine(RuleBasedStateMachine):
-    """Anything in any order; at the end every goal that was accepted has ended, once."""
-
-    @initialize(policy=st.sampled_from(["Resend", "Abort", "Tree"]), mirrored=st.booleans())
-    def begin(self, policy: str, mirrored: bool) -> None:
-        self.world = World(policy, "a", "b", "c")
-        self.world.instances["b"].executing = mirrored
-        self.world.switch("a")
-        self.cancelled: set[str] = set()
-        self.ended: dict[str, object] = {}
-
-    @rule(work=st.booleans())
-    def ask(self, work: bool) -> None:
-        goal = self.world.ask(work=work)
-        if work and self.world.accepted.get(goal):
-            self.world.want(goal)
-
-    @rule(work=st.booleans(), index=st.integers(0, 20))
-    def cancel(self, work: bool, index: int) -> None:
-        goals = [g for g in self.world.ledger.goals.values() if g.phase is not Phase.PENDING]
-        if goals:
-            self.world.cancel(goals[index % len(goals)].id, work=work)
-
-    @rule(uid=st.sampled_from(["", "a", "b", "c"]), settled=st.booleans())
-    def switch(self, uid: str, settled: bool) -> None:
-        self.world.switch(uid, settled=settled)
-
-    @rule(status=st.sampled_from([SUCCEEDED, ABORTED, CANCELED]), uid=st.sampled_from("abc"), index=st.integers(0, 20))
-    def end(self, status: int, uid: str, index: int) -> None:
-        running = list(self.world.instances[uid].running)
-        if running:
-            id = running[index % len(running)]
-            del self.world.instances[uid].running[id]
-            self.world.instances[uid].ended[id] = status
-            self.world.ledger.report(uid, id, AttemptState.ENDED, self.world.now, status=status, result=uid)
-            self.world.go()
-
-    @rule(uid=st.sampled_from("abc"))
-    def restart_application(self, uid: str) -> None:
-        self.world.restart_application(uid)
-
-    @rule(uid=st.sampled_from("abc"), rejects=st.booleans())
-    def reject(self, uid: str, rejects: bool) -> None:
-        self.world.instances[uid].rejects = rejects
-
-    @rule()
-    def restart(self) -> None:
-        self.world.restart()
-
-    @rule(uid=st.sampled_from("abc"))
-    def invite(self, uid: str) -> None:
-        self.world.ledger.invite(uid)
-        self.world.go()
-
-    @rule(seconds=st.sampled_from([0.1, 1.0, 5.0]))
-    def wait(self, seconds: float) -> None:
-        self.world.later(seconds)
-
-    @invariant()
-    def what_has_ended_stays_so(self) -> None:
-        if hasattr(self, "world"):
-            for goal in self.world.ledger.goals.values():
-                if goal.end is not None:
-                    assert self.ended.setdefault(goal.id, goal.end) == goal.end
-
-    @invariant()
-    def nothing_is_ordered_that_has_ended_or_is_cancelled(self) -> None:
-        if hasattr(self, "world"):
-            ledger = self.world.ledger
-            for uid in "abc":
-                live = {order.id for order in ledger.orders(uid) if not order.cancel}
-                for goal in ledger.goals.values():
-                    if not goal.open or goal.phase is Phase.CANCELING:
-                        assert goal.id not in live
-
-    def teardown(self) -> None:
-        if not hasattr(self, "world"):
-            return
-        world = self.world
-        for instance in world.instances.values():
-            instance.rejects = False
-        world.switch("c")
-        world.later(5)
-        for goal in list(world.ledger.goals.values()):
-            if goal.open:
-                assert goal.charge == "c"
-                world.end("c", goal.id)
-            if world.accepted.get(goal.id):
-                world.want(goal.id)
-        world.later(5)
-        open_ones = [goal for goal in world.ledger.goals.values() if goal.open]
-        assert open_ones == []
-        for goal, accepted in world.accepted.items():
-            assert not accepted or goal in world.results, "an accepted goal has a result"
-
-
-TestAnything = Machine.TestCase
-TestAnything.settings = settings(
-    max_examples=100, stateful_step_count=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True
-)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
-from typing import Any, cast
 
 import pytest
 
@@ -16,12 +14,8 @@ from tests.unit.controller.world import (
     claimed_pod,
     created,
     deleted,
-    gate,
     held_pod,
-    hot,
-    source_pod,
     spare,
-    standby_pod,
     workload,
 )
 from understudy.api import names
@@ -29,14 +23,8 @@ from understudy.controller.observed import kube_objects, ownership
 from understudy.controller.plan import Plan
 from understudy.controller.pods import pool_pods
 from understudy.controller.pods.pod_counts import EXPECTED_SECONDS
-from understudy.controller.reconcile import change_index
-from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import Store
-from understudy.controller.reconcile.observer import Observer
-from understudy.failover.pool_queue import Waiter
-from understudy.failover.progress import Progress
 from understudy.kube import claims
-from understudy.kube.client import NETWORK_POLICIES, PODS, POOLS, WORKLOADS, Client, Object
+from understudy.kube.client import Object
 
 
 def test_an_empty_pool_is_filled() -> None:
@@ -349,177 +337,3 @@ class TestBadInput:
         assert ready["reason"] == "ErrImageNeverPull"
         assert "spare-a" in ready["message"]
         assert "load the image" in ready["message"]
-
-
-class TestNumbers:
-    def test_of_a_shared_pool(self) -> None:
-        pool = spare(replicas=3)
-        pods = [
-            held_pod("spare-a", of=pool, template_hash="h"),
-            held_pod("spare-b", of=pool, template_hash="other"),
-            held_pod("spare-c", of=pool, template_hash="h", ready=False),
-            claimed_pod("spare-d", of=pool, by=workload()),
-        ]
-        policy = {"metadata": {"name": "spare-held", "annotations": {names.TEMPLATE_HASH: "h"}}}
-        found = status(observe(pool, pods, workloads=[workload()], owned={("networkpolicies", "spare-held"): policy}))
-        assert {key: found[key] for key in ("replicas", "desired", "ready", "claimed")} == {
-            "replicas": 3,
-            "desired": 3,
-            "ready": 1,
-            "claimed": 1,
-        }
-        assert found["selector"] == f"{names.POOL}=spare,{names.HELD}=true"
-
-    def test_of_a_pool_per_workload(self) -> None:
-        pool = hot(per_workload=1)
-        one, two, other = workload("a"), workload("b"), workload("c", labels={"task": "other"})
-        driving, waiting = standby_pod("a-s", of=one), standby_pod("b-s", of=two)
-        observed = observe(pool, [driving, waiting], workloads=[one, two, other], active=frozenset({"uid-a-s"}))
-        assert numbers(observed) == {"replicas": 1, "desired": 2, "ready": 1, "claimed": 1}
-        told = condition(observed, "Ready")
-        assert (told["status"], told["reason"]) == ("False", "PodsNotReady"), "if a failed now, nobody could take over"
-
-    async def test_a_pod_that_waits_in_the_place_of_a_standby_that_drives_is_one_of_its_pool(self) -> None:
-        # The workload's own controller makes it after a failover. READY 0 would have somebody woken for a pool that has run dry.
-        item, pool, other = workload(), hot(per_workload=1), hot("warm", per_workload=1)
-        driving = standby_pod("w-s", of=item)
-        for own, ready in ((source_pod("w-a"), 1), (source_pod("w-a", ready=False), 0)):
-            seen = await sight(item, pool, other, gate(item, active=driving, epoch=2), driving, own)
-            assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": ready, "claimed": 1}
-            assert condition(seen[0], "Ready")["status"] == str(bool(ready))
-            assert numbers(seen[1]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 0}, "it waits for one pool"
-
-    async def test_a_pod_of_a_workloads_own_is_no_standby_while_it_drives_or_is_claimed_for(self) -> None:
-        item, pool = workload(), hot(per_workload=1)
-        own, waiting = source_pod("w-a"), standby_pod("w-s", of=item)
-        seen = await sight(item, pool, gate(item, active=own, epoch=1), own, waiting)
-        assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": 1, "claimed": 0}
-
-    def test_what_becomes_of_such_a_pod_has_its_pool_looked_at(self) -> None:
-        item, store = workload(), Store()
-        driving, own = standby_pod("w-s", of=item), source_pod("w-a", ready=False)
-        ready = source_pod("w-a")
-        ready["metadata"]["resourceVersion"] = "99"
-        opened = gate(item, active=driving, epoch=2)
-        for resource, found in ((WORKLOADS, item), (PODS, driving), (PODS, own), (NETWORK_POLICIES, opened)):
-            store.put(resource, found)
-        seen: list[set[change_index.Key]] = []
-        store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
-        store.put(PODS, ready)
-        assert seen == [
-            {change_index.Key("fallbackpools", "fleet", "hot"), change_index.Key("robotworkloads", "fleet", "w")}
-        ]
-
-    async def test_what_a_referred_controller_makes_is_no_standby(self) -> None:
-        item, pool = workload(workloadRef={"kind": "Deployment", "name": "nav2"}), hot(per_workload=1)
-        driving = standby_pod("w-s", of=item)
-        seen = await sight(item, pool, gate(item, active=driving, epoch=2), driving, source_pod("w-a"))
-        assert numbers(seen[0]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 1}
-
-
-def numbers(observed: pool_pods.Observed) -> Object:
-    found = status(observed)
-    return {key: found[key] for key in ("replicas", "desired", "ready", "claimed")}
-
-
-async def sight(*items: Object) -> list[pool_pods.Observed]:
-    """What is seen of the pools among these objects, as the operator's stores have it."""
-    store = Store()
-    resources = {"RobotWorkload": WORKLOADS, "FallbackPool": POOLS, "NetworkPolicy": NETWORK_POLICIES, "Pod": PODS}
-    for item in items:
-        store.put(resources[item["kind"]], item)
-    observer = Observer(cast(Client, None), store, Expectations())
-    return [await observer.pool(item) for item in items if item["kind"] == "FallbackPool"]
-
-
-def test_gates_tell_which_pods_are_driving() -> None:
-    item = workload()
-    active = source_pod("w-a")
-    assert kube_objects.active(gate(item, active=active, epoch=1)) == ("w-a", "uid-w-a")
-    assert kube_objects.active(gate(item)) == ("", "")
-    assert kube_objects.active(None) == ("", "")
-
-
-def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
-    item = workload()
-    waiting = standby_pod("w-s", of=item, ready=False)
-    told = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
-    assert told["reason"] == "PodsNotReady"
-    assert "0 of 1 are ready; see the condition BroughtUp of RobotWorkload w" in told["message"]
-
-
-class TestAPoolThatHasRunDry:
-    def place(self, workload: str, *, priority: int = 0, since: float = NOW - 2, lasts: float = 10) -> Waiter:
-        return Waiter(workload=workload, pool="spare", priority=priority, since=since, until=since + lasts)
-
-    def gate(self, place: Waiter) -> Object:
-        found = gate(workload(place.workload), epoch=3)
-        found["metadata"]["labels"] |= {names.WAITS_FOR: place.pool}
-        progress = Progress.begin("it ended", last_healthy=NOW - 3, detected=NOW - 2)
-        progress.waiting = place
-        found["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
-        return found
-
-    def test_who_waits_stands_beside_the_gates(self) -> None:
-        late = self.place("late", since=NOW - 60)
-        places = [self.place("a"), self.place("b", priority=100), self.place("c", since=NOW - 5), late]
-        posing = self.gate(self.place("x"))  # each speaks for itself only
-        posing["metadata"]["annotations"] = self.gate(self.place("w", priority=1000))["metadata"]["annotations"]
-        gates = [*map(self.gate, places), gate(workload("w")), posing]
-        assert [w.workload for w in pool_pods.queue("spare", gates, NOW)] == ["b", "c", "a"]
-        assert pool_pods.queue("other", gates, NOW) == []
-
-    def test_a_note_that_can_not_be_read_is_none(self) -> None:
-        found = self.gate(self.place("a"))
-        found["metadata"]["annotations"][names.RECOVERY] = "{"
-        assert pool_pods.queue("spare", [found], NOW) == []
-
-    def test_it_says_who_waits_in_order(self) -> None:
-        waiting = [self.place("b", priority=100), self.place("a")]
-        found = observe(spare(replicas=1), workloads=[workload()], waiting=waiting)
-        told = condition(found, "Available")
-        assert (told["status"], told["reason"]) == ("False", "Dry")
-        assert told["message"] == (
-            "0 of 1 can be claimed now; workloads that wait, in this order: b (poolPriority 100, since 22:13:18 UTC), "
-            "a (poolPriority 0, since 22:13:18 UTC)."
-        )
-        assert status(found)["waiting"] == 2
-
-    def test_a_last_pod_that_somebody_waits_for_is_nobody_else_s(self) -> None:
-        pool = spare(replicas=1)
-        pod = held_pod("spare-a", of=pool, template_hash=present(pool))
-        assert condition(observe(pool, [pod]), "Available")["status"] == "True"
-        assert condition(observe(pool, [pod], waiting=[self.place("a")]), "Available")["reason"] == "Dry"
-
-    def test_it_says_for_whom_it_keeps_its_last_pods(self) -> None:
-        pool = spare(replicas=2, reserve={"poolPriority": 100})
-        pod = held_pod("spare-a", of=pool, template_hash=present(pool))
-        told = condition(observe(pool, [pod]), "Available")["message"]
-        assert told == "1 of 2 can be claimed now, the last 1 only with poolPriority 100 or higher."
-
-    def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
-        found = status(observe(hot(), workloads=[workload()]))
-        assert "waiting" not in found
-        assert "Available" not in {c["type"] for c in found["conditions"]}
-
-    def test_where_somebody_waits_the_next_pod_is_started_beside_the_one_that_was_claimed(self) -> None:
-        pool = spare(replicas=1)
-        claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
-        claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - 1))
-        assert not created(plan(observe(pool, [claimed])), "pods")
-        assert len(created(plan(observe(pool, [claimed], waiting=[self.place("a")])), "pods")) == 1
-
-    def test_it_is_looked_at_again_when_the_time_of_a_waiter_is_over(self) -> None:
-        assert plan(observe(spare(replicas=0), waiting=[self.place("a")])).again_after == pytest.approx(8)
-
-    async def test_the_operator_finds_them_among_the_gates_of_the_namespace(self) -> None:
-        client: Any = None  # of a pool with a template of its own nothing is asked
-        store, now = Store(), time.time()
-        pool, waiting = spare(), self.place("a", since=now, lasts=60)
-        store.put(POOLS, pool)
-        for name in ("a", "b"):
-            store.put(WORKLOADS, workload(name))
-        store.put(NETWORK_POLICIES, self.gate(waiting))
-        store.put(NETWORK_POLICIES, gate(workload("b")))
-        observed = await Observer(client, store, Expectations()).pool(pool)
-        assert list(observed.waiting) == [waiting]
