@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-Told = Literal["Starting", "Healthy", "Failed"]
+TreeState = Literal["Starting", "Healthy", "Failed"]
 """The state of the tree of ``spec.degraded``; Starting if it is unknown."""
 
 
@@ -49,11 +49,11 @@ class Level:
         """Since when it is degraded; None while it is not."""
         return self._degraded.since
 
-    def note(self, told: Told, now: float, *, debounce: float, clear_after: float) -> bool:
+    def note(self, state: TreeState, now: float, *, debounce: float, clear_after: float) -> bool:
         """Record the state of the tree now, and return whether the workload is degraded.
 
         It becomes degraded after the tree has failed for ``debounce`` seconds without a break, until the tree has held for ``clear_after``
         seconds without a break. An unknown state breaks both.
         """
-        failed = None if told == "Starting" else told == "Failed"
+        failed = None if state == "Starting" else state == "Failed"
         return self._degraded.note(failed, now, after=debounce, clear_after=clear_after)

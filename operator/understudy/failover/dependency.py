@@ -14,7 +14,7 @@ from datetime import datetime
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import Upstream
-from understudy.failover.progress import Committed, Progress, told_in, under_way
+from understudy.failover.progress import Committed, Progress, listed_recoveries, under_way
 
 SLACK = 0.1
 """Maximum seconds that an effect may seem to come before its cause: the clocks of two nodes differ, and messages take time."""
@@ -63,7 +63,7 @@ class Seen:
             end = _unix(moments.verified) if newest.result == "Recovered" else None
             last = Recovered(newest.id, _unix(moments.last_healthy) or _unix(moments.detected) or 0.0, end)
         # Without a bound: who depends on it has its own, and a monitor that is replaced in the midst of it takes longer than any.
-        if committed is not None and under_way(Committed.of(committed), told_in(recoveries)):
+        if committed is not None and under_way(Committed.of(committed), listed_recoveries(recoveries)):
             health, since = "Recovering", committed.moments.get("last_healthy", committed.moments.get("detected", 0.0))
         followed = {one.name: one.recovery for one in status.dependencies or []}
         return cls(health, since, last, followed)

@@ -246,16 +246,16 @@ class Committed:
         )
 
 
-Told = tuple[str, str | None]
+ListedRecovery = tuple[str, str | None]
 """A recovery in a status: its id, and when it was detected (RFC 3339), if that is known."""
 
 
-def told_in(recoveries: Iterable[Recovery]) -> list[Told]:
+def listed_recoveries(recoveries: Iterable[Recovery]) -> list[ListedRecovery]:
     """Return the recoveries in ``status.recoveries``."""
     return [(recovery.id, recovery.moments.detected) for recovery in recoveries]
 
 
-def under_way(committed: Committed | None, told: Iterable[Told], now: float | None = None) -> bool:
+def under_way(committed: Committed | None, told: Iterable[ListedRecovery], now: float | None = None) -> bool:
     """Return whether the recovery next to a gate is in progress. The gate changes before the status does.
 
     ``told`` are the recoveries in the status. With ``now`` (unix seconds) a recovery counts for no longer than LASTS. The operator,

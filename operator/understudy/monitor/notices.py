@@ -28,7 +28,7 @@ from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.api.kinds.state_spec import KeptStatus
 from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
-from understudy.failover.progress import Progress, Told, rfc3339, told_in
+from understudy.failover.progress import ListedRecovery, Progress, listed_recoveries, rfc3339
 
 RECOVERIES_KEPT = 10
 """Recoveries that the status lists."""
@@ -125,9 +125,9 @@ class PublishedStatus:
         return next((recovery for recovery in self.recoveries if recovery.id == id_), None)
 
     @property
-    def told(self) -> list[Told]:
+    def listed(self) -> list[ListedRecovery]:
         """The recoveries in the form that the failover protocol compares with the record at the gate."""
-        return told_in(self.recoveries)
+        return listed_recoveries(self.recoveries)
 
     @property
     def recorded(self) -> set[str]:
@@ -403,36 +403,36 @@ class Notices:
         """Raise an Event on the RobotWorkload."""
         self.add(EventRaised(kind, reason, message))
 
-    def keep(self, kept: Sequence[KeptStatus]) -> None:
+    def set_kept_state(self, kept: Sequence[KeptStatus]) -> None:
         """Set the status of kept state."""
         self._change(kept=tuple(kept))
 
-    def tasks(self, tasks: Sequence[TaskStatus]) -> None:
+    def set_tasks(self, tasks: Sequence[TaskStatus]) -> None:
         """Set the status of the proxied actions."""
         self._change(task_statuses=tuple(tasks))
 
-    def sign(self, monitor: MonitorStatus) -> None:
+    def set_monitor(self, monitor: MonitorStatus) -> None:
         """Set version and image of this monitor."""
         self._status = replace(self._status, monitor=monitor)
         self.add(StatusChanged(time.time(), self._status))
 
-    def say_switchover(self, status: SwitchoverStatus) -> None:
+    def set_switchover(self, status: SwitchoverStatus) -> None:
         """Set the status of planned switchovers."""
         self._change(switchover=status)
 
-    def situate(self, status: SituationStatus | None) -> None:
+    def set_situation(self, status: SituationStatus | None) -> None:
         """Set the situation of the robot; None for none."""
         self._change(situation=status)
 
-    def follow(self, followed: Sequence[DependencyRecovery]) -> None:
+    def set_followed(self, followed: Sequence[DependencyRecovery]) -> None:
         """Set the recoveries of dependencies that this workload has reacted to."""
         self._change(followed=tuple(followed))
 
-    def spend(self, moments: Sequence[float]) -> None:
+    def set_spent(self, moments: Sequence[float]) -> None:
         """Set the start times of the recoveries that count against the budget (Unix seconds)."""
         self._change(spent_times=tuple(rfc3339(moment) for moment in moments))
 
-    def hurry(self) -> None:
+    def request_write(self) -> None:
         """Ask for the status to be written at once, because others wait for it."""
         self.add(StatusAwaited())
 

@@ -101,7 +101,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         gate = GateControl(client, view, fleet, proof, crash_points, notices)
         recorder = Recorder(client, "understudy-monitor", os.environ.get("HOSTNAME", "monitor"))
         writer = StatusWriter(client, view, recorder, notices)
-        notices.sign(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
+        notices.set_monitor(MonitorStatus(version=__version__, image=os.environ.get(names.MONITOR_IMAGE_VARIABLE, "")))
         address = os.environ.get("UNDERSTUDY_POD_IP", "127.0.0.1")
         cluster, current = Cluster(view, fleet, gate), CurrentRecovery()
         roles = InstanceRoles(view, gate, current)

@@ -7,14 +7,14 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from understudy.failover.degradation import Level, Told
+from understudy.failover.degradation import Level, TreeState
 
-TOLD: st.SearchStrategy[Told] = st.sampled_from(["Starting", "Healthy", "Failed"])
+TOLD: st.SearchStrategy[TreeState] = st.sampled_from(["Starting", "Healthy", "Failed"])
 COURSE = st.lists(st.tuples(st.integers(1, 40), TOLD), min_size=1, max_size=60)
 """What the tree says, each so many tenths of a second after the one before."""
 
 
-def run(course: list[tuple[int, Told]], *, debounce: int, clear_after: int) -> list[tuple[int, Told, bool]]:
+def run(course: list[tuple[int, TreeState]], *, debounce: int, clear_after: int) -> list[tuple[int, TreeState, bool]]:
     """When (in tenths of a second) the tree said what, and what the level was then."""
     level, now, found = Level(), 0, []
     for step, told in course:
@@ -23,7 +23,7 @@ def run(course: list[tuple[int, Told]], *, debounce: int, clear_after: int) -> l
     return found
 
 
-def lasting(seen: list[tuple[int, Told, bool]], told: Told) -> int:
+def lasting(seen: list[tuple[int, TreeState, bool]], told: TreeState) -> int:
     """For how long the tree has said the same at the end, as far as was looked; -1 where it says something else."""
     begun = None
     for now, said, _ in reversed(seen):
@@ -35,7 +35,7 @@ def lasting(seen: list[tuple[int, Told, bool]], told: Told) -> int:
 
 @given(COURSE, st.integers(0, 50), st.integers(0, 50))
 def test_it_comes_exactly_with_the_debounce_and_goes_exactly_with_the_clear_time(
-    course: list[tuple[int, Told]], debounce: int, clear_after: int
+    course: list[tuple[int, TreeState]], debounce: int, clear_after: int
 ) -> None:
     seen = run(course, debounce=debounce, clear_after=clear_after)
     before = False
@@ -50,7 +50,7 @@ def test_it_comes_exactly_with_the_debounce_and_goes_exactly_with_the_clear_time
 
 @given(COURSE, st.integers(1, 50), st.integers(1, 50))
 def test_two_changes_are_never_closer_than_what_was_waited_for(
-    course: list[tuple[int, Told]], debounce: int, clear_after: int
+    course: list[tuple[int, TreeState]], debounce: int, clear_after: int
 ) -> None:
     changed, before = [], False
     for now, _, degraded in run(course, debounce=debounce, clear_after=clear_after):

@@ -188,7 +188,7 @@ class Invariants:
             if found is None:
                 continue
             status = RobotWorkloadStatus.model_validate(item.get("status") or {})
-            if recoveries.under_way(Committed.of(found), recoveries.told_in(status.recoveries or [])):
+            if recoveries.under_way(Committed.of(found), recoveries.listed_recoveries(status.recoveries or [])):
                 yield f"recovery {found.id} stands beside the gate of {workload} as though it were under way"
 
     def _unfilled(self) -> Iterator[str]:

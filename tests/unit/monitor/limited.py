@@ -96,7 +96,7 @@ class World:
         return progress in self.carried_out
 
     def spend(self) -> None:
-        self.told.spend([time.time() - 60])
+        self.told.set_spent([time.time() - 60])
 
     def resume(self) -> None:
         self.item["metadata"]["annotations"] = {names.RESUMED: rfc3339(time.time())}

@@ -149,7 +149,7 @@ class ActionProxyLink:
     def _report(self, report: Mapping[str, Any]) -> None:
         tasks = report["tasks"]
         try:
-            self._notices.tasks(
+            self._notices.set_tasks(
                 [
                     TaskStatus(
                         action=task["action"], active=task["active"], resent=task["resent"], message=task["message"]
@@ -167,7 +167,7 @@ class ActionProxyLink:
         return self._view.settings.tasks_problem if self._view.settings else ""
 
     def _say_without(self, spec: RobotWorkloadSpec | None) -> None:
-        self._notices.tasks([])
+        self._notices.set_tasks([])
         if spec is not None and spec.tasks and self._problem:
             self._say("False", "NoAgent", self._problem)
         else:

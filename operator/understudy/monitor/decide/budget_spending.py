@@ -47,7 +47,7 @@ class BudgetSpending:
         """
         budget, tried = self._budget, any(attempt.result != "NotAvailable" for attempt in done.attempts)
         if budget is not None and tried and not done.planned and not done.follows:
-            self._notices.spend([*self._counted(now), done.began][-budget.recoveries :])
+            self._notices.set_spent([*self._counted(now), done.began][-budget.recoveries :])
             self.say(now)
 
     def in_force(self, now: float) -> InForce | None:
@@ -66,7 +66,7 @@ class BudgetSpending:
         budget = self._budget
         if budget is None:
             self._notices.add(BudgetCounted("", None))
-            self._notices.spend([])
+            self._notices.set_spent([])
             self._notices.withdraw(CONDITION)
             return
         left = budgets.left(self._counted(now), now, recoveries=budget.recoveries, within=budget.length)

@@ -30,7 +30,7 @@ from understudy.monitor.judge.stage import Judgement, JudgeStage
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.objects.cluster_view import ClusterView
-from understudy.monitor.observe.objects.dependencies import Dependencies, told
+from understudy.monitor.observe.objects.dependencies import Dependencies, describe
 from understudy.monitor.outcome import Outcome
 
 
@@ -111,7 +111,7 @@ class DecideStage:
 
     async def confirm(self) -> bool:
         """Return whether the first strategy can run by the present state of the cluster, not only by what was reported."""
-        if (lacking := await self.options.look_for_first()) is not None:
+        if (lacking := await self.options.check_first()) is not None:
             found = _unavailable(lacking)
             self._levels.wait(found.reason, found.words)
         return lacking is None
@@ -146,7 +146,7 @@ class DecideStage:
         if verdict is None or active is None:
             return
         if verdict.state != "Starting" and (due := self._dependencies.due(active, now)) is not None:
-            trigger, reason = Trigger.DEPENDENCY_RECOVERED, told(due.follows)
+            trigger, reason = Trigger.DEPENDENCY_RECOVERED, describe(due.follows)
             failure = Failure(reason, judgement.last_well, now, trigger, follows=due.follows)
             yield _Case(Occurrence(trigger, reason), failure)
         if prepared is not None:
@@ -154,7 +154,7 @@ class DecideStage:
             yield _Case(Occurrence(trigger, prepared.progress.reason), switch=prepared)
         idle = self._levels.due if judgement.healthy and judgement.degraded else None
         if idle is not None and self._view.settings is not None:
-            lacking = self.options.first_lacks()
+            lacking = self.options.first_missing()
             unmet = _unavailable(lacking) if lacking is not None else None
             failure = Failure(idle, judgement.last_well, now, Trigger.DEGRADED)
             yield self._starting_with(failure, Occurrence(Trigger.DEGRADED, idle, unmet=unmet))
@@ -183,7 +183,7 @@ class DecideStage:
 
     def _facts(self, judgement: Judgement, occurrences: tuple[Occurrence, ...]) -> Facts:
         limits = self.limits.in_force(judgement.now)
-        ready = limits.storm is not None and self.options.stands_by()
+        ready = limits.storm is not None and self.options.standby_ready()
         return Facts(judgement.now, occurrences, limits, standby_ready=ready, trusted_from=judgement.trusted_from)
 
     # -- what is remembered and reported of it ----------------------------------------------------------------------

@@ -46,7 +46,7 @@ class StrategyOptions:
         reasons = [(choice.strategy, choice.strategy.outlook(means)) for choice in self.choices()]
         return next((strategy.name.split("/")[-1] for strategy, reason in reasons if reason is None), "None")
 
-    def stands_by(self) -> bool:
+    def standby_ready(self) -> bool:
         """Whether a healthy instance is ready to take over, without taking anything from other workloads."""
         found = self.choices()
         if not found:
@@ -60,12 +60,12 @@ class StrategyOptions:
             return None
         return f"held because other workloads fail too: {storm.words}"
 
-    def first_lacks(self) -> str | None:
+    def first_missing(self) -> str | None:
         """Why the first strategy cannot be carried out, according to what was reported; None if it can."""
         first = self.choices()[0].strategy
         return first.outlook(self.means()) or self.holds(first)
 
-    async def look_for_first(self) -> str | None:
+    async def check_first(self) -> str | None:
         """Why the first strategy cannot be carried out, according to the present state of the cluster and not only to
         reports.
 

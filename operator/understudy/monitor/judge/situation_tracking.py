@@ -70,10 +70,10 @@ class SituationTracking:
     def _say(self, name: str | None, reason: str, now: float) -> None:
         before = self._notices.status.situation
         if name is not None:
-            self._notices.situate(SituationStatus(name=name, since=rfc3339(now), reason=reason))
+            self._notices.set_situation(SituationStatus(name=name, since=rfc3339(now), reason=reason))
             text = f"The robot is in the situation {name}: {reason or 'another one is over'}"
         else:
-            self._notices.situate(None)
+            self._notices.set_situation(None)
             text = f"The situation {before.name if before is not None else ''} is over"
         _logger.info("%s", text)
         self._notices.event("Normal", "SituationChanged", text)

@@ -229,7 +229,7 @@ async def test_a_status_that_an_earlier_monitor_wrote_and_that_comes_late_has_no
     done.moments["detected"] = time.time()  # the world's clock isn't that of who asks
     scene.store.gate = GateState(epoch=2, active="w-2", active_uid="uid-w-2", recovery=done)
     scene.store.add("w-3", pool="hot")
-    scene.told.say_switchover(cast(Any, None))
+    scene.told.set_switchover(cast(Any, None))
     assert await scene.looked(0.1) is None
     assert "Control was handed over since it was asked for" in scene.told.message
     assert scene.told.status.switchover is not None

@@ -77,7 +77,7 @@ async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left
 
 
 async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
-    world.told.spend([time.time() - 599.9])
+    world.told.set_spent([time.time() - 599.9])
     async with asyncio.timeout(5):
         assert await world.allowed(failure())
     assert len(world.gate.committed) == 1

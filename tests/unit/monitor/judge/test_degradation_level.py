@@ -291,10 +291,10 @@ class TestHandingOver:
 
     def test_goals_that_only_the_proxy_knows_of_and_a_proxy_that_is_away_are_work(self, world: World) -> None:
         world.found = SLOW
-        world.notices.tasks([TaskStatus(action="/go", active=1)])
+        world.notices.set_tasks([TaskStatus(action="/go", active=1)])
         world.look(10, given=HANDED)
         assert world.levels.due is None
-        world.notices.tasks([])
+        world.notices.set_tasks([])
         world.notices.condition("TasksProxied", "False", "ProxyNotReady", "It can't be reached")
         world.look(10, given=HANDED)
         assert world.levels.due is None

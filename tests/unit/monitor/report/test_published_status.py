@@ -84,7 +84,7 @@ async def test_one_that_is_given_back_again_and_again_is_one_record_and_no_failu
 async def test_what_was_handled_is_known_to_the_next_monitor() -> None:
     before = Notices()
     said = SwitchoverStatus(kind="Failover", request="r", handled="r", phase="Done", since="2026-11-22T14:02:11Z")
-    before.say_switchover(said)
+    before.set_switchover(said)
     after = PublishedStatus.adopt({"status": before.status.to_wire()})
     assert after.switchover == said
 
@@ -105,7 +105,7 @@ async def test_a_new_monitor_knows_it_and_what_was_said_of_whom() -> None:
 
 async def test_goals_are_those_that_the_proxy_has_worked_on_or_not() -> None:
     found = Notices()
-    found.tasks([TaskStatus(action="/go", active=0), TaskStatus(action="/dock", active=2)])
+    found.set_tasks([TaskStatus(action="/go", active=0), TaskStatus(action="/dock", active=2)])
     assert found.status.goals == ["/dock"]
 
 
@@ -257,7 +257,7 @@ async def test_a_definition_that_is_older_than_the_monitor_takes_what_it_knows_a
 ) -> None:
     api = Applied()
     living = monitor_of(api)
-    living.sign(MonitorStatus(version="9.9.9", image="mine"))
+    living.set_monitor(MonitorStatus(version="9.9.9", image="mine"))
     request = api.server.request
 
     def strict(method: str, path: str, params: Any, body: Any, content_type: str, by: str) -> Object:
@@ -383,7 +383,7 @@ async def test_what_others_wait_for_is_told_at_once_in_a_recovery_too(monkeypatc
     async with running(monkeypatch, under_way=60.0) as (api, found):
         with recovering(found):
             await asyncio.sleep(0.02)
-            found.hurry()
+            found.request_write()
             await until(lambda: health(api) == "Recovering")
 
 

@@ -339,7 +339,7 @@ class StateKeeping:
         if shape == self._told and now < self._next_told:
             return
         self._told, self._next_told = shape, now + TELL
-        self._notices.keep([_status(entry) for entry in entries])
+        self._notices.set_kept_state([_status(entry) for entry in entries])
         if not entries:
             self._notices.condition("StateKept", "True", "NothingToKeep", "The policy keeps no state (any more).")
             return

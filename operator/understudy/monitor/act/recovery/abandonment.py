@@ -74,7 +74,7 @@ class Abandonment:
         if (
             found is None
             or found.switchover is not None
-            or not under_way(Committed.of(found), self._notices.status.told)
+            or not under_way(Committed.of(found), self._notices.status.listed)
         ):
             text = ""
         now = time.monotonic()

@@ -379,4 +379,4 @@ class PlannedSwitchovers:
         handled = status.request if status.request and status.phase in ENDED else before.handled if before else ""
         if before is not None and before.phase == status.phase:
             status = status.model_copy(update={"since": before.since})
-        self._notices.say_switchover(status.model_copy(update={"handled": handled}))
+        self._notices.set_switchover(status.model_copy(update={"handled": handled}))

@@ -171,7 +171,7 @@ class Dependencies:
         if self._watched and self._noticed is None:
             self._noticed = detected
             self._notices.set(failing_since=onset)
-            self._notices.hurry()
+            self._notices.request_write()
 
     def well(self, pod: str) -> None:
         """The health tree holds, or cannot tell."""
@@ -225,7 +225,7 @@ class Dependencies:
         if found is None:
             return None
         if _created(active) >= found.since:
-            _logger.info("%s began after %s: nothing is done", active.name, told(found.follows))
+            _logger.info("%s began after %s: nothing is done", active.name, describe(found.follows))
             self.note(found.follows)
             return None
         spec = self._view.spec
@@ -234,7 +234,7 @@ class Dependencies:
             return None
         if not restarts(found.follows, spec) and not active.has_agent:
             text = (
-                f"{told(found.follows)}: nothing can be run on {active.name}, which has no agent, since a referred controller made it. "
+                f"{describe(found.follows)}: nothing can be run on {active.name}, which has no agent, since a referred controller made it. "
                 "Use onRecovery Restart, or a template"
             )
             self._notices.event("Warning", "NoAgent", text)
@@ -250,7 +250,9 @@ class Dependencies:
 
     def _tell(self) -> None:
         followed = self._known()
-        self._notices.follow([DependencyRecovery(name=name, recovery=followed[name]) for name in sorted(followed)])
+        self._notices.set_followed(
+            [DependencyRecovery(name=name, recovery=followed[name]) for name in sorted(followed)]
+        )
 
 
 def begin(
@@ -262,7 +264,7 @@ def begin(
     detected: float,
 ) -> Progress:
     """Return the record of what is done to the instance in control after these recoveries. Times are unix seconds."""
-    progress = Progress.begin(told(found), last_healthy=onset, detected=detected)
+    progress = Progress.begin(describe(found), last_healthy=onset, detected=detected)
     progress.follows = list(found)
     if spec is not None and restarts(found, spec):
         progress.failed = [active]
@@ -271,7 +273,7 @@ def begin(
     return progress
 
 
-def told(found: Sequence[DependencyRecovery]) -> str:
+def describe(found: Sequence[DependencyRecovery]) -> str:
     """After which recoveries something is done."""
     listed = ", ".join(one.name for one in found)
     return f"{listed}, on which it depends, {'was' if len(found) == 1 else 'were'} recovered"
