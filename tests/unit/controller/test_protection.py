@@ -41,7 +41,7 @@ def test_protected_by_a_ready_standby() -> None:
 
 
 @pytest.mark.parametrize(
-    ("standby_on", "told"), [("one", ", on the same node as the pod in control"), ("another", ""), ("", "")]
+    ("standby_on", "told"), [("one", ", on the same node as the active pod"), ("another", ""), ("", "")]
 )
 def test_a_standby_that_would_be_lost_with_the_node_of_the_pod_in_control_is_told_of(
     standby_on: str, told: str

@@ -37,14 +37,14 @@ def test_one_topic_is_safe() -> None:
 
 def test_several_topics_must_be_accepted_by_name() -> None:
     words = problem(spec([CMD_VEL, LAMP]))
-    assert "each topic (/cmd_vel, /lamp) falls over by itself" in words
+    assert "each topic (/cmd_vel, /lamp) switches by itself" in words
     assert "(missing: /cmd_vel, /lamp)" in words
     assert "(missing: /lamp)" in problem(spec([CMD_VEL, LAMP], accept=["/cmd_vel"]))
     assert problem(spec([CMD_VEL, LAMP], accept=["/lamp", "/cmd_vel"])) == ""
 
 
 def test_a_service_has_no_owner() -> None:
-    assert "/dock (service or action) has no owner" in problem(spec([CMD_VEL, DOCK]))
+    assert "/dock (service or action) has no exclusive owner" in problem(spec([CMD_VEL, DOCK]))
     assert problem(spec([CMD_VEL, DOCK], accept=["/dock", "/cmd_vel"])) == ""
     assert "outputs has no topic" in problem(spec([DOCK], accept=["/dock"]))
 

@@ -1,4 +1,4 @@
-"""The reflex on real DDS: the robot's reader falls over by itself, and whoever is fenced or late doesn't come back."""
+"""The reflex on real DDS: the robot's reader switches by itself, and an instance that is fenced or late does not come back."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ ROLLOUTS = Gauge(
 LEADER = Gauge("understudy_leader", "1 while this replica holds the lease.", registry=REGISTRY)
 POOL_SIZE = Gauge(
     "understudy_pool_size",
-    "Unclaimed pods that a shared pool is to hold, where spec.sizing says how many.",
+    "Unclaimed pods that a shared pool should hold, if spec.sizing determines the number.",
     ["namespace", "pool"],
     registry=REGISTRY,
 )

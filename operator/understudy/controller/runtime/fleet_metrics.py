@@ -42,11 +42,11 @@ class FleetMetrics(Collector):
 
 def _workloads(items: Iterable[Object]) -> list[Metric]:
     health = GaugeMetricFamily(
-        "understudy_workload_health", "1 for the present health of a workload.", labels=[*_OF_WORKLOAD, "health"]
+        "understudy_workload_health", "1 for the current health of a workload.", labels=[*_OF_WORKLOAD, "health"]
     )
     conditions = GaugeMetricFamily(
         "understudy_workload_condition",
-        "1 where a condition of a workload is True, else 0, with its reason.",
+        "1 if a condition of a workload is True, else 0, with its reason.",
         labels=[*_OF_WORKLOAD, "condition", "reason"],
     )
     recoveries = CounterMetricFamily(

@@ -215,7 +215,7 @@ def _pool(observed: Observed, understanding: WorkloadPlan, item: Object) -> Pool
     if readiness in WAITING:
         found = waiting(observed, item)
         ready = [pod for pod in found if kube_objects.ready(pod)]
-        near = ", on the same node as the pod in control" if ready and _beside_active(observed, ready) else ""
+        near = ", on the same node as the active pod" if ready and _beside_active(observed, ready) else ""
         refused = observed.refused(name)
         return Pool(
             readiness=readiness,
@@ -258,7 +258,7 @@ def _discovery(observed: Observed, understanding: WorkloadPlan) -> Problem | Non
     found = pod_diagnosis.first(observed.discovery)
     details = f": {found.message}" if found else ""
     text = (
-        f"the ROS discovery server (Deployment {server}) is not ready, so nothing that starts finds the robot{details}"
+        f"the ROS discovery server (Deployment {server}) is not ready, so new processes cannot find the robot{details}"
     )
     return Problem(availability.DISCOVERY_NOT_READY, text)
 

@@ -62,7 +62,7 @@ class Proof(Protocol):
     leak_hint: str = ""
     """A sentence: the likely cause if packets of an instance get through that the gate does not name, and what to do."""
     block_hint: str = ""
-    """A sentence: what to look for if packets of an instance do not get through although the gate names it."""
+    """A sentence: what to look for if packets of an instance do not pass the gate, although it names that pod."""
 
     def last(self, uid: str) -> float | None:
         """When a packet of a pod last got through, in Unix seconds; None if none did."""

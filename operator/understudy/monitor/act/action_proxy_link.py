@@ -67,7 +67,9 @@ class ActionProxyLink:
                 reader, writer = await asyncio.open_unix_connection(self._socket, limit=MOST)
             except OSError as error:
                 if time.monotonic() - away_since > PATIENCE:
-                    words = f"The task proxy (container {names.TASKS_CONTAINER} of this pod) cannot be reached: {error}"
+                    words = (
+                        f"The action proxy (container {names.TASKS_CONTAINER} of this pod) cannot be reached: {error}"
+                    )
                     self._say("False", "ProxyNotReady", words)
                 await asyncio.sleep(RETRY)
                 continue
@@ -79,7 +81,7 @@ class ActionProxyLink:
             except* OSError as group_error:
                 _logger.info("the task proxy is gone: %s", group_error.exceptions[0])
             except* (ValueError, KeyError, TypeError) as group_error:
-                _logger.error("the task proxy said what cannot be understood: %r", group_error.exceptions[0])
+                _logger.error("the action proxy sent an invalid message: %r", group_error.exceptions[0])
             except* Exception:
                 # An error of any kind must not end the monitor.
                 _logger.exception("speaking with the task proxy")
@@ -207,5 +209,5 @@ def judged(tasks: Sequence[Mapping[str, Any]], problem: str) -> tuple[str, str, 
         return "False", "GoalsNotSent", ". ".join(messages)
     actions = ", ".join(task["action"] for task in tasks)
     if not all(task["served"] for task in tasks):
-        return "Unknown", "Starting", f"The task proxy is about to serve {actions}."
+        return "Unknown", "Starting", f"The action proxy is about to serve {actions}."
     return "True", "Serving", f"The task proxy serves {actions}."

@@ -158,9 +158,9 @@ def _type(topic: str, outputs: Sequence[tuple[str, str]], *, reflex: bool) -> st
     known = dict(outputs)
     if topic not in known:
         there = ", ".join(known) or "none"
-        raise _Unusable(f"{topic} is no topic among the workload's outputs (there are: {there})")
+        raise _Unusable(f"{topic} is not a topic of the workload's outputs ({there})")
     if reflex:
         raise _Unusable(
-            f"{topic} is read with exclusive ownership because of spec.gate.reflex, so the robot would not hear it; use one of the two"
+            f"{topic} is read with exclusive ownership because of spec.gate.reflex, so the robot would not receive it; use one of the two"
         )
     return known[topic]

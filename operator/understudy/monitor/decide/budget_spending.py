@@ -73,9 +73,9 @@ class BudgetSpending:
         self._notices.add(BudgetCounted(budget.within, left))
         if (until := self.spent_until(now)) is None:
             before = self._notices.status.find(CONDITION)
-            text = f"Of the {budget.words} that limits.budget of its policy has, some are left."
+            text = f"limits.budget of the policy ({budget.words}) is not spent."
             if self._notices.condition(CONDITION, "True", "Left", text) and before is not None:
-                self._notices.event("Normal", "BudgetLeft", "Failures are recovered by themselves again")
+                self._notices.event("Normal", "BudgetLeft", "Failures are recovered automatically again")
             return
         text = self._spent(budget, until)
         if self._notices.condition(CONDITION, "False", "Spent", text):
@@ -97,6 +97,7 @@ class BudgetSpending:
 
     def _spent(self, budget: Budget, until: float) -> str:
         return (
-            f"The {budget.words} that limits.budget of its policy has were made: one that fails before {in_words(until)} is fenced, and "
-            f"nothing else is done. Find out why it fails so often, then: understudy resume -n {self._view.namespace} {self._view.workload}"
+            f"limits.budget of the policy is spent ({budget.words}). An instance that fails before {in_words(until)} is fenced, and "
+            "nothing else is done. Find out why the workload fails so often, then run: "
+            f"understudy resume -n {self._view.namespace} {self._view.workload}"
         )

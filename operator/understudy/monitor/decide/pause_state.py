@@ -54,10 +54,10 @@ class PauseState:
         elif in_force:
             self._begin(given, anew=before != (given, True))
         else:
-            said = f"It was {given.words}. That is over, and spec.pause may be taken away."
+            said = f"It was {given.words}. The pause is over, and spec.pause can be removed."
             self._notices.condition(CONDITION, "False", "Over", said)
         if before[1] and not in_force and before[0] is not None:
-            pause, why = before[0], f"it was taken away{self._words()}" if given is None else "its time is over"
+            pause, why = before[0], f"it was removed{self._words()}" if given is None else "its end was reached"
             _logger.warning("no longer %s: %s", pause.words, why)
             self._notices.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
 
@@ -73,7 +73,7 @@ class PauseState:
     def _begin(self, pause: Pause, *, anew: bool) -> None:
         way_out = f"understudy resume -n {self._view.namespace} {self._view.workload}"
         words = f"{pause.words[0].upper()}{pause.words[1:]}"
-        text = f"{words}. It is watched, and nothing is done by itself; {way_out} ends that."
+        text = f"{words}. The monitor watches the workload and takes no action. To end the pause, run: {way_out}."
         known = self._notices.status.find(CONDITION)
         again = known is not None and (known.status, known.message) == ("True", text)
         self._notices.condition(CONDITION, "True", "Maintenance", text)

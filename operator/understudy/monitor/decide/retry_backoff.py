@@ -111,7 +111,7 @@ class RetryBackoff:
         if (policy := self._view.policy) is None:
             return
         text = (
-            f"{reason}, as soon as it was in control (limits.healthyDelay is {policy.limits.healthy_delay}). Every strategy was tried; the "
+            f"{reason}, as soon as it was active (limits.healthyDelay is {policy.limits.healthy_delay}). Every strategy was tried; the "
             f"first one is tried again in {self.retry_after:g} s"
         )
         _logger.warning("%s", text)

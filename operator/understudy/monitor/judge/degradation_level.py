@@ -111,7 +111,7 @@ class DegradationLevel:
         debounce, clear_after = seconds(degraded.monitoring.debounce), seconds(degraded.clear_after)
         if self._level.note(found.state, clock, debounce=debounce, clear_after=clear_after):
             if found.state == "Failed":
-                self._words = f"{found.reason}, by the leaf {found.leaf} of spec.degraded"
+                self._words = f"{found.reason}, in leaf {found.leaf} of spec.degraded"
             self._wait_for_idle(degraded.reschedule, found, clock, now=now, since=since)
             self._say_degraded(found.leaf, clock, entered=before is None)
             return
@@ -119,7 +119,7 @@ class DegradationLevel:
         if before is not None:
             self._say_well(clock - before)
         elif found.state == "Healthy" and self._notices.status.reason(CONDITION) != "Well":
-            self._notices.condition(CONDITION, "False", "Well", "The tree of spec.degraded holds.")
+            self._notices.condition(CONDITION, "False", "Well", "The tree of spec.degraded succeeds.")
         elif found.state == "Starting" and healthy and self._notices.status.find(CONDITION) is None:
             self._notices.condition(CONDITION, "Unknown", "Starting", f"It is not known yet: {found.reason}.")
 
@@ -191,7 +191,7 @@ class DegradationLevel:
         self._notices.condition(CONDITION, "True", "NotWell", f"{self._words}.{waits}")
 
     def _say_well(self, length: float) -> None:
-        text = f"The tree of spec.degraded holds again, {length:.0f} s after it began to fail"
+        text = f"The tree of spec.degraded succeeds again, {length:.0f} s after it began to fail"
         _logger.info("%s", text)
         self._notices.condition(CONDITION, "False", "Well", f"{text}.")
         self._notices.event("Normal", "WellAgain", text)

@@ -104,7 +104,8 @@ class Wellness:
                 return Busy("task", f"a goal of {task.action} is active")
         if self._idle is None:
             nothing = Busy(
-                "never", "the workload has no tasks, and the policy's reschedule no idle that says when it is idle"
+                "never",
+                "the workload has no tasks, and reschedule.idle of the policy does not define when the robot is idle",
             )
             return None if self._tasks else nothing
         if blind := [topic.name for topic in self._idle.topics if topic.name in self._blind]:

@@ -56,30 +56,30 @@ def judge(
         return (
             "False",
             "NotEnforced",
-            f"Packets of {', '.join(leaking)} get through although the gate does not name it. Two instances could drive the robot. "
+            f"Packets of {', '.join(leaking)} pass the gate, which does not name that pod. Two instances could drive the robot. "
             f"{leak_hint}".rstrip(),
         )
     active = next((i for i in probing if i.uid == active_uid), None)
     if active is None:
-        return "Unknown", "NoProbe", "The pod in control has no agent, so nothing was tried."
+        return "Unknown", "NoProbe", "The active pod has no agent, so the gate cannot be tested."
     if now - max(last.get(active.uid, 0.0), since) > SILENT:
         return (
             "False",
             "Blocked",
-            f"Packets of {active.name} do not get through although the gate names it. {block_hint}".rstrip(),
+            f"Packets of {active.name} do not pass the gate, although it names that pod. {block_hint}".rstrip(),
         )
     if admitted_uid and all(i.uid in (active_uid, admitted_uid) for i in probing):
-        return "Unknown", "Admitted", "The only standby is let through too, for the reflex."
+        return "Unknown", "Admitted", "The gate also admits the only standby, for the reflex."
     if len(probing) == 1:
         return (
             "Unknown",
             "NoStandby",
-            "Packets of the pod in control get through; there is no standby to see held back.",
+            "Packets of the active pod pass the gate. Without a standby, it is unknown whether the gate holds others back.",
         )
     return (
         "True",
         "SeenFromPackets",
-        "Packets of the pod in control get through the gate, those of every standby do not.",
+        "Packets of the active pod pass the gate, and those of every standby do not.",
     )
 
 

@@ -71,9 +71,9 @@ class SituationTracking:
         before = self._notices.status.situation
         if name is not None:
             self._notices.set_situation(SituationStatus(name=name, since=rfc3339(now), reason=reason))
-            text = f"The robot is in the situation {name}: {reason or 'another one is over'}"
+            text = f"The robot is in the situation {name}: {reason or 'the previous one ended'}"
         else:
             self._notices.set_situation(None)
-            text = f"The situation {before.name if before is not None else ''} is over"
+            text = f"The situation {before.name if before is not None else ''} ended"
         _logger.info("%s", text)
         self._notices.event("Normal", "SituationChanged", text)

@@ -50,7 +50,7 @@ _PARTS = Histogram(
     ["strategy", "part"],
     buckets=_TIMES,
 )
-_HEALTH = Gauge("understudy_health", "1 for the present health of this workload.", ["health"])
+_HEALTH = Gauge("understudy_health", "1 for the current health of this workload.", ["health"])
 _EPOCH = Gauge("understudy_gate_epoch", "Epoch of the gate.")
 _LATENESS = Histogram(
     "understudy_detection_lateness_seconds",
@@ -83,8 +83,12 @@ _DEGRADATIONS = Counter("understudy_degradations", "How often this workload beca
 _SITUATION = Gauge("understudy_situation", "1 for the situation that the robot is in, by its policy.", ["situation"])
 _BUDGET = Gauge("understudy_budget_left", "Recoveries that limits.budget has left, by its window.", ["within"])
 _PAUSED = Gauge("understudy_paused", "1 while spec.pause is in force.")
-_HELD = Counter("understudy_recoveries_held", "Failures that were not recovered at once, by what held them.", ["why"])
-_KEPT_AT = Gauge("understudy_kept_timestamp_seconds", "When the state was taken that would be restored now.", ["name"])
+_HELD = Counter(
+    "understudy_recoveries_held", "Failures that were not recovered at once, by the limit that deferred them.", ["why"]
+)
+_KEPT_AT = Gauge(
+    "understudy_kept_timestamp_seconds", "When the state that would be restored now was captured (Unix time).", ["name"]
+)
 _KEPT_BYTES = Gauge("understudy_kept_bytes", "Size of the state that would be restored now.", ["name"])
 _REQUESTS, _HEARD = api_traffic.series(REGISTRY)
 TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)
@@ -189,7 +193,7 @@ def _of_looks(looks: int, overruns: int) -> list[Metric]:
 def _of_topics(records: Mapping[str, TopicRecord], now: float) -> list[Metric]:
     messages = CounterMetricFamily(
         "understudy_topic_messages",
-        "Messages of a watched topic that count for the instance in control; their rate is the topic's.",
+        "Messages of a watched topic that count for the active instance; their rate is the topic's rate.",
         labels=["topic"],
     )
     last = GaugeMetricFamily(
@@ -199,7 +203,7 @@ def _of_topics(records: Mapping[str, TopicRecord], now: float) -> list[Metric]:
     )
     gap = GaugeMetricFamily(
         "understudy_topic_longest_gap_seconds",
-        "Longest time between two of them in the last minute or two, the present silence included.",
+        "Longest time between two of them in the last minute or two, including the current silence.",
         labels=["topic"],
     )
     for topic, record in records.items():

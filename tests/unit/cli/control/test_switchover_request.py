@@ -33,7 +33,7 @@ def record(result: str = "Recovered") -> dict[str, Any]:
     found = Recovery(
         id="r-4",
         number=4,
-        reason="failover asked for by annotation",
+        reason="failover requested by annotation",
         result=result,  # type: ignore[arg-type]
         strategy="Fallback/Executing",
         from_pod="robot-17-navigation-7k2xq",
@@ -59,15 +59,15 @@ def test_it_asks_waits_and_tells_what_the_robot_saw(stand: FakeKubectl, capsys: 
         [fleet.well()],
         then=[
             {},
-            phase("Preparing", "An understudy is being brought to where it can drive."),
-            phase("Preparing", "An understudy is being brought to where it can drive."),
+            phase("Preparing", "An understudy is being prepared."),
+            phase("Preparing", "An understudy is being prepared."),
             phase("Done", "It took over.", recovery="r-4") | record(),
         ],
     )
     assert failover.main([NAME, "-n", "fleet"]) == 0
     assert capsys.readouterr().out.splitlines() == [
         "requested",
-        "preparing: An understudy is being brought to where it can drive.",
+        "preparing: An understudy is being prepared.",
         "done: …-7k2xq → …-x8v2m by Fallback/Executing, gate epoch 42",
         "  at the robot: no command for 52 ms",
     ]
@@ -90,7 +90,7 @@ def test_where_it_comes_to_nothing_the_reason_is_told(stand: FakeKubectl, capsys
 def test_where_the_robot_is_driven_from_home_already_it_is_done(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    stand.tell([fleet.well()], then=[phase("Done", "w-1 of the workload's own controller is in control already.")])
+    stand.tell([fleet.well()], then=[phase("Done", "w-1 of the workload's own controller is active already.")])
     assert failback.main([NAME]) == 0
     assert "done: w-1 of the workload's own controller" in capsys.readouterr().out
 
@@ -116,7 +116,7 @@ def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
 
 def test_only_one_switchover_runs_at_a_time(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = fleet.well()
-    item["status"] |= phase("Preparing", "An understudy is being brought to where it can drive.")
+    item["status"] |= phase("Preparing", "An understudy is being prepared.")
     stand.tell([item])
     assert failover.main([NAME]) == 2
     assert '"ASKED" is under way (preparing: ' in capsys.readouterr().err

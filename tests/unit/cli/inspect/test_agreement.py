@@ -85,7 +85,7 @@ def test_they_agree_on_what_a_limit_would_prevent(
         workload="w",
     )
     reported = Notices()
-    reported.spend([NOW - ago for ago in spent])
+    reported.set_spent([NOW - ago for ago in spent])
     limits = Limits(view, reported)
     limits.retries.look(limits.spending.resumed, NOW - 2000)
     if recovered is not None:

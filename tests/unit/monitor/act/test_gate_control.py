@@ -82,7 +82,7 @@ async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await by_another(client, found, THIRD)
-    with pytest.raises(Superseded, match=r"the gate names w-3 by another writer"):
+    with pytest.raises(Superseded, match=r"the gate names w-3, which another writer chose"):
         await gate.commit(None, progress)
     assert gate.state.active == THIRD.name
 

@@ -190,7 +190,7 @@ async def test_what_was_asked_for_long_ago_or_makes_no_sense_is_told_and_not_don
     scene = Scene()
     scene.ask(request("failover", time.time() - 3600))
     assert await scene.looked(0.05) is None
-    assert "It was asked for 3600 s ago" in scene.told.message
+    assert "It was requested 3600 s ago" in scene.told.message
     scene.ask("failover now")
     assert await scene.looked(0.05) is None
     assert "'failover now' is not a known request: write failover or failback and the current time" in (
@@ -217,7 +217,7 @@ async def test_what_was_asked_for_before_a_recovery_is_not_done_after_it() -> No
     recovery = Progress.begin("it failed", last_healthy=time.time() - 2, detected=time.time() - 1)
     scene.store.gate = GateState(epoch=2, active="w-1", active_uid="uid-w-1", recovery=recovery)
     assert await scene.looked(0.05) is None
-    assert "It failed and was recovered since it was asked for" in scene.told.message
+    assert "It failed and was recovered after the request" in scene.told.message
 
 
 async def test_a_status_that_an_earlier_monitor_wrote_and_that_comes_late_has_nothing_done_twice() -> None:
@@ -231,7 +231,7 @@ async def test_a_status_that_an_earlier_monitor_wrote_and_that_comes_late_has_no
     scene.store.add("w-3", pool="hot")
     scene.told.set_switchover(cast(Any, None))
     assert await scene.looked(0.1) is None
-    assert "Control was handed over since it was asked for" in scene.told.message
+    assert "Control was handed over after the request" in scene.told.message
     assert scene.told.status.switchover is not None
     assert scene.told.status.switchover.handled == asked
 
@@ -253,7 +253,7 @@ async def test_one_that_waits_ends_when_nobody_asks_for_it_any_more() -> None:
     assert scene.told.phase == "Waiting"
     scene.view.settings.drain = None
     assert await scene.looked(0.05) is None
-    assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: it is not asked for any more.")
+    assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: the request was withdrawn.")
 
 
 async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_waits() -> None:
@@ -268,7 +268,7 @@ async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_wai
     found = await scene.looked()
     assert found is not None
     assert found.target is not None
-    assert (found.target.name, found.progress.reason) == ("w-3", "node node-1 is to be emptied (it is cordoned)")
+    assert (found.target.name, found.progress.reason) == ("w-3", "node node-1 is being drained (it is cordoned)")
     await scene.switch(found)
     assert await scene.looked(0.05) is None, "who drives now runs elsewhere"
 
@@ -286,7 +286,7 @@ async def test_home_is_where_the_robot_is_driven_from_already() -> None:
     assert await scene.looked(0.05) is None
     assert (scene.told.phase, scene.told.message) == (
         "Done",
-        "w-1 of the workload's own controller is in control already.",
+        "w-1 of the workload's own controller is active already.",
     )
 
 

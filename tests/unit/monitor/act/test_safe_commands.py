@@ -183,7 +183,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
 @pytest.mark.parametrize(
     ("command", "reflex", "words"),
     [
-        ({"topic": "/cmd_vle"}, False, "/cmd_vle is no topic among the workload's outputs (there are: /cmd_vel, /arm)"),
+        ({"topic": "/cmd_vle"}, False, "/cmd_vle is not a topic of the workload's outputs (/cmd_vel, /arm)"),
         ({"topic": "/cmd_vel", "message": {"liner": {}}}, False, "liner: Twist has no field liner; did you mean linear?"),
         ({"topic": "/arm"}, False, "my_msgs"),
         ({"topic": "/cmd_vel"}, True, "spec.gate.reflex"),

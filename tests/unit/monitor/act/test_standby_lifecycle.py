@@ -224,7 +224,7 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
         "False",
         "ProcedureFailed",
         "w-3: initialization.set_lifecycle: node /nav did not configure. Correct spec.initialization of FallbackPool warm, "
-        "or what it waits for there; it is tried again.",
+        "or what it waits for there. It is tried again.",
     )
     assert len(world.agents.ran) == 1
     world.clock += standby_lifecycle.RETRY_FIRST
@@ -292,7 +292,7 @@ async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(wor
     assert world.agents.ran == []
     status, _, message = world.notices.conditions["BroughtUp"]
     assert status == "True"
-    assert "w-3 as an earlier procedure left it: delete the pod" in message
+    assert "An earlier version of the procedure prepared w-3: delete the pod" in message
 
 
 async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: SimpleNamespace) -> None:

@@ -216,7 +216,7 @@ async def test_a_pod_without_an_agent_is_told(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
     monitor.active = Instance("w-1", "uid-1", running=True, has_agent=False)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
-    assert "pod w-1 has no agent that could be asked" in monitor.told.conditions["StateKept"][2]
+    assert "pod w-1 has no agent, because" in monitor.told.conditions["StateKept"][2]
 
 
 async def test_a_waiting_standby_is_given_what_is_new_and_only_that(
@@ -276,8 +276,8 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     ((_, reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
     assert message == (
-        "w-2 was not given all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m) (state.keep[1] of "
-        "the policy). It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
+        "w-2 did not receive all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m) (state.keep[1] of "
+        "the policy). It took over nevertheless. To prevent that, use a restore_state step in the strategy's recovery."
     )
     assert "It was given /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
 

@@ -60,7 +60,7 @@ def test_it_ends_by_itself() -> None:
     assert world.said[:2] == ("False", "Over")
     assert world.events[-1] == (
         "PauseEnded",
-        "No longer paused by ann: a new gripper, until 1970-01-01 00:20:00 UTC; its time is over",
+        "No longer paused by ann: a new gripper, until 1970-01-01 00:20:00 UTC; its end was reached",
     )
 
 
@@ -71,15 +71,15 @@ def test_it_ends_when_it_is_taken_away() -> None:
     world.pauses.look(5000.0)
     assert world.pauses.on is None
     assert world.said is None
-    assert world.events[-1] == ("PauseEnded", "No longer paused by ann: a new gripper; it was taken away")
+    assert world.events[-1] == ("PauseEnded", "No longer paused by ann: a new gripper; it was removed")
 
 
 @pytest.mark.parametrize(
     ("before", "after", "words"),
     [
-        ({}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "it was taken away by bob: it grips"),
-        ({names.RESUMED: "1"}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "taken away by bob: it grips"),
-        ({}, {names.RESUMED: "2"}, "it was taken away"),
+        ({}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "it was removed by bob: it grips"),
+        ({names.RESUMED: "1"}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "removed by bob: it grips"),
+        ({}, {names.RESUMED: "2"}, "it was removed"),
     ],
 )
 def test_who_ends_it_and_why_is_told(before: dict[str, str], after: dict[str, str], words: str) -> None:
@@ -98,7 +98,7 @@ def test_what_was_said_at_an_earlier_end_is_not_said_of_this_one() -> None:
     world.pauses.look(1000.0)
     world.view.spec = SimpleNamespace(pause=None)
     world.pauses.look(1001.0)
-    assert world.events[-1][1].endswith("it was taken away")
+    assert world.events[-1][1].endswith("it was removed")
 
 
 def test_another_pause_is_told_too() -> None:

@@ -128,7 +128,7 @@ def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_
     assert world.first(now + 1) is None
     status, reason, message = world.told.conditions["Recovering"]
     assert (status, reason) == ("False", "CrashLooping")
-    assert f"{FAILURE}, as soon as it was in control" in message
+    assert f"{FAILURE}, as soon as it was active" in message
     assert f"again in {BACKOFF_FIRST:g} s" in message
     assert ("Warning", "CrashLooping") in [(kind, reason) for kind, reason, _ in world.told.events]
     assert world.waits() == BACKOFF_FIRST
@@ -162,6 +162,6 @@ def test_a_recovery_tells_what_was_tried_in_vain_before() -> None:
             Attempt(strategy="Restart", pod="w-3", result="Verified"),
         ],
     )
-    told = f"Fallback/Initialized with w-2 was tried in vain: {hung}"
+    told = f"Fallback/Initialized with w-2 did not succeed: {hung}"
     assert unverified(recovery) == [told]
     assert describe(recovery).endswith(f"by Restart in 16.000 s, epoch 0. Before that: {told}")

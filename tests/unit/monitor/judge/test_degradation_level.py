@@ -114,7 +114,7 @@ def test_it_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: 
     assert world.said == ("True", "NotWell")
     assert sum(isinstance(notice, BecameDegraded) for notice in world.notices.log) == 1
     said = world.notices.conditions["Degraded"][2]
-    assert said == "/scan at 8.6 Hz, below 9 Hz over 2 s, by the leaf sensors/scan of spec.degraded."
+    assert said == "/scan at 8.6 Hz, below 9 Hz over 2 s, in leaf sensors/scan of spec.degraded."
     world.found = HEALTHY
     assert world.look(4.5)
     assert not world.look(1)
@@ -150,7 +150,7 @@ def test_another_leaf_is_told_at_once(world: World) -> None:
     world.look(3)
     world.found = Verdict("Failed", "/cmd_vel at 15 Hz", "commands", None)
     world.look(0.3)
-    assert "by the leaf commands" in world.notices.conditions["Degraded"][2]
+    assert "in leaf commands" in world.notices.conditions["Degraded"][2]
 
 
 def test_an_instance_whose_health_fails_is_not_asked_and_is_not_well_by_that(world: World) -> None:
@@ -251,7 +251,7 @@ class TestHandingOver:
         assert world.levels.due is None
         world.look(2, given=HANDED)
         assert world.levels.due == (
-            "degraded: /scan at 8.6 Hz, below 9 Hz over 2 s, by the leaf sensors/scan of spec.degraded; rescheduled while idle"
+            "degraded: /scan at 8.6 Hz, below 9 Hz over 2 s, in leaf sensors/scan of spec.degraded; rescheduled while idle"
         )
 
     def test_idle_means_without_a_break(self, world: World) -> None:

@@ -156,7 +156,7 @@ async def test_a_failure_that_is_noticed_before_the_one_it_follows_from_is_held_
     status, reason, message = world.condition()
     assert (status, reason) == ("True", "Held")
     assert message == (
-        "no /plan for 500 ms; localization, on which it depends, is Recovering; that one comes first, and this is acted on at "
+        "no /plan for 500 ms; localization, on which it depends, is Recovering; it is recovered first, and this workload at "
         "14:04:11 UTC at the latest."
     )
     assert [event[1] for event in world.notices.events] == ["DependencyFailed"]
@@ -335,7 +335,7 @@ def test_it_is_told_what_was_done() -> None:
     progress.charge("reinitialization", NOW + 0.25)
     progress.attempts = [Attempt(strategy="Reinitialize", pod="planning-1", result="Verified")]
     assert describe(progress.to_recovery(2)) == (
-        "localization, on which it depends, was recovered. planning-1 is in control again after Reinitialize in 0.250 s, epoch 9"
+        "localization, on which it depends, was recovered. planning-1 is active again after Reinitialize in 0.250 s, epoch 9"
     )
 
 

@@ -48,7 +48,7 @@ def test_each_output_is_judged_by_itself() -> None:
 def test_an_output_that_nobody_reads_is_told() -> None:
     status, reason, message = judged()
     assert (status, reason) == ("Unknown", "NobodyReads")
-    assert message.startswith("Nobody on the robot's side reads /cmd_vel.")
+    assert message.startswith("No process of the robot reads /cmd_vel.")
 
 
 @pytest.mark.parametrize(

@@ -65,7 +65,7 @@ async def test_a_switchover_is_no_recovery_of_the_metrics_and_no_hand_over_of_a_
     assert counted("Drain", "Recovered") == before + 1
     assert REGISTRY.get_sample_value("understudy_recoveries_total", recoveries) == failures
     assert describe_switchover(recovery) == (
-        "slow. w-2 took over from w-1 by Fallback/Executing, epoch 0. The robot got no command for 0.052 s"
+        "slow. w-2 took over from w-1 by Fallback/Executing, epoch 0. The robot received no command for 0.052 s"
     )
 
 
@@ -78,7 +78,7 @@ async def test_one_that_is_given_back_again_and_again_is_one_record_and_no_failu
         found.record(switchover(at, "Failed"))
     assert found.status.count == 2
     assert found.status.last is not None
-    assert describe_switchover(found.status.last).startswith("slow. w-1 was let through again: ")
+    assert describe_switchover(found.status.last).startswith("slow. w-1 can reach the robot again: ")
 
 
 async def test_what_was_handled_is_known_to_the_next_monitor() -> None:

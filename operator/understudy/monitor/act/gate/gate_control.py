@@ -156,7 +156,9 @@ class GateControl:
             return
         about = [*progress.failed, progress.target, progress.former, progress.taken_over]
         if begun.active_uid and begun.active_uid not in {pod.uid for pod in about if pod is not None}:
-            raise Superseded(f"the gate names {begun.active} by another writer, which this recovery is not about")
+            raise Superseded(
+                f"the gate names {begun.active}, which another writer chose; this recovery is about another instance"
+            )
 
     async def admit(self, standby: Instance | None) -> bool:
         """Let a standby through beside the pod in control, or none; whether that was written.

@@ -39,7 +39,7 @@ class GateOpening:
             await asyncio.sleep(1)
             return False
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)
-        self._notices.event("Normal", "InControl", f"{first.name} is in control, epoch {self._gate.state.epoch}")
+        self._notices.event("Normal", "InControl", f"{first.name} is active, epoch {self._gate.state.epoch}")
         return True
 
     async def request_pod(self, now: float) -> None:

@@ -36,7 +36,7 @@ REPLACE_AGAIN = 60.0
 
 Said = tuple[Literal["True", "False", "Unknown"], str, str]
 
-PAUSED: Said = ("False", "Paused", "Nobody is let through beside the pod in control while spec.pause is in force.")
+PAUSED: Said = ("False", "Paused", "The gate admits no standby beside the active pod while spec.pause is in force.")
 
 
 class ReflexGuard:
@@ -81,7 +81,7 @@ class ReflexGuard:
         if (chosen.uid if chosen else "") != state.admitted_uid:
             self._write(chosen)
             if chosen is not None:
-                said = ("Unknown", "Arming", f"{chosen.name} is about to be let through the gate.")
+                said = ("Unknown", "Arming", f"{chosen.name} is about to be admitted by the gate.")
         if self._notices.condition("Reflex", *said):
             kind = "Warning" if said[0] == "False" and said[1] != "NoStandby" else "Normal"
             if said[1] in ("Armed", "DeadlineTooShort", "StandbyTooStrong", "Blocked", "Ambiguous"):
@@ -107,7 +107,11 @@ class ReflexGuard:
             return None, ("False", "NoStandby", f"No standby could take over: {why}.")
         strongest = self._strength(active)
         if strongest is None:
-            return current, ("Unknown", "StrengthUnknown", f"The agent of {active.name} has not said how strong it is.")
+            return current, (
+                "Unknown",
+                "StrengthUnknown",
+                f"The agent of {active.name} has not reported the ownership strength of its writers.",
+            )
         weaker = [i for i in ready if (found := self._strength(i)) is not None and found[1] < strongest[0]]
         if not weaker:
             return None, self._too_strong(active, ready, now)
@@ -124,10 +128,10 @@ class ReflexGuard:
             return current, self._armed(active, current, now)
         if not all(measured(self._observer.arrivals(topic, active.name), now) for topic in self._takeover.topics):
             topics = ", ".join(self._takeover.topics)
-            return None, ("Unknown", "Measuring", f"Waiting to see how regularly {topics} comes from {active.name}.")
+            return None, ("Unknown", "Measuring", f"Measuring how regularly {active.name} publishes {topics}.")
         best = max(weaker, key=lambda i: self._strength(i) or (0, 0))
         if not enforced or now - self._ready_since[best.uid] < SETTLE:
-            why = f"Waiting to see from packets that the gate holds {best.name} back."
+            why = f"Waiting for packets to show that the gate holds {best.name} back."
             return None, ("Unknown", "GateNotProven", why)
         return best, self._armed(active, best, now)
 
@@ -141,25 +145,27 @@ class ReflexGuard:
             return (
                 "False",
                 "Blocked",
-                f"Packets of {standby.name} do not get through although the gate admits it. {self._probes.block_hint}",
+                f"Packets of {standby.name} do not pass the gate, although it admits that pod. {self._probes.block_hint}",
             )
         status = self._agents.status(active)
         unfenced = (
-            f" It will not be held if its node is cut off: {status.unfenced}." if status and status.unfenced else ""
+            f" Its agent cannot isolate it if its node is cut off: {status.unfenced}."
+            if status and status.unfenced
+            else ""
         )
         return (
             "True",
             "Armed",
-            f"The robot's readers take {standby.name} when {active.name} is silent for {self._takeover.deadline * 1000:g} ms.{unfenced}",
+            f"The robot's readers switch to {standby.name} if {active.name} is silent for {self._takeover.deadline * 1000:g} ms.{unfenced}",
         )
 
     def _too_slow(self, active: Instance) -> str:
         for topic in self._takeover.topics:
             if gap := longest_gap(self._observer.arrivals(topic, active.name), self._takeover.deadline):
                 return (
-                    f"{topic} comes from {active.name} with gaps of up to {gap * 1000:.0f} ms, again and again; "
-                    f"spec.gate.reflex.deadline is {self._takeover.deadline * 1000:g} ms, so the robot would fall over to a standby "
-                    "although nothing failed. Give a deadline of at least twice the period."
+                    f"{topic} of {active.name} repeatedly has gaps of up to {gap * 1000:.0f} ms; "
+                    f"spec.gate.reflex.deadline is {self._takeover.deadline * 1000:g} ms, so the robot's readers would switch to a standby "
+                    "although nothing failed. Set a deadline of at least twice the period."
                 )
         return ""
 
@@ -174,13 +180,13 @@ class ReflexGuard:
             self._notices.event(
                 "Normal",
                 "StandbyReplaced",
-                f"{known[0].name} is as strong as {active.name} and could not give way to it",
+                f"the ownership strength of {known[0].name} is not lower than that of {active.name}",
             )
             self._start(partial(self._retire, known[0]))
         return (
             "False",
             "StandbyTooStrong",
-            f"{names} would be preferred to {active.name}, which is in control: it started earlier or at the same time, or the "
+            f"The robot's readers would prefer {names} to the active pod {active.name}: it started earlier or at the same time, or the "
             "clocks of their nodes differ. It is replaced by a new one.",
         )
 

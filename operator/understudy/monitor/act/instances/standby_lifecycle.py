@@ -129,7 +129,7 @@ class Bringing:
         except NotVerified as error:
             care.again = time.monotonic() + care.wait
             care.wait = min(2 * care.wait, RETRY_MOST)
-            problem = f"{error}. Correct {found.origin}, or what it waits for there; it is tried again"
+            problem = f"{error}. Correct {found.origin}, or what it waits for there. It is tried again"
             if GAVE_WAY not in str(error) and problem != care.problem:
                 care.problem = problem
                 self.notices.event("Warning", "NotBroughtUp", f"{instance.name}: {problem}.")
@@ -164,7 +164,7 @@ class Bringing:
             self.notices.event(
                 "Warning",
                 "StandbyReplaced",
-                f"{instance.name} was ready and has not been for {LOST_FOR:g} s ({reason}): it is deleted, and another one is made",
+                f"{instance.name} has not been ready for {LOST_FOR:g} s ({reason}): it is deleted, and a new one is created",
             )
             task = asyncio.create_task(self._replace(instance, care))
             self._replacing.add(task)
@@ -189,15 +189,15 @@ class Bringing:
         if not managed(spec, settings, policy):
             if self._told:
                 self._told = False
-                self.notices.condition("BroughtUp", "True", "NothingToDo", "Nothing is done to instances (any more).")
+                self.notices.condition("BroughtUp", "True", "NothingToDo", "There is no procedure to run on instances.")
             return
         self._told = True
         without = [i.name for i in instances if i.usable and not i.held and not i.has_agent]
         problems = [text for care in self._cared.values() if (text := care.problem)]
         if without:
             text = (
-                f"{', '.join(without)} has no agent, since a referred controller made it: bringUp and recovery cannot be run "
-                "on it. Use a template, or have the application bring itself up."
+                f"{', '.join(without)} has no agent, because the controller in workloadRef created it: bringUp and recovery "
+                "cannot run on it. Use spec.template, or let the application initialize itself."
             )
             if self.notices.condition("BroughtUp", "False", "NoAgent", text):
                 self.notices.event("Warning", "NoAgent", text)
@@ -206,9 +206,9 @@ class Bringing:
         elif waiting:
             self.notices.condition("BroughtUp", "Unknown", "UnderWay", "; ".join(waiting))
         else:
-            text = "Every instance was brought to where it belongs."
+            text = "Every instance has reached its intended readiness."
             if outdated:
-                text += f" {', '.join(outdated)} as an earlier procedure left it: delete the pod to have the present one run."
+                text += f" An earlier version of the procedure prepared {', '.join(outdated)}: delete the pod to run the present one."
             self.notices.condition("BroughtUp", "True", "BroughtUp", text)
 
     @staticmethod

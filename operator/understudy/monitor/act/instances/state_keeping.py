@@ -213,9 +213,9 @@ class StateKeeping:
             self._notices.event("Warning", "StateNotCarried", text)
             return
         reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
-        text = f"{recovery.to_pod or 'No pod'} was not given all of the kept state: {reasons}."
+        text = f"{recovery.to_pod or 'No pod'} did not receive all of the kept state: {reasons}."
         told = text + (f" It was given {given}." if given else "") + (f" {notes}." if notes else "")
-        way_out = " It took over nevertheless; where it must not, put restore_state into the strategy's recovery."
+        way_out = " It took over nevertheless. To prevent that, use a restore_state step in the strategy's recovery."
         self._notices.condition("StateRestored", "False", "NotRestored", told + way_out)
         self._notices.event("Warning", "StateNotRestored", text + way_out)
 
@@ -262,7 +262,7 @@ class StateKeeping:
                 await asyncio.to_thread(self._shelf.save, kept)
                 self._persisted = revision
             except OSError as error:
-                _logger.error("what is kept would not outlast a restart: %s", error)
+                _logger.error("storing kept state failed, so a restart would lose it: %s", error)
 
         self._persisting = asyncio.create_task(persist())
 
@@ -276,7 +276,7 @@ class StateKeeping:
         self._next_inspect = now + INSPECT
         keys = [Key("Parameters", p.node) for p in state.parameters] + [Key("Lifecycle", n) for n in state.lifecycle]
         if active is not None and not active.has_agent:
-            reason = f"pod {active.name} has no agent that could be asked, since a referred controller made it"
+            reason = f"pod {active.name} has no agent, because the controller in workloadRef created it"
             self._unanswered = dict.fromkeys(keys, reason)
         elif active is not None and self._keeper.healthy_since is not None:
             self._inspecting = asyncio.create_task(self._ask(active, state, keys))

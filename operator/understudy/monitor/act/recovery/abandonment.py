@@ -109,4 +109,4 @@ class Abandonment:
         try:
             self._journal.journal.give_up(given_up)
         except OSError as error:
-            _logger.error("what was given up would not outlast a restart: %s", error)
+            _logger.error("storing the abandoned recoveries failed: %s", error)

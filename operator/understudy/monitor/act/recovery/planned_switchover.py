@@ -71,7 +71,7 @@ class Wanted:
     def unfit(self, instance: Instance) -> str | None:
         """Why an instance is not one that was requested; None if it is."""
         if self.kind == "Failback" and not instance.from_source:
-            return "is not of the workload's own controller"
+            return "does not belong to the workload's own controller"
         if self.drain is not None and instance.node in self.drain.cordoned:
             return f"is on {instance.node}, which is cordoned too"
         return None
@@ -117,11 +117,11 @@ class PlannedSwitchovers:
         now = time.monotonic()
         if self._task is not None:
             if wanted is None or self._wanted is None or wanted.key != self._wanted.key:
-                self._abandon("it is not asked for any more")
+                self._abandon("the request was withdrawn")
             elif self._task.done():
                 return self._outcome(self._task) if not lacking else None
             elif now >= self._next and self._progress is not None:
-                self._say(self._progress, "Preparing", "An understudy is being brought to where it can drive.")
+                self._say(self._progress, "Preparing", "An understudy is being prepared.")
             return None
         if wanted is None:
             self._over_and_done()
@@ -213,7 +213,7 @@ class PlannedSwitchovers:
         drain = self._view.settings.drain if self._view.settings is not None else None
         if drain is None or drain.uid != self._gate.state.active_uid:
             return None
-        return Wanted("Drain", f"node {drain.node} is to be emptied (it is cordoned)", drain=drain)
+        return Wanted("Drain", f"node {drain.node} is being drained (it is cordoned)", drain=drain)
 
     def _was_handled(self, text: str) -> bool:
         said = self._notices.status.switchover
@@ -226,25 +226,25 @@ class PlannedSwitchovers:
         except ValueError as error:
             self._end("NotDone", f"Annotation {names.SWITCHOVER}: {error}.", Wanted("Failover", "", text))
             return None
-        wanted = Wanted(found.kind, f"{found.kind.lower()} asked for by annotation", text)
+        wanted = Wanted(found.kind, f"{found.kind.lower()} requested by annotation", text)
         if self._task is None and (over := self._over(found, now)) is not None:
             self._end("NotDone", over, wanted)
             return None
         active = self._fleet.find(self._gate.state.active_uid)
         if found.kind == "Failback" and self._task is None and active is not None and active.from_source:
-            self._end("Done", f"{active.name} of the workload's own controller is in control already.", wanted)
+            self._end("Done", f"{active.name} of the workload's own controller is active already.", wanted)
             return None
         return wanted
 
     def _over(self, found: Request, now: float) -> str | None:
         """Why a request comes too late."""
         if now - found.at > EXPIRES:
-            return f"It was asked for {now - found.at:.0f} s ago, and nobody took it up. Ask again."
+            return f"It was requested {now - found.at:.0f} s ago, and no monitor handled it. Request it again."
         # Written with the gate, this lasts also where a status that a monitor wrote before its end is carried out after it.
         last = self._gate.state.recovery
         if last is not None and last.moments.get("detected", 0.0) > found.at:
             what = "Control was handed over" if last.planned else "It failed and was recovered"
-            return f"{what} since it was asked for. Ask again, if it is still wanted."
+            return f"{what} after the request. Request it again if you still need it."
         return None
 
     # -- preparing --------------------------------------------------------------------------------------------------
@@ -259,7 +259,7 @@ class PlannedSwitchovers:
         self._wanted, self._progress = wanted, progress
         if self._is_new(wanted):
             self._notices.event("Normal", "SwitchoverBegun", f"A switchover is being prepared: {wanted.reason}")
-            self._say(progress, "Preparing", "An understudy is being brought to where it can drive.")
+            self._say(progress, "Preparing", "An understudy is being prepared.")
         self._task = asyncio.create_task(switchover.prepare(progress, choices, means, wanted.unfit))
 
     def _home(self, choices: Sequence[Choice]) -> Choice:
@@ -276,9 +276,7 @@ class PlannedSwitchovers:
         except Exception as error:  # whatever an API server or an agent answers, the robot is driven
             _logger.warning("preparing a switchover: %r", error)
             self._stop()
-            self._wait(
-                wanted, f"the API server or an agent did not do what it was asked for ({error})", time.monotonic()
-            )
+            self._wait(wanted, f"a request to the API server or to an agent failed ({error})", time.monotonic())
             return None
         if prepared.target is not None:
             self._touched = prepared.progress.target
@@ -288,7 +286,7 @@ class PlannedSwitchovers:
             self._wait(wanted, prepared.reason, time.monotonic())
         else:
             self._rest(wanted.kind)
-            self._end("NotDone", f"No understudy could drive, and nothing was changed: {prepared.reason}.", wanted)
+            self._end("NotDone", f"No understudy became ready, and nothing was changed: {prepared.reason}.", wanted)
         return None
 
     def _wait(self, wanted: Wanted, reason: str, now: float) -> None:
@@ -323,7 +321,7 @@ class PlannedSwitchovers:
         """Close the report about a request that waited or was being prepared by an earlier monitor: nobody requests a switchover now."""
         said = self._notices.status.switchover
         if said is not None and said.phase not in ENDED:
-            message = "Nothing was changed: it is not asked for any more."
+            message = "Nothing was changed: the request was withdrawn."
             self._tell(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
 
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:

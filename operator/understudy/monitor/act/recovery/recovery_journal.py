@@ -26,7 +26,7 @@ class RecoveryJournal:
         except OSError as error:
             # A full volume costs what the next container would know, and never the robot its recovery. The record at the gate
             # is newer than what was saved before, so that is removed.
-            _logger.error("recovery %s would not outlast a restart: %s", progress.id, error)
+            _logger.error("storing recovery %s failed: %s", progress.id, error)
             self.forget()
 
     def forget(self) -> None:

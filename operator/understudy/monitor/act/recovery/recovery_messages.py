@@ -11,10 +11,10 @@ def describe(recovery: Recovery) -> str:
     """A finished recovery in one line, for Events and logs."""
     tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
     if recovery.result != "Recovered" or recovery.recovery_seconds is None:
-        return f"{recovery.reason}. Nothing verified: {tried}"
+        return f"{recovery.reason}. No strategy was verified: {tried}"
     if recovery.follows and len(recovery.attempts) == 1 and not recovery.from_pod:
         return (
-            f"{recovery.reason}. {recovery.to_pod} is in control again after {recovery.strategy} in {recovery.recovery_seconds:.3f} s, "
+            f"{recovery.reason}. {recovery.to_pod} is active again after {recovery.strategy} in {recovery.recovery_seconds:.3f} s, "
             f"epoch {recovery.epoch}"
         )
     text = (
@@ -34,12 +34,12 @@ def describe_switchover(recovery: Recovery) -> str:
     last, first = recovery.moments.last_output, recovery.moments.first_output
     if recovery.result != "Recovered":
         tried = "; ".join(a.message for a in recovery.attempts if a.message)
-        return f"{recovery.reason}. {recovery.from_pod} was let through again: {tried}"
+        return f"{recovery.reason}. {recovery.from_pod} can reach the robot again: {tried}"
     text = f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod} by {recovery.strategy}, epoch {recovery.epoch}"
     if last is None or first is None:
         return text
     gap = (datetime.fromisoformat(first) - datetime.fromisoformat(last)).total_seconds()
-    return f"{text}. The robot got no command for {max(0.0, gap):.3f} s"
+    return f"{text}. The robot received no command for {max(0.0, gap):.3f} s"
 
 
 def _waited(recovery: Recovery) -> float | None:
@@ -53,7 +53,7 @@ def _waited(recovery: Recovery) -> float | None:
 def unverified(recovery: Recovery) -> list[str]:
     """The strategies that were carried out and not verified, each with its pod and the reason."""
     return [
-        f"{a.strategy} with {a.pod or 'no pod'} was tried in vain: {a.message}"
+        f"{a.strategy} with {a.pod or 'no pod'} did not succeed: {a.message}"
         for a in recovery.attempts
         if a.result == "NotVerified"
     ]

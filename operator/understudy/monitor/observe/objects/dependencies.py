@@ -177,7 +177,7 @@ class Dependencies:
         """The health tree holds, or cannot tell."""
         self._noticed, self._reason = None, ""
         if self._holds:
-            self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} does not fail any more.")
+            self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} no longer fails.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
         """Return when to look again at a failure that is held; None if it is not held."""
@@ -188,7 +188,9 @@ class Dependencies:
         found = held(onset, noticed, now, depends_on=self._direct, outages=self._outages)
         if found is None:
             if self._holds:
-                text = f"{reason}; it has lasted for {now - noticed:.1f} s, and is acted on as a failure of its own."
+                text = (
+                    f"{reason}; it has lasted for {now - noticed:.1f} s and is treated as a failure of this workload."
+                )
                 self._notices.condition(CONDITION, "False", "OwnFailure", text)
             return None
         if found.name:
@@ -203,10 +205,10 @@ class Dependencies:
     def _say(self, found: Held, reason: str) -> None:
         until = datetime.fromtimestamp(found.until, UTC).strftime("%H:%M:%S UTC")
         if found.settling:
-            why, then = "Settling", f"is healthy again; if it lasts, it is acted on at {until}"
+            why, then = "Settling", f"is healthy again; if the failure continues, this workload is recovered at {until}"
         else:
             health = self._watched[found.name].seen.health
-            why, then = "Held", f"is {health}; that one comes first, and this is acted on at {until} at the latest"
+            why, then = "Held", f"is {health}; it is recovered first, and this workload at {until} at the latest"
         text = f"{found.name}, on which it depends, {then}"
         began = not self._holds
         self._notices.condition(CONDITION, "True", why, f"{reason}; {text}.")
@@ -234,8 +236,8 @@ class Dependencies:
             return None
         if not restarts(found.follows, spec) and not active.has_agent:
             text = (
-                f"{describe(found.follows)}: nothing can be run on {active.name}, which has no agent, since a referred controller made it. "
-                "Use onRecovery Restart, or a template"
+                f"{describe(found.follows)}: nothing can be run on {active.name}, which has no agent, because the controller in "
+                "workloadRef created it. Use onRecovery Restart, or a template"
             )
             self._notices.event("Warning", "NoAgent", text)
             self.note(found.follows)

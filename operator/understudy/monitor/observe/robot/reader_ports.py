@@ -73,7 +73,11 @@ def judge(
         return "Unknown", "NobodyReads", " ".join([_unread(unread), *past])
     if untold:
         listed = ", ".join(topic for topic in topics if topic in untold)
-        return "Unknown", "NotTold", " ".join([f"DDS did not tell where all those listen who read {listed}.", *past])
+        return (
+            "Unknown",
+            "NotTold",
+            " ".join([f"DDS discovery did not report the ports of all readers of {listed}.", *past]),
+        )
     if past:
         return "True", "ReadPastTheGate", past[0]
     return "True", "AtGatedPorts", f"Read at gated ports: {'; '.join(map(str, readings))}."
@@ -93,21 +97,21 @@ def _within(address: str, ranges: Sequence[str]) -> bool:
 
 def _without_profile(workload: str, readings: Sequence[Reading]) -> str:
     return (
-        f"The gate does not reach who reads {'; '.join(map(str, readings))}: every instance that executes is heard there, and not only "
-        f"the pod in control. Start that process with the robot's DDS profile: understudy robot-profile {workload}, and for a pod "
+        f"The gate does not reach these readers: {'; '.join(map(str, readings))}. They receive every executing instance, not only the "
+        f"active pod. Start that process with the robot's DDS profile: understudy robot-profile {workload}, and for a pod "
         "docs/how-to/own-application.md."
     )
 
 
 def _unread(topics: Sequence[str]) -> str:
     return (
-        f"Nobody on the robot's side reads {', '.join(topics)}. Does its driver run, in this robot's ROS graph, and is the topic called "
-        "so there?"
+        f"No process of the robot reads {', '.join(topics)}. Check that its driver runs in this robot's ROS graph "
+        "and uses this topic name."
     )
 
 
 def _past(readings: Sequence[Reading]) -> str:
     return (
-        f"Read past the gate: {'; '.join(map(str, readings))}. Standbys are heard there too: what records or shows may do so, what "
-        "moves a robot must not."
+        f"Readers outside the gate: {'; '.join(map(str, readings))}. They receive standbys too. Recorders and displays may "
+        "do that; what moves the robot must not."
     )

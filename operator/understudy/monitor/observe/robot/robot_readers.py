@@ -59,7 +59,9 @@ class RobotReaders:
                 await self.look()
             except Exception:
                 _logger.exception("looking who reads the outputs")
-                self._notices.condition(CONDITION, "Unknown", "NotTold", "It failed to look: see the monitor's log.")
+                self._notices.condition(
+                    CONDITION, "Unknown", "NotTold", "Checking the readers failed: see the monitor's log."
+                )
                 await asyncio.sleep(AGAIN)
             await asyncio.sleep(PERIOD)
 
