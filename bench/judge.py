@@ -68,9 +68,9 @@ class _Judge:
         from understudy.monitor.notices import Notices
         from understudy.monitor.observe.robot.health_observer import HealthObserver
         from understudy.monitor.report.black_box import BlackBox
-        from understudy.monitor.report.recording_archive import Archive
+        from understudy.monitor.report.recording_archive import RecordingArchive
         from understudy.process import cpu_scheduling
-        from understudy.state.state_store import Shelf
+        from understudy.state.state_store import StateStore
         from understudy.trees.languages.notations import load_monitoring
 
         end_with_parent()
@@ -89,9 +89,9 @@ class _Judge:
         self.instances = [Instance("active", "1", ip=ip), Instance("standby", "2", ip="192.0.2.11")]
         self.sight = HealthObserver()
         self._folder = tempfile.TemporaryDirectory()
-        self.keeping = StateKeeping(self.sight.graph, Shelf(Path(self._folder.name)), _Nobody(), Notices())
+        self.keeping = StateKeeping(self.sight.graph, StateStore(Path(self._folder.name)), _Nobody(), Notices())
         self._view: Any = SimpleNamespace(policy=self.policy, workload="bench", namespace="bench")
-        self.box = BlackBox(self._view, self.sight, Notices(), Archive(Path(self._folder.name) / "recordings"))
+        self.box = BlackBox(self._view, self.sight, Notices(), RecordingArchive(Path(self._folder.name) / "recordings"))
         self.topics, self.leaves = topics, leaves
         self.verdicts = self.failed = self.doubted = 0
         self.late = self.waited = 0.0

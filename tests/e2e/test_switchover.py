@@ -136,7 +136,7 @@ def test_a_pod_of_a_shared_pool_takes_over_and_the_robot_goes_home_again(uniniti
     assert labels.get("understudy.dev/source") == "workload"
     again = understudy(uninitialized.kubectl, "failback", uninitialized.workload)
     assert again.returncode == 0
-    assert "is in control already" in again.stdout
+    assert "is active already" in again.stdout
     assert len(uninitialized.recoveries()) == 2
 
 
