@@ -237,7 +237,9 @@ def test_all_that_never_comes_at_once_and_the_robot_is_driven_all_the_same(kubec
         "/dock: robots_msgs/action/Dock is not installed",
         "spec.monitor.image",
     )
-    told(kubectl, "robotworkload", name, "/nobody_talks: nobody publishes it", "state.keep[0]", "Correct the topic there")
+    told(
+        kubectl, "robotworkload", name, "/nobody_talks: nobody publishes it", "state.keep[0]", "Correct the topic there"
+    )
 
     # An initialization that never ends: the standby that waits is left alone, and the one beside it tells.
     before = [pod["metadata"]["name"] for pod in standbys(robot)]

@@ -156,5 +156,7 @@ def test_what_is_held_is_told_in_recovering(world: World) -> None:
     found = world.notices.status.find("Recovering")
     assert found is not None
     assert (found.status, found.reason) == ("False", "BudgetSpent")
-    assert found.message.startswith("no /cmd_vel; w-1 is fenced, and nothing else is done. limits.budget of the policy is spent (2 recoveries within 10m)")
+    assert found.message.startswith(
+        "no /cmd_vel; w-1 is fenced, and nothing else is done. limits.budget of the policy is spent (2 recoveries within 10m)"
+    )
     assert world.events[-1] == ("Warning", "RecoveryHeld")
