@@ -22,6 +22,7 @@ import urllib3
 from testcluster.cli import select
 from testcluster.progress import Progress
 from testcluster.providers.base import ClusterError
+from tests.support import golden
 from tests.support.cluster import Cluster
 
 # MuJoCo looks for what it renders with when it is imported first, by whichever test.
@@ -101,6 +102,11 @@ def _suitable_provider() -> str | None:
         return select(None, None, Progress()).name
     except ClusterError:
         return None
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tells the golden files which test begins."""
+    golden.begin(item.name)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -1,12 +1,71 @@
-"""Compares the outputs that a page of the documentation shows with the real ones.
+"""Compares what the product says with the wording that is kept: in ``tests/golden``, and in pages of the documentation.
 
-After an intended change of wording, ``UPDATE_GOLDEN=1`` makes the tests write the real outputs into the pages.
+A test asserts on reasons, fields and numbers. The sentences around them stand in one file per surface, such as
+``tests/golden/explain.yaml``, under the name of the test. After an intended change of wording, ``UPDATE_GOLDEN=1`` makes the
+tests write what the product says now; the difference in these files is what a review reads.
 """
 
 from __future__ import annotations
 
+import fcntl
 import os
+from collections.abc import Iterable
 from pathlib import Path
+
+import yaml
+
+FOLDER = Path(__file__).resolve().parent.parent / "golden"
+
+_test = ""
+_compared: dict[str, int] = {}
+"""How many texts of each surface the test that runs has compared so far."""
+
+
+def begin(test: str) -> None:
+    """Forget what the test before has compared (``tests/conftest.py`` calls this before each test)."""
+    global _test
+    _test = test
+    _compared.clear()
+
+
+def assert_golden(surface: str, said: str | Iterable[str]) -> None:
+    """Assert that the next text of this test is the one in the surface's file, or write it there.
+
+    Several lines can be given instead of one text.
+    """
+    text = said if isinstance(said, str) else "\n".join(said)
+    number = _compared.get(surface, 0)
+    _compared[surface] = number + 1
+    path = FOLDER / f"{surface}.yaml"
+    if os.environ.get("UPDATE_GOLDEN"):
+        _write(path, number, text)
+    kept = texts(path).get(_test, [])
+    expected = kept[number] if number < len(kept) else None
+    assert text == expected, f"not as in {path.name}; if this wording is intended: UPDATE_GOLDEN=1"
+
+
+def texts(path: Path) -> dict[str, list[str]]:
+    """The texts of a golden file by the name of their test."""
+    return yaml.load(path.read_text(), yaml.CSafeLoader) if path.exists() else {}
+
+
+def _write(path: Path, number: int, text: str) -> None:
+    path.parent.mkdir(exist_ok=True)
+    with path.open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # Several test processes write at a time.
+        kept = texts(path) or {}
+        kept[_test] = [*kept.get(_test, [])[:number], text]
+        path.write_text(yaml.dump(kept, Dumper=_Dumper, allow_unicode=True, width=10**6))
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes a text of several lines as such."""
+
+    def represent_text(self, text: str) -> yaml.ScalarNode:
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
 
 
 def assert_shown(page: Path, shown: str, printed: str) -> None:
