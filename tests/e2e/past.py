@@ -84,10 +84,7 @@ class Operator:
 
     def told(self, now: float) -> Iterator[str]:
         """What they tell at a moment."""
-        leader = "b" if now >= self.handed_over else "a"
-        for replica in "ab":
-            yield f'understudy_leader{{job="operator",instance="{replica}"}} {int(replica == leader)}'
-        mine = f'job="operator",instance="{leader}"'
+        mine = f'job="operator",instance="{"b" if now >= self.handed_over else "a"}"'
         for (namespace, workload), found in itertools.groupby(self.monitors, key=lambda m: (m.namespace, m.workload)):
             count = sum(r.at <= now for monitor in found for r in monitor.recoveries)
             yield f'understudy_workload_recoveries_total{{{mine},namespace="{namespace}",workload="{workload}"}} {count}'

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
+import itertools
 import json
 import shutil
 import time
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator
-from dataclasses import astuple
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -17,16 +16,10 @@ import pytest
 import yaml
 
 from tests.e2e.conftest import CHART, SYSTEM
-from tests.e2e.console import understudy
 from tests.e2e.kubectl import Kubectl, Object
 from tests.e2e.past import EVERY, Monitor, Operator, Recovery, every, openmetrics
 from tests.e2e.scenario import Robot, eventually
 from tests.support.prometheus import SOURCE, asked, built, fill, promtool, serving
-from understudy.cli.common.errors import CommandError
-from understudy.cli.report.prometheus.prometheus_client import Prometheus
-from understudy.cli.report.prometheus.prometheus_figures import measured
-from understudy.cli.report.prometheus.promql import came_to, selector
-from understudy.cli.report.recovery_records import Span
 
 pytestmark = [pytest.mark.long, pytest.mark.local_only]  # this machine must reach pods by their addresses
 
@@ -88,54 +81,59 @@ def past(begin: float, end: float) -> Operator:
     return Operator(middle, monitors, lambda now: 0 if middle <= now < middle + 300 else 4)
 
 
-def test_a_report_counts_every_recovery_of_its_period_whatever_became_of_the_monitors(
-    programs: Path, tmp_path: Path
-) -> None:
-    end = float(int(time.time()) // EVERY * EVERY - 600)
-    period = Span(end - 3 * 3600, end)
-    operator = past(period.begin, end)
-    scraped = every(EVERY, period.begin - 3600, end)
-    fill(programs, tmp_path, openmetrics(scraped, [*operator.monitors, operator]))
-    with serving(programs, tmp_path) as url:
-        asked_of = Prometheus(url)
-        found = measured(asked_of, period, namespace="fleet")
-        assert [astuple(count) for count in found.counts] == [
-            ("Recovery", "Fallback/Executing", "Recovered", 3 + 1 + 3 + 3 + 1),
-            ("Recovery", "Restart", "Recovered", 1),
-            ("Recovery", "none", "Failed", 1),
-        ]
-        assert (found.recovered, found.missed) == (3 + 3 + 3 + 3 + 2, 1), "one came before its monitor was scraped"
-        assert len(found.seen) == found.asked
-        assert list(found.strategies) == ["Restart", "Fallback/Executing"]
-        executing = found.of("Fallback/Executing")
-        assert {part: histogram.count for part, histogram in executing.items()} == {
-            "detection": 11, "cluster": 11, "whole": 11,
-        }  # fmt: skip
-        assert executing["whole"].mean == pytest.approx(0.506, rel=0.01)
-        by = "strategy, part, le"
-        where = selector("fleet")
-        asked_for = f"histogram_quantile(0.95, {came_to(by, 'understudy_recovery_part_seconds_bucket', where, period)})"
-        for series in asked_of.query(asked_for, end):
-            histogram = found.of(series.labels["strategy"])[series.labels["part"]]
-            assert histogram.quantile(0.95) == pytest.approx(series.value)
-        (pool,) = found.pools
-        assert (pool.name, pool.desired, pool.least_ready, pool.most_claimed, pool.most_waiting) == (
-            "spare",
-            4,
-            0,
-            1,
-            1,
-        )
-        assert pool.mean_ready == pytest.approx(4 * (1 - 5 / 180), rel=0.02)
-        assert {value for _, value in pool.ready} == {0, 4}
-        assert {value for _, value in pool.wanted} == {4}
+def expressions(name: str, chosen: Mapping[str, str], seconds: int) -> dict[str, list[str]]:
+    """Return the expressions of a dashboard's panels by title, as Grafana would send them for a shown time of this length."""
+    shown = {"$__range_s": f"{seconds}", "$__range": f"{seconds}s", "$__rate_interval": "10s", "$__interval": "5s"}
+    found: dict[str, list[str]] = {}
+    for panel in json.loads((CHART / "files" / "dashboards" / f"{name}.json").read_text())["panels"]:
+        for target in panel["targets"]:
+            expression = target["expr"]
+            for variable, text in {**chosen, **shown}.items():
+                expression = expression.replace(variable, text)
+            found.setdefault(panel["title"], []).append(expression)
+    return found
 
-        one = measured(asked_of, period, namespace="fleet", names=["fails-first"])
-        assert one.counted("Recovery") == one.recovered == 3
-        assert measured(asked_of, period, namespace=None).counted("Recovery") == 14
-        assert not measured(asked_of, period, namespace="nowhere").seen
-        with pytest.raises(CommandError, match=r"reports an error: .*parse error"):
-            asked_of.query("sum(", end)
+
+TABLE = "Recoveries in the time shown, and the means of their parts"
+
+
+def by_strategy(query: Query, name: str, chosen: Mapping[str, str], seconds: int) -> dict[str, dict[str, float]]:
+    """Return the first columns of a dashboard's table of recoveries, each by strategy."""
+    columns = zip(
+        ("recovered", "failed", "mean", "detection", "cluster"), expressions(name, chosen, seconds)[TABLE], strict=False
+    )
+    return {
+        column: {series["metric"]["strategy"]: float(series["value"][1]) for series in query(expression)}
+        for column, expression in columns
+    }
+
+
+def test_the_dashboards_count_every_recovery_whatever_became_of_the_monitors(programs: Path, tmp_path: Path) -> None:
+    length = 3 * 3600
+    end = float(int(time.time()) // EVERY * EVERY - 600)
+    operator = past(end - length, end)
+    fill(programs, tmp_path, openmetrics(every(EVERY, end - length - 3600, end), [*operator.monitors, operator]))
+    with serving(programs, tmp_path) as url:
+
+        def query(expression: str, at: float = end) -> list[Object]:
+            found: list[Object] = asked(url, f"query?query={urllib.parse.quote(expression)}&time={at:.0f}")["result"]
+            return found
+
+        fleet = by_strategy(query, "fleet", {"$namespace": "fleet"}, length)
+        assert fleet["recovered"] == {"Fallback/Executing": 3 + 1 + 3 + 3 + 1, "Restart": 1}, (
+            "all but one that came before its monitor was scraped"
+        )
+        assert fleet["failed"] == {"none": 1}
+        assert fleet["mean"] == pytest.approx({"Fallback/Executing": 0.506, "Restart": 3.5}, rel=0.01)
+        assert fleet["cluster"] == pytest.approx({"Fallback/Executing": 0.006, "Restart": 3.0}, rel=0.01)
+        robot = by_strategy(query, "robot", {"$namespace": "fleet", "$workload": "fails-first"}, length)
+        assert robot["recovered"] == {"Fallback/Executing": 1, "Restart": 1}
+        assert robot["failed"] == {"none": 1}
+        everywhere = by_strategy(query, "fleet", {"$namespace": ".*"}, length)
+        assert sum(everywhere["recovered"].values()) + sum(everywhere["failed"].values()) == 14
+        assert not any(by_strategy(query, "fleet", {"$namespace": "nowhere"}, length).values())
+        (lacking,) = expressions("fleet", {"$namespace": "fleet"}, length)["Pods that pools lack, by namespace"]
+        assert [query(lacking, at)[0]["value"][1] for at in (operator.handed_over + EVERY, end)] == ["4", "0"]
 
 
 def scraping(kubeconfig: Path, namespace: str) -> Object:
@@ -196,29 +194,6 @@ def value(query: Query, expression: str) -> float:
     return float(found[0]["value"][1])
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
-VARIABLES = {"$__range_s": "3600", "$__range": "1h", "$__rate_interval": "10s", "$__interval": "5s"}
-"""What Grafana would say for an hour, and for a scrape each second."""
-
-
-def expressions(kubectl: Kubectl, workload: str) -> list[str]:
-    """Of every panel of the dashboards, as Grafana would ask them for this robot."""
-    values = {"$namespace": kubectl.namespace, "$workload": workload, **VARIABLES}
-    found = []
-    for board in (CHART / "files" / "dashboards").glob("*.json"):
-        for panel in json.loads(board.read_text())["panels"]:
-            for target in panel["targets"]:
-                expression = target["expr"]
-                for name, value in values.items():
-                    expression = expression.replace(name, value)
-                found.append(expression)
-    return found
-
-
 def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
     executing: Robot, kubectl: Kubectl, release: Kubectl, programs: Path, query: Query, prometheus: str, tmp_path: Path
 ) -> None:
@@ -240,20 +215,18 @@ def test_a_failover_is_seen_in_metrics_alerts_and_dashboards(
     assert value(query, f"understudy_gate_commit_seconds_count{{{mine}}}") >= 1
     executing.wait_protected()
 
-    given = ("--since", "1h", "-o", str(tmp_path / "report.html"), "--csv", str(tmp_path / "csv"))
-    reported = understudy(kubectl, "report", *given, "--prometheus", prometheus)
-    assert reported.returncode == 0, reported.stderr
-    assert reported.stdout.endswith("; Prometheus counted 1 recovery, 0 of them failed\n")
-    (record,), times = (rows(tmp_path / "csv" / name) for name in ("recoveries.csv", "prometheus-times.csv"))
-    (whole,) = (row for row in times if row["part"] == "whole")
-    assert (whole["strategy"], whole["mean_seconds"]) == (record["strategy"], record["recovery_seconds"])
-    assert len(times) == 5, "the four parts, and all of it"
+    (record,) = executing.status()["recoveries"]
+    chosen = {"$namespace": kubectl.namespace, "$workload": executing.workload}
+    table = by_strategy(query, "robot", chosen, 3600)
+    assert (table["recovered"], table["failed"]) == ({record["strategy"]: 1}, {})
+    assert table["mean"] == pytest.approx({record["strategy"]: record["recoverySeconds"]}, abs=0.001)
 
-    for expression in expressions(kubectl, executing.workload):
-        if not any(name in expression for name in SELDOM):
-            eventually(partial(query, expression), within=30, what=expression)
-        else:
-            query(expression)
+    for name in ("fleet", "robot"):
+        for expression in itertools.chain(*expressions(name, chosen, 3600).values()):
+            if not any(metric in expression for metric in SELDOM):
+                eventually(partial(query, expression), within=30, what=expression)
+            else:
+                query(expression)
 
     pool = next(iter(kubectl.list("fallbackpools")))["metadata"]["name"]
     kubectl.patch("fallbackpool", pool, {"spec": {"perWorkload": 0}})

@@ -16,8 +16,6 @@ from understudy.cli.common.errors import CommandError
 from understudy.cli.common.text.wording import clock, counted
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.page import page
-from understudy.cli.report.prometheus.prometheus_client import Prometheus
-from understudy.cli.report.prometheus.prometheus_figures import Measured, measured
 from understudy.cli.report.recovery_records import Findings, Span, findings
 
 SUCCESS, ERROR = 0, 2
@@ -34,17 +32,16 @@ def main(arguments: list[str]) -> int:
         items = _robots(kubectl, given)
         pods, unknown = _pods(kubectl, given)
         found = findings(items, period, pods, pods_unknown=unknown)
-        told = _measured(found, given)
-        data = sheets(found, told)
+        data = sheets(found)
         where = _where(found, given)
-        _write(Path(given.output), page(found, data, where=where, made=now, measured=told))
+        _write(Path(given.output), page(found, data, where=where, made=now))
         if given.csv is not None:
             for name, text in data.items():
                 _write(Path(given.csv, name), text)
     except CommandError as error:
         print(f"understudy report: {error}", file=sys.stderr)
         return ERROR
-    print(_summary(found, given, told))
+    print(_summary(found, given))
     return SUCCESS
 
 
@@ -78,18 +75,6 @@ def _pods(kubectl: Kubectl, given: argparse.Namespace) -> tuple[Sequence[Mapping
     except CommandError as error:
         return [], str(error)
     return list(found.values()), ""
-
-
-def _measured(found: Findings, given: argparse.Namespace) -> Measured | None:
-    """Return Prometheus' data on the same robots and period; None if no server is given. Raises CommandError."""
-    if given.prometheus is None:
-        for option in ("prometheus_token_file", "prometheus_ca_file"):
-            if getattr(given, option) is not None:
-                raise CommandError(f"--{option.replace('_', '-')} applies to --prometheus URL, which is not given")
-        return None
-    prometheus = Prometheus(given.prometheus, token_file=given.prometheus_token_file, ca_file=given.prometheus_ca_file)
-    namespace = None if given.all_namespaces else found.robot_periods[0].robot.namespace
-    return measured(prometheus, found.period, namespace=namespace, names=given.names)
 
 
 def _period(given: argparse.Namespace, now: float) -> Span:
@@ -135,7 +120,7 @@ def _write(path: Path, text: str) -> None:
         raise CommandError(f"{path} cannot be written: {error.strerror}; give another path") from error
 
 
-def _summary(found: Findings, given: argparse.Namespace, from_prometheus: Measured | None) -> str:
+def _summary(found: Findings, given: argparse.Namespace) -> str:
     entries, lost = found.entries, len(found.incomplete)
     told = (
         f"{given.output}: {counted(len(found.robot_periods), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
@@ -143,13 +128,6 @@ def _summary(found: Findings, given: argparse.Namespace, from_prometheus: Measur
     )
     if lost:
         told += f"; the data on {counted(lost, 'robot')} is incomplete, because a status records only the last ten recoveries"
-    if from_prometheus is not None:
-        counts = counted(from_prometheus.counted("Recovery"), "recovery", "recoveries")
-        told += (
-            f"; Prometheus counted {counts}, {from_prometheus.counted('Recovery', result='Failed')} of them failed"
-            if from_prometheus.seen
-            else f"; Prometheus at {from_prometheus.url} has no data on these robots"
-        )
     return told
 
 
@@ -158,10 +136,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="understudy report",
         description="Writes an HTML report about the recoveries of a period: recovery times by strategy and part, the robots' "
         "gaps and downtime, reserved resources, and every recovery. The data are the records in the status of the RobotWorkloads, "
-        "which contain the last ten recoveries of each robot; the report says for which time they are incomplete. A Prometheus, if given, "
-        "has counted all of them. It changes nothing in the cluster.",
-        epilog="Exit status: 0 if the report was written, 2 if not: kubectl or Prometheus failed, a name does not exist, or there is no "
-        "robot.",
+        "which contain the last ten recoveries of each robot; the report says for which time they are incomplete. "
+        "It changes nothing in the cluster.",
+        epilog="Exit status: 0 if the report was written, 2 if not: kubectl failed, a name does not exist, or there is no robot.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")
     begin = parser.add_mutually_exclusive_group()
@@ -181,16 +158,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--csv",
         metavar="FOLDER",
-        help="also write the data as files: recoveries.csv, robots.csv, strategies.csv and reserved.csv, and with --prometheus "
-        "prometheus-recoveries.csv, prometheus-times.csv and prometheus-pools.csv",
+        help="also write the data as files: recoveries.csv, robots.csv, strategies.csv and reserved.csv",
     )
-    parser.add_argument(
-        "--prometheus",
-        metavar="URL",
-        help="also query this Prometheus, which counts all recoveries of the period and their times, such as "
-        "http://localhost:9090",
-    )
-    parser.add_argument("--prometheus-token-file", metavar="FILE", help="file with the bearer token for Prometheus")
-    parser.add_argument("--prometheus-ca-file", metavar="FILE", help="certificate authority of Prometheus, in PEM")
     add_options(parser, all_namespaces=True)
     return parser

@@ -6,13 +6,11 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, fields
 
 from understudy.api.kinds.robot_workload import Moments
 from understudy.cli.common.robots import Robot
 from understudy.cli.common.text.recovery_text import parts_of
 from understudy.cli.common.text.time_bars import NAMES
-from understudy.cli.report.prometheus.prometheus_figures import Count, Measured, Pool, Time
 from understudy.cli.report.recovery_records import Entry, Findings, Group, RobotPeriod, Span
 from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.failover.progress import rfc3339
@@ -24,9 +22,9 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """Beginnings of a text that a spreadsheet interprets as a formula."""
 
 
-def sheets(findings: Findings, measured: Measured | None = None) -> dict[str, str]:
-    """Return the sheets by file name, with those from Prometheus if it was queried."""
-    told = {
+def sheets(findings: Findings) -> dict[str, str]:
+    """Return the sheets by file name."""
+    return {
         "recoveries.csv": _written([_recovery(entry) for entry in findings.entries], _recovery_columns()),
         "robots.csv": _written(
             [_robot(robot_period, findings.period) for robot_period in findings.robot_periods], _ROBOT
@@ -34,13 +32,6 @@ def sheets(findings: Findings, measured: Measured | None = None) -> dict[str, st
         "strategies.csv": _written([_strategy(group) for group in findings.groups], _STRATEGY),
         "reserved.csv": _written([row for share in findings.shares for row in _reserved(share)], _RESERVED),
     }
-    if measured is not None:
-        times = [_time(time) for time in measured.times]
-        bounds = sorted({bound for time in measured.times for bound in time.histogram.bounds})
-        told["prometheus-recoveries.csv"] = _written([asdict(count) for count in measured.counts], _COUNT)
-        told["prometheus-times.csv"] = _written(times, [*_TIME, *(_upto(bound) for bound in bounds)])
-        told["prometheus-pools.csv"] = _written([_pool(pool) for pool in measured.pools], _POOL)
-    return told
 
 
 def _written(rows: Sequence[Row], columns: Sequence[str]) -> str:
@@ -168,42 +159,3 @@ def _reserved(share: Share) -> Iterator[Row]:
     for role, amounts in share.roles.items():
         values = {"cpu_cores": amounts.cpu, "memory_bytes": amounts.memory}
         yield {"strategy": share.name, "count": share.count, "role": ROLES[role], **values}
-
-
-_COUNT = tuple(field.name for field in fields(Count))
-
-_TIME = ("strategy", "part", "count", "mean_seconds", "p50_seconds", "p95_seconds", "p99_seconds")
-
-
-def _time(time: Time) -> Row:
-    """Build a row with the cumulative count of each bucket of the histogram."""
-    histogram = time.histogram
-    return {
-        "strategy": time.strategy,
-        "part": time.part,
-        "count": histogram.count,
-        "mean_seconds": histogram.mean,
-        "p50_seconds": histogram.quantile(0.5),
-        "p95_seconds": histogram.quantile(0.95),
-        "p99_seconds": histogram.quantile(0.99),
-        **{_upto(bound): round(count) for bound, count in zip(histogram.bounds, histogram.counts, strict=True)},
-    }
-
-
-def _upto(bound: float) -> str:
-    return f"upto_{bound:g}_seconds"
-
-
-_POOL = ("namespace", "pool", "desired", "least_ready", "mean_ready", "most_claimed", "most_waiting")
-
-
-def _pool(pool: Pool) -> Row:
-    return {
-        "namespace": pool.namespace,
-        "pool": pool.name,
-        "desired": pool.desired,
-        "least_ready": pool.least_ready,
-        "mean_ready": pool.mean_ready,
-        "most_claimed": pool.most_claimed,
-        "most_waiting": pool.most_waiting,
-    }

@@ -12,17 +12,11 @@ import understudy
 from understudy.cli.common.text.wording import clock
 from understudy.cli.report import sections
 from understudy.cli.report.drawing.html_markup import Markup, element
-from understudy.cli.report.prometheus.prometheus_figures import Measured
-from understudy.cli.report.prometheus.prometheus_sections import whole_period
 from understudy.cli.report.recovery_records import Findings
 
 
-def page(
-    findings: Findings, sheets: Mapping[str, str], *, where: str, made: float, measured: Measured | None = None
-) -> str:
-    """Return the whole file. ``sheets`` are the CSV files to download from it, ``where`` names the selected robots, and
-    ``measured`` is the data of Prometheus, if one was queried.
-    """
+def page(findings: Findings, sheets: Mapping[str, str], *, where: str, made: float) -> str:
+    """Return the whole file. ``sheets`` are the CSV files to download from it, and ``where`` names the selected robots."""
     period = findings.period
     title = f"Recoveries of {where}"
     body = element(
@@ -30,12 +24,15 @@ def page(
         element(
             "header",
             element("h1", title),
-            element("p", f"{clock(period.begin)} to {clock(period.end)}, {_source(measured)}", class_="faint"),
+            element(
+                "p",
+                f"{clock(period.begin)} to {clock(period.end)}, from the records in the robots' status",
+                class_="faint",
+            ),
         ),
         *sections.known(findings),
         sections.tiles(findings),
         *sections.robots(findings),
-        *(whole_period(measured) if measured is not None else ()),
         *sections.strategies(findings),
         *sections.over_time(findings),
         *sections.gaps(findings),
@@ -66,12 +63,6 @@ def page(
         element("style", Markup(style)),
     )
     return f"<!doctype html>\n{element('html', head, element('body', body, element('script', Markup(script))), lang='en')}\n"
-
-
-def _source(measured: Measured | None) -> str:
-    """Return the source of the figures."""
-    told = "from the records in the robots' status"
-    return told if measured is None else f"{told}, and from Prometheus at {measured.url} in the section with that title"
 
 
 def _downloads(sheets: Mapping[str, str]) -> Markup:

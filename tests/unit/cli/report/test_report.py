@@ -111,25 +111,6 @@ def test_unavailable_information_is_reported(
     assert words in told.err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--prometheus", "prometheus:9090"], "--prometheus: found 'prometheus:9090'; give its address, such as"),
-        (
-            ["--prometheus", "http://127.0.0.1:1"],
-            "Prometheus at http://127.0.0.1:1 cannot be reached: Connection refused;",
-        ),
-        (["--prometheus-ca-file", "ca.crt"], "--prometheus-ca-file applies to --prometheus URL, which is not given"),
-    ],
-)
-def test_a_prometheus_that_can_not_be_asked(
-    written: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
-) -> None:
-    assert main([*arguments, "-o", str(written)]) == 2
-    assert not written.exists()
-    assert words in capsys.readouterr().err
-
-
 def test_a_place_that_can_not_be_written_to(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written.mkdir()
     assert main(["-o", str(written)]) == 2

@@ -175,8 +175,6 @@ _MARKS = {
     "failed": '<path d="M-5-5 5 5M5-5-5 5" class="failed"/>',
     "median": '<path d="M0-7V7" class="median"/>',
     "tail": '<path d="M0-7V7" class="tail"/>',
-    "ready": '<path d="M-6 0H6" class="ready"/>',
-    "wanted": '<path d="M-6 0H6" class="wanted"/>',
 }
 
 
