@@ -24,7 +24,7 @@ from understudy.agent.control_channel import Operation, Peer, Refused
 from understudy.agent.held_containers import make_fifo, wake_fifo, write_atomically
 from understudy.agent.permit import Permit
 from understudy.api import names
-from understudy.api.protocol import freeze_script
+from understudy.api.protocol import agent_messages, freeze_script
 
 _logger = logging.getLogger(__name__)
 
@@ -134,12 +134,12 @@ class Isolation:
 
     def operations(self) -> Mapping[str, Operation]:
         """The operations that a monitor can request."""
-        return {"lease": self.renew}
+        return {agent_messages.RENEW_PERMIT: self.renew}
 
     async def renew(self, body: Mapping[str, Any], peer: Peer) -> None:
         """Take the addresses of the parties that may answer, and the monitor's decision about a frozen application.
 
-        On the wire this is the operation ``lease``. Raises Refused.
+        Raises Refused.
         """
         found, word = body.get("witnesses", []), body.get("word")
         if not isinstance(found, list) or not all(isinstance(host, str) for host in found):

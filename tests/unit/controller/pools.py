@@ -45,17 +45,17 @@ def observe(
 
 
 def plan(observed: pool_pods.Observed) -> Plan:
-    return pool_pods.plan(observed, pool_pods.understand(observed, IMAGES), Names().fresh())
+    return pool_pods.plan(observed, pool_pods.evaluate(observed, IMAGES), Names().fresh())
 
 
 def present(pool: Object) -> str:
-    built = pool_pods.understand(observe(pool), IMAGES).built
+    built = pool_pods.evaluate(observe(pool), IMAGES).built
     assert built is not None
     return instance_pod.template_hash(built)
 
 
 def status(observed: pool_pods.Observed) -> Object:
-    return pool_status.status(observed, pool_pods.understand(observed, IMAGES), [])
+    return pool_status.status(observed, pool_pods.evaluate(observed, IMAGES), [])
 
 
 def condition(observed: pool_pods.Observed, type_: str) -> Object:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.unit.controller.world import IMAGES, World, applied, policy, workload
 from understudy.api.protocol.monitor_settings import WorkloadSettings
-from understudy.controller.desired.workload_plan import understand
+from understudy.controller.desired.workload_plan import evaluate
 from understudy.controller.observed import dependency_graph
 from understudy.controller.observed.observation import Observed
 from understudy.controller.reconcile import change_index
@@ -127,7 +127,7 @@ async def test_one_that_is_being_deleted_is_missing() -> None:
     going = workload("a")
     going["metadata"]["deletionTimestamp"] = "2026-11-22T14:00:00Z"
     found = await observed(needing("w", "a"), going)
-    status = workload_status.status(found, understand(found, IMAGES), [])
+    status = workload_status.status(found, evaluate(found, IMAGES), [])
     assert "DependencyNotFound" in [one["reason"] for one in status["conditions"]]
 
 

@@ -55,7 +55,7 @@ def test_without_secrets_nothing_is_said_of_them() -> None:
 def test_the_pods_of_a_shared_pool_are_pulled_by_them_too() -> None:
     images = replace(IMAGES, pull_secrets=("registry",))
     observed = pool_pods.Observed(pool=world.spare(replicas=1), workloads={}, pods=[], owned={}, now=NOW)
-    plan = pool_pods.plan(observed, pool_pods.understand(observed, images), Names().fresh())
+    plan = pool_pods.plan(observed, pool_pods.evaluate(observed, images), Names().fresh())
     (pod,) = created(plan, "pods")
     assert pod["spec"]["imagePullSecrets"] == SECRET
 

@@ -47,7 +47,7 @@ class Cluster:
             self.pods[name] for name in self._known if name in self.pods and name not in map(kube_objects.name, view)
         ]
         observed = replace(observe(self.pool, [*view, *unseen], expected=expected), leaving=frozenset(self.leaving))
-        plan: Plan = pool_pods.plan(observed, pool_pods.understand(observed, IMAGES), self._names.fresh())
+        plan: Plan = pool_pods.plan(observed, pool_pods.evaluate(observed, IMAGES), self._names.fresh())
         for body in created(plan, "pods"):
             name = kube_objects.name(body)
             staying = [node for node in NODES if node not in self.leaving] or [""]

@@ -226,11 +226,11 @@ class TestWhatIsSaid:
 
     def test_a_change_is_told_once(self) -> None:
         pool = told(sized(), robot("w"))
-        found = pool_size.sized(pool, pool_pods.understand(observed(pool), IMAGES).spec, [], NOW)  # type: ignore[arg-type]
+        found = pool_size.sized(pool, pool_pods.evaluate(observed(pool), IMAGES).spec, [], NOW)  # type: ignore[arg-type]
         assert found is not None
         assert pool_size.change(found) is None
         pool["status"]["sizing"]["size"] = 0
-        found = pool_size.sized(pool, pool_pods.understand(observed(pool), IMAGES).spec, [robot("w")], NOW)  # type: ignore[arg-type]
+        found = pool_size.sized(pool, pool_pods.evaluate(observed(pool), IMAGES).spec, [robot("w")], NOW)  # type: ignore[arg-type]
         assert found is not None
         text = pool_size.change(found)
         assert text is not None

@@ -27,9 +27,9 @@ def specifying(**spec: Any) -> Object:
 def accepted_of_pool(template: Object) -> Object:
     pool = spare(template=copy.deepcopy(template))
     observed = pool_pods.Observed(pool=pool, workloads={}, pods=[], owned={}, now=NOW)
-    understanding = pool_pods.understand(observed, IMAGES)
-    pool_pods.plan(observed, understanding, Names().fresh())
-    found: Object = pool_status.status(observed, understanding, [])["conditions"][0]
+    plan = pool_pods.evaluate(observed, IMAGES)
+    pool_pods.plan(observed, plan, Names().fresh())
+    found: Object = pool_status.status(observed, plan, [])["conditions"][0]
     return found
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.controller.desired import workload_objects
-from understudy.controller.desired.workload_plan import WorkloadPlan, understand
+from understudy.controller.desired.workload_plan import WorkloadPlan, evaluate
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.observation import Observed
 from understudy.controller.observed.workload_reference import Referred
@@ -280,7 +280,7 @@ class World:
         )
 
     def understood(self) -> WorkloadPlan:
-        return understand(self.observed(), IMAGES)
+        return evaluate(self.observed(), IMAGES)
 
     def plan(self) -> Plan:
         return workload_objects.plan(self.observed(), self.understood(), IMAGES, self.names.fresh())

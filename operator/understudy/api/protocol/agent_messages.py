@@ -33,6 +33,10 @@ STATUS_PERIOD = 1.0
 SILENCE = 3.0
 """Seconds without a message after which the connection counts as lost."""
 
+RENEW_PERMIT = "lease"
+"""Name of the operation that renews an instance's permit. Agents of version 0.1.0 know it by this name, and an upgrade leaves the
+agents of running pods as they are: rename it only when no supported version of the agent needs the old name."""
+
 GAVE_WAY = "gave way to another procedure"
 """Error of a procedure that a newer procedure replaced."""
 

@@ -23,7 +23,7 @@ from understudy.cli.common.text.wording import age, listed, wrapped
 from understudy.cli.inspect import limit_text
 from understudy.cli.inspect.cluster_observation import Around
 from understudy.controller.desired import effective_policy, standby_pods
-from understudy.controller.desired.workload_plan import WorkloadPlan, understand
+from understudy.controller.desired.workload_plan import WorkloadPlan, evaluate
 from understudy.controller.observed import (
     dependency_graph,
     kube_objects,
@@ -54,7 +54,7 @@ class Known:
     """All input of the explanation: the status, and the present objects of the cluster."""
 
     observed: Observed
-    understanding: WorkloadPlan
+    workload_plan: WorkloadPlan
     status: RobotWorkloadStatus
     said: Robot
     """The summary of the status and the gate."""
@@ -71,17 +71,17 @@ class Known:
     def of(cls, around: Around) -> Known:
         """Build it from the objects around a workload. Raises CommandError if its status cannot be parsed."""
         observed = around.observed
-        understanding = understand(observed, Images(monitor=""))
-        protected = protection.protected(observed, understanding)
+        workload_plan = evaluate(observed, Images(monitor=""))
+        protected = protection.protected(observed, workload_plan)
         item = observed.workload
         others = {kube_objects.name(one): one for one in around.workloads}
         said = robot(item, observed.gate, observed.now)
-        return cls(observed, understanding, status_of(item), said, protected, around.events, others, around.gates)
+        return cls(observed, workload_plan, status_of(item), said, protected, around.events, others, around.gates)
 
     @property
     def considered(self) -> Sequence[Considered]:
         """The strategies that count now, in order, each with whether it could run."""
-        return protection.considered(self.observed, self.understanding)
+        return protection.considered(self.observed, self.workload_plan)
 
     @property
     def standby_ready(self) -> bool:
@@ -128,12 +128,12 @@ class Known:
     @property
     def spec(self) -> RobotWorkloadSpec | None:
         """Its spec; None if it cannot be parsed."""
-        return self.understanding.spec
+        return self.workload_plan.spec
 
     @property
     def policy(self) -> FailurePolicySpec | None:
         """Its policy with the health tree in force; None if the policy cannot be followed."""
-        if self.spec is None or self.understanding.policy_problem is not None:
+        if self.spec is None or self.workload_plan.policy_problem is not None:
             return None
         item = self.observed.policies[self.spec.failure_policy_ref.name]
         return in_force(policy_reader.spec(item), item.get("status"))
@@ -457,7 +457,7 @@ def _missing(known: Known) -> Iterator[_Entry]:
     found = [problem for problem in known.said.problems if problem.type != "Protected"]
     if known.protected.status != "True":
         yield _Entry(_unprotected(known), "Failed")
-    refused = known.understanding.problem
+    refused = known.workload_plan.problem
     if refused is not None and not any(problem.type == "Accepted" for problem in found):
         found.append(Problem(type="Accepted", reason=refused.reason, message=refused.message))
     for problem in found:

@@ -15,11 +15,11 @@ from understudy.controller.pods import instance_pod, pool_pods
 from understudy.kube.client import Object
 
 
-def config_map(observed: Observed, understanding: WorkloadPlan, environment: Mapping[str, str]) -> Object:
+def config_map(observed: Observed, workload_plan: WorkloadPlan, environment: Mapping[str, str]) -> Object:
     """Return the ConfigMap with the monitor's settings."""
-    assert understanding.spec is not None
+    assert workload_plan.spec is not None
     workload = observed.workload
-    kind, name = source(observed, understanding)
+    kind, name = source(observed, workload_plan)
     selector: dict[str, str] = {}
     if observed.reference is not None and observed.reference.controller is not None:
         selector = observed.reference.controller["spec"]["selector"].get("matchLabels") or {}
@@ -31,12 +31,12 @@ def config_map(observed: Observed, understanding: WorkloadPlan, environment: Map
         source_name=name,
         source_selector=selector,
         ros_environment=dict(environment),
-        container_environment=instance_pod.literal_environment(understanding.template, environment),
-        instance_profiles=understanding.profiles,
+        container_environment=instance_pod.literal_environment(workload_plan.template, environment),
+        instance_profiles=workload_plan.profiles,
         tasks_problem=action_proxy_container.problem(
-            kube_objects.name(workload), understanding.spec, understanding.template
+            kube_objects.name(workload), workload_plan.spec, workload_plan.template
         ),
-        pools=choices(observed, understanding),
+        pools=choices(observed, workload_plan),
         drain=node_drain.seen(observed),
         strategies=effective_policy.chosen(observed),
         situation=_situation(observed),
@@ -52,13 +52,13 @@ def config_map(observed: Observed, understanding: WorkloadPlan, environment: Map
     }
 
 
-def choices(observed: Observed, understanding: WorkloadPlan) -> list[PoolChoice]:
+def choices(observed: Observed, workload_plan: WorkloadPlan) -> list[PoolChoice]:
     """Return the pools that the strategies name and that serve the workload, those in force first.
 
     While the policy is missing or invalid, these are the last known pools.
     """
-    assert understanding.spec is not None
-    if understanding.policy_problem is not None:
+    assert workload_plan.spec is not None
+    if workload_plan.policy_problem is not None:
         return observed.told_pools
     served = observed.serving
     present = {choice.name: choice for choice in observed.told_pools}
@@ -81,7 +81,7 @@ def choices(observed: Observed, understanding: WorkloadPlan) -> list[PoolChoice]
             name=name,
             readiness=readiness,
             template_hash=allowed,
-            reserved=pool.kept_from(understanding.spec.pool_priority),
+            reserved=pool.kept_from(workload_plan.spec.pool_priority),
             initialization=pool.initialization,
             readiness_check=pool.readiness_check,
             keep_up=keep_up,
@@ -90,10 +90,10 @@ def choices(observed: Observed, understanding: WorkloadPlan) -> list[PoolChoice]
     return found
 
 
-def source(observed: Observed, understanding: WorkloadPlan) -> tuple[str, str]:
+def source(observed: Observed, workload_plan: WorkloadPlan) -> tuple[str, str]:
     """Return kind and name of the controller that creates the workload's own pods."""
-    assert understanding.spec is not None
-    reference = understanding.spec.workload_ref
+    assert workload_plan.spec is not None
+    reference = workload_plan.spec.workload_ref
     return (reference.kind, reference.name) if reference else ("ReplicaSet", kube_objects.name(observed.workload))
 
 

@@ -46,16 +46,16 @@ class Hold:
     """End of the delay, in Unix seconds; None while no node is drained."""
 
 
-def hold(observed: Observed, understanding: WorkloadPlan) -> Hold:
+def hold(observed: Observed, workload_plan: WorkloadPlan) -> Hold:
     """Return whether evictions of the active instance are delayed for an understudy, and the reason if not."""
-    assert understanding.spec is not None
-    active, asked = observed.active, understanding.spec.draining
+    assert workload_plan.spec is not None
+    active, asked = observed.active, workload_plan.spec.draining
     if active is None:
         return Hold("NoneInControl", "there is no active instance")
     length = seconds(asked.hold_for)
     if not length:
         return Hold("NotAskedFor", "spec.draining.holdFor is 0s")
-    if not _falls_back(observed, understanding):
+    if not _falls_back(observed, workload_plan):
         return Hold(
             "NoFallback",
             "the policy has no Fallback with a pool that serves this workload, so no standby can take over first",
@@ -77,9 +77,9 @@ def hold(observed: Observed, understanding: WorkloadPlan) -> Hold:
     return Hold("Held", "", holds=True, until=until)
 
 
-def _falls_back(observed: Observed, understanding: WorkloadPlan) -> bool:
+def _falls_back(observed: Observed, workload_plan: WorkloadPlan) -> bool:
     """Whether its policy has a pool that serves it. While the policy is missing or invalid, whether it had one."""
-    if understanding.policy_problem is not None:
+    if workload_plan.policy_problem is not None:
         return bool(observed.told_pools)
     served = observed.serving
     return any(name in served for name in effective_policy.named_pools(effective_policy.strategies(observed)))
@@ -95,12 +95,12 @@ def budget(workload: str, active: Object) -> Object:
     return pool_evictions.keeping(names.in_control(workload), 1, chosen)
 
 
-def conditions(observed: Observed, understanding: WorkloadPlan) -> list[Condition]:
+def conditions(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
     """Return the condition Draining; empty unless the node is drained."""
     active, drain = observed.active, seen(observed)
-    if understanding.spec is None or drain is None or active is None:
+    if workload_plan.spec is None or drain is None or active is None:
         return []
-    found, generation = hold(observed, understanding), kube_objects.generation(observed.workload)
+    found, generation = hold(observed, workload_plan), kube_objects.generation(observed.workload)
     told = f"Node {drain.node}, where the active instance {kube_objects.name(active)} runs, is cordoned."
     if not found.holds:
         then = f"Evictions of this instance are not delayed: {found.message}."

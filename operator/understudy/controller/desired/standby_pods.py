@@ -44,9 +44,9 @@ def own_stands_by(observed: Observed) -> bool:
     return stand_ins.may_stand_in(observed.workload, observed.policy)
 
 
-def keep(made: Plan, observed: Observed, understanding: WorkloadPlan, pool: str, fresh: Fresh) -> None:
+def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str, fresh: Fresh) -> None:
     """Keep as many standbys of a pool as the workload should have, with the current template."""
-    workload, gate, built = observed.workload, observed.gate, understanding.builts[pool]
+    workload, gate, built = observed.workload, observed.gate, workload_plan.builts[pool]
     owner = kube_objects.owner("RobotWorkload", workload)
     if observed.refused(pool) is not None:
         return
@@ -62,7 +62,7 @@ def keep(made: Plan, observed: Observed, understanding: WorkloadPlan, pool: str,
         # The pod with which a referred controller replaces the failed one has no agent, so it cannot be the standby.
         want += sum(kube_objects.is_active(pod, gate) for pod in mine) if want else 0
     elif want:
-        more, replaced = _renewed(observed, understanding, pool, mine, want)
+        more, replaced = _renewed(observed, workload_plan, pool, mine, want)
         want, spared = want + more, _spared(observed, pool)
         made.writes += [Delete(PODS, pod) for pod in replaced]
     change = pod_counts.change(
@@ -86,7 +86,7 @@ def keep(made: Plan, observed: Observed, understanding: WorkloadPlan, pool: str,
 
 
 def _renewed(
-    observed: Observed, understanding: WorkloadPlan, pool: str, mine: Sequence[Object], want: int
+    observed: Observed, workload_plan: WorkloadPlan, pool: str, mine: Sequence[Object], want: int
 ) -> tuple[int, list[Object]]:
     """Return the number of extra standbys during a replacement, and the workload's own pods that can be deleted.
 
@@ -96,11 +96,11 @@ def _renewed(
     If the pod stands in for no standby (for example, if a pod of a shared pool is active), the wanted standbys exist in
     addition to it. It is then deleted only because of its template, when a pool's standbys are ready.
     """
-    gate, present = observed.gate, instance_pod.template_hash(understanding.builts[pool])
+    gate, present = observed.gate, instance_pod.template_hash(workload_plan.builts[pool])
     if observed.active is None or kube_objects.labels(observed.active).get(names.SOURCE) == "workload":
         return 0, []
     displaced = stand_ins.displaced(gate, observed.pods)
-    own = instance_pod.template_hash(understanding.builts[""])
+    own = instance_pod.template_hash(workload_plan.builts[""])
     found = [pod for pod in observed.pods if stand_ins.is_own(pod)]
     outdated = [pod for pod in found if pod_counts.hash_of(pod) != own]
     moving = [
@@ -108,7 +108,7 @@ def _renewed(
     ]
     if not outdated and not moving:
         return 0, []
-    if displaced != pool and pool != _first_kept(observed, understanding, displaced):
+    if displaced != pool and pool != _first_kept(observed, workload_plan, displaced):
         return 0, []
     ready = [
         pod
@@ -143,14 +143,14 @@ def _spared(observed: Observed, pool: str) -> int:
     return int(not any(kube_objects.ready(pod) for pod in observed.pods if stand_ins.is_own(pod)))
 
 
-def _first_kept(observed: Observed, understanding: WorkloadPlan, displaced: str) -> str:
+def _first_kept(observed: Observed, workload_plan: WorkloadPlan, displaced: str) -> str:
     """Return the pool whose standbys decide when a pod that stands in for none is deleted.
 
     It is the first pool that keeps standbys. It is empty if there is none, or if the displaced pool keeps some.
     """
     kept = [
         name
-        for name in sorted(understanding.builts)
+        for name in sorted(workload_plan.builts)
         if name and observed.refused(name) is None and wanted(observed, name)
     ]
     return kept[0] if kept and displaced not in kept else ""
@@ -181,14 +181,14 @@ def scale(made: Plan, observed: Observed) -> None:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))
 
 
-def awaited(observed: Observed, understanding: WorkloadPlan) -> str | None:
+def awaited(observed: Observed, workload_plan: WorkloadPlan) -> str | None:
     """Return why the ReplicaSet does not receive the current template yet, or None.
 
     A restart must not fail because of a template that cannot start. So if there are standbys, one of the new template
     must be ready first. While a standby is active, there is none to go first.
     """
     built, live = (
-        understanding.builts.get(""),
+        workload_plan.builts.get(""),
         observed.owned.get(("replicasets", kube_objects.name(observed.workload))),
     )
     if built is None or live is None:
@@ -200,7 +200,7 @@ def awaited(observed: Observed, understanding: WorkloadPlan) -> str | None:
     ):
         return None
     pools_first = {
-        name: instance_pod.template_hash(understanding.builts[name])
+        name: instance_pod.template_hash(workload_plan.builts[name])
         for name in observed.standby_pools
         if _kept(observed, name)
     }

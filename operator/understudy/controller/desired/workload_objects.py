@@ -47,33 +47,33 @@ SWEPT = (DEPLOYMENTS, SERVICES)
 """Resources of which a workload's unneeded objects are deleted (the discovery server)."""
 
 
-def plan(observed: Observed, understanding: WorkloadPlan, images: Images, fresh: Fresh) -> Plan:
+def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh: Fresh) -> Plan:
     """Return the writes for a workload."""
     made = Plan()
-    workload, spec = observed.workload, understanding.spec
+    workload, spec = observed.workload, workload_plan.spec
     if kube_objects.deleted(workload):
         return made
     if not observed.rivals:
         # With rivals, both workloads would label the same pods in turn, and each time fence the active instance.
         made.writes += workload_reference.labelling(kube_objects.name(workload), observed.pods, observed.reference)
-    if understanding.problem is not None or spec is None:
+    if workload_plan.problem is not None or spec is None:
         return made
     _discover(made, observed, spec, images)
-    environment = understanding.environment
+    environment = workload_plan.environment
     if environment is None:
         return made
     _gate(made, observed, spec)
-    _hold(made, observed, understanding)
-    _configure(made, observed, understanding, environment)
-    _monitor(made, observed, understanding, images, environment)
+    _hold(made, observed, workload_plan)
+    _configure(made, observed, workload_plan, environment)
+    _monitor(made, observed, workload_plan, images, environment)
     if spec.template is not None:
-        if standby_pods.awaited(observed, understanding) is None:
-            body = instance_pod.replica_set(understanding.builts[""], kube_objects.name(workload))
+        if standby_pods.awaited(observed, workload_plan) is None:
+            body = instance_pod.replica_set(workload_plan.builts[""], kube_objects.name(workload))
             made.writes.append(_ours(observed, REPLICA_SETS, body))
         standby_pods.scale(made, observed)
-    for pool in sorted(understanding.builts):
+    for pool in sorted(workload_plan.builts):
         if pool:
-            standby_pods.keep(made, observed, understanding, pool, fresh)
+            standby_pods.keep(made, observed, workload_plan, pool, fresh)
     if ("secrets", names.agent_secret(kube_objects.name(workload))) not in observed.owned:
         secret = ownership.token(names.agent_secret(kube_objects.name(workload)), fresh.token())
         owner = kube_objects.owner("RobotWorkload", workload)
@@ -132,13 +132,13 @@ def _gate(made: Plan, observed: Observed, spec: RobotWorkloadSpec) -> None:
         made.writes.append(Patch(kind.resource, gate, repair))
 
 
-def _hold(made: Plan, observed: Observed, understanding: WorkloadPlan) -> None:
+def _hold(made: Plan, observed: Observed, workload_plan: WorkloadPlan) -> None:
     """Maintain the budget of the active instance.
 
     During a recovery, when none is active, it stays unchanged and selects nothing.
     """
     found, active, name = (
-        node_drain.hold(observed, understanding),
+        node_drain.hold(observed, workload_plan),
         observed.active,
         kube_objects.name(observed.workload),
     )
@@ -153,30 +153,30 @@ def _hold(made: Plan, observed: Observed, understanding: WorkloadPlan) -> None:
         made.later(max(0.0, found.until - observed.now))
 
 
-def _configure(made: Plan, observed: Observed, understanding: WorkloadPlan, environment: Mapping[str, str]) -> None:
-    assert understanding.spec is not None
+def _configure(made: Plan, observed: Observed, workload_plan: WorkloadPlan, environment: Mapping[str, str]) -> None:
+    assert workload_plan.spec is not None
     name = kube_objects.name(observed.workload)
-    spec = understanding.spec
+    spec = workload_plan.spec
     for body in ros_environment.config_maps(name, environment, spec.outputs, spec.gate.reflex):
         made.writes.append(_ours(observed, CONFIG_MAPS, body))
-    if understanding.profiles:
+    if workload_plan.profiles:
         made.writes.append(
-            _ours(observed, CONFIG_MAPS, action_proxy_container.profiles_map(name, understanding.profiles))
+            _ours(observed, CONFIG_MAPS, action_proxy_container.profiles_map(name, workload_plan.profiles))
         )
-    made.writes.append(_ours(observed, CONFIG_MAPS, monitor_config.config_map(observed, understanding, environment)))
+    made.writes.append(_ours(observed, CONFIG_MAPS, monitor_config.config_map(observed, workload_plan, environment)))
 
 
 def _monitor(
-    made: Plan, observed: Observed, understanding: WorkloadPlan, images: Images, environment: Mapping[str, str]
+    made: Plan, observed: Observed, workload_plan: WorkloadPlan, images: Images, environment: Mapping[str, str]
 ) -> None:
-    spec = understanding.spec
+    spec = workload_plan.spec
     assert spec is not None
     name, namespace = kube_objects.name(observed.workload), observed.workload["metadata"]["namespace"]
     profiles = ros_environment.config_maps(name, environment, spec.outputs, spec.gate.reflex)[1]["data"][
         ros_environment.PROFILES_KEY
     ]
     live = observed.owned.get((DEPLOYMENTS.plural, names.monitor(name)))
-    if understanding.policy_problem is not None:
+    if workload_plan.policy_problem is not None:
         claim = monitor_deployment.claimed(live)
     else:
         claim = policy_reader.spec(observed.policies[spec.failure_policy_ref.name]).state.storage.claim_name
@@ -193,9 +193,9 @@ def _monitor(
     )
     for kind, granted in monitor_deployment.access(
         name,
-        source=monitor_config.source(observed, understanding),
+        source=monitor_config.source(observed, workload_plan),
         policy=spec.failure_policy_ref.name if monitor_deployment.asks_by_name(observed.workload, live, body) else None,
-        pools=_commanded(observed, understanding),
+        pools=_commanded(observed, workload_plan),
         upstream=[one.name for one in dependency_graph.upstream(observed.dependencies, name)],
         gate=registry.of(observed.workload),
     ):
@@ -203,7 +203,7 @@ def _monitor(
     made.writes.append(_ours(observed, DEPLOYMENTS, body))
 
 
-def _commanded(observed: Observed, understanding: WorkloadPlan) -> list[str]:
+def _commanded(observed: Observed, workload_plan: WorkloadPlan) -> list[str]:
     """Return the shared pools whose agents the monitor commands.
 
     These are the pools of its strategies, and those of pods that it has or may have. A claimed pod stays when its pool
@@ -212,7 +212,7 @@ def _commanded(observed: Observed, understanding: WorkloadPlan) -> list[str]:
     the right before, or if the pool's selector gives it.
     """
     chosen = {
-        choice.name for choice in monitor_config.choices(observed, understanding) if choice.readiness == "Uninitialized"
+        choice.name for choice in monitor_config.choices(observed, workload_plan) if choice.readiness == "Uninitialized"
     }
     had = monitor_deployment.commanded(
         observed.owned.get((ROLES.plural, names.monitor(kube_objects.name(observed.workload))))

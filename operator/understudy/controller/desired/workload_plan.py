@@ -39,7 +39,7 @@ class WorkloadPlan:
     """Built pod templates: of the workload's own ReplicaSet ("") and of the standbys of each pool."""
 
 
-def understand(observed: Observed, images: Images) -> WorkloadPlan:
+def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
     """Evaluate a workload's spec, before the API server validates its template."""
     workload = observed.workload
     name, namespace = kube_objects.name(workload), workload["metadata"]["namespace"]
@@ -100,11 +100,11 @@ def understand(observed: Observed, images: Images) -> WorkloadPlan:
     return WorkloadPlan(spec, None, policy, template, environment, profiles, builts)
 
 
-def probe_template(observed: Observed, understanding: WorkloadPlan) -> Object | None:
+def probe_template(observed: Observed, workload_plan: WorkloadPlan) -> Object | None:
     """Return a pod with which the API server can validate the template; None if no template was built."""
-    if not understanding.builts:
+    if not workload_plan.builts:
         return None
-    return instance_pod.trial(understanding.builts[min(understanding.builts)], "RobotWorkload", observed.workload)
+    return instance_pod.trial(workload_plan.builts[min(workload_plan.builts)], "RobotWorkload", observed.workload)
 
 
 def _policy_problem(observed: Observed, spec: RobotWorkloadSpec) -> Problem | None:

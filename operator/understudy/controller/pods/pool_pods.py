@@ -100,7 +100,7 @@ def queue(pool: str, gates: Sequence[Object], now: float) -> list[Waiter]:
     return in_order(found, pool, now)
 
 
-def understand(observed: Observed, images: Images) -> PoolPlan:
+def evaluate(observed: Observed, images: Images) -> PoolPlan:
     """Evaluate a pool's spec, before the API server validates its template."""
     pool = observed.pool
     refused = pool_reader.problem(pool)
@@ -156,14 +156,14 @@ class Fresh:
     token: Callable[[], str] = field(repr=False)
 
 
-def plan(observed: Observed, understanding: PoolPlan, fresh: Fresh) -> Plan:
+def plan(observed: Observed, pool_plan: PoolPlan, fresh: Fresh) -> Plan:
     """Return the writes for a pool. Claimed pods are never among them.
 
     If the spec is not accepted, no pods are created or deleted.
     """
     made = Plan()
-    spec, built = understanding.spec, understanding.built
-    if understanding.problem is not None or spec is None or built is None or kube_objects.deleted(observed.pool):
+    spec, built = pool_plan.spec, pool_plan.built
+    if pool_plan.problem is not None or spec is None or built is None or kube_objects.deleted(observed.pool):
         made.writes += claim_tokens.release(kube_objects.name(observed.pool), observed.secret)
         if any(leaving_nodes.on(pod, observed.leaving) for pod in observed.pods):
             _let_go(made, observed)  # there will be no replacements
@@ -174,7 +174,7 @@ def plan(observed: Observed, understanding: PoolPlan, fresh: Fresh) -> Plan:
     present = instance_pod.template_hash(built)
     made.writes += claim_tokens.keep(name, pool["metadata"]["namespace"], observed.secret, fresh.token)
     living = [pod for pod in held if kube_objects.alive(pod)]
-    want = pool_size.wanted(spec, understanding.sized)
+    want = pool_size.wanted(spec, pool_plan.sized)
     update = _update(spec, want)
     # The network policy that names the claimable pods is written before other pods are deleted.
     policy = isolation.held_pods(name, pod_counts.claimable(living, present, update))
@@ -203,7 +203,7 @@ def plan(observed: Observed, understanding: PoolPlan, fresh: Fresh) -> Plan:
         made.later(change.again_after)
     for one in observed.waiting:  # a monitor that is gone leaves its wait entry behind
         made.later(one.until - observed.now)
-    if understanding.sized is not None:
+    if pool_plan.sized is not None:
         made.later(pool_size.LOOK_AGAIN)
     return made
 

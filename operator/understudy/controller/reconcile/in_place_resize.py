@@ -38,10 +38,10 @@ class Outcome:
     write: Patch | None = None
 
 
-def outcomes(observed: Observed, understanding: WorkloadPlan) -> list[Outcome]:
+def outcomes(observed: Observed, workload_plan: WorkloadPlan) -> list[Outcome]:
     """Return the progress of the policy's resizes on the active pod; empty while the workload is not degraded."""
-    pod, spec = observed.resized, understanding.spec
-    if pod is None or spec is None or understanding.policy_problem is not None:
+    pod, spec = observed.resized, workload_plan.spec
+    if pod is None or spec is None or workload_plan.policy_problem is not None:
         return []
     asked = degraded_measures.actions(observed.policies.get(spec.failure_policy_ref.name))
     return [_outcome(pod, index, action.resize) for index, action in enumerate(asked) if action.resize is not None]

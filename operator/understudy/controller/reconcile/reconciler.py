@@ -12,7 +12,7 @@ from understudy.api import names
 from understudy.api.base import API_VERSION
 from understudy.api.conditions import Condition
 from understudy.controller.desired import node_drain, workload_objects
-from understudy.controller.desired.workload_plan import WorkloadPlan, probe_template, understand
+from understudy.controller.desired.workload_plan import WorkloadPlan, evaluate, probe_template
 from understudy.controller.observed import dependency_graph, kube_objects, policy_reader
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import UNANSWERED, Images, Problem
@@ -140,37 +140,37 @@ class Reconciler:
                 self._executor.forget(key)
             return None
         observed = await self._observer.workload(item)
-        understanding = understand(observed, self._images)
+        workload_plan = evaluate(observed, self._images)
         try:
-            return await self._build(key, observed, understanding)
+            return await self._build(key, observed, workload_plan)
         except ApiError as error:
             if (problem := _unanswered(error)) is not None:
-                resized = in_place_resize.judged(observed, in_place_resize.outcomes(observed, understanding))
-                await self._tell(WORKLOADS, item, workload_status.status(observed, understanding, [problem], resized))
+                resized = in_place_resize.judged(observed, in_place_resize.outcomes(observed, workload_plan))
+                await self._tell(WORKLOADS, item, workload_status.status(observed, workload_plan, [problem], resized))
             raise
 
-    async def _build(self, key: Key, observed: Observed, understanding: WorkloadPlan) -> float | None:
+    async def _build(self, key: Key, observed: Observed, workload_plan: WorkloadPlan) -> float | None:
         again = None
-        if (pod := probe_template(observed, understanding)) is not None:
+        if (pod := probe_template(observed, workload_plan)) is not None:
             path = "spec.template" if observed.reference is None else "the referred controller's spec.template"
             refusal = await self._judge.judge(pod, path)
             if refusal is not None:
-                understanding = dataclasses.replace(understanding, problem=refusal)
+                workload_plan = dataclasses.replace(workload_plan, problem=refusal)
                 again = FORGET_REFUSAL
-        plan = workload_objects.plan(observed, understanding, self._images, self._fresh)
+        plan = workload_objects.plan(observed, workload_plan, self._images, self._fresh)
         writes, turn = self._rollouts.admitted(key, plan.writes)
         problems = await self._executor.run(key, writes)
-        raised = await self._resize(key, observed, understanding)
+        raised = await self._resize(key, observed, workload_plan)
         if problems or any(one.reason == "Refused" for one in raised):
             again = FORGET_REFUSAL
         observed = self._seen(observed)
-        status = workload_status.status(observed, understanding, problems, in_place_resize.judged(observed, raised))
+        status = workload_status.status(observed, workload_plan, problems, in_place_resize.judged(observed, raised))
         return _earliest(plan.again_after, again, turn, await self._tell(WORKLOADS, observed.workload, status))
 
-    async def _resize(self, key: Key, observed: Observed, understanding: WorkloadPlan) -> list[in_place_resize.Outcome]:
+    async def _resize(self, key: Key, observed: Observed, workload_plan: WorkloadPlan) -> list[in_place_resize.Outcome]:
         """Resize the active pod as requested. A refusal of the API server does not affect the other writes."""
         found = []
-        for outcome in in_place_resize.outcomes(observed, understanding):
+        for outcome in in_place_resize.outcomes(observed, workload_plan):
             writes = [outcome.write] if outcome.write is not None else []
             problems = await self._executor.run(key, writes)
             found.append(in_place_resize.refused(outcome, problems[0]) if problems else outcome)
@@ -182,23 +182,23 @@ class Reconciler:
 
     async def _pool(self, key: Key, item: Object) -> float | None:
         observed = await self._observer.pool(item)
-        understanding = pool_pods.understand(observed, self._images)
+        pool_plan = pool_pods.evaluate(observed, self._images)
         try:
-            return await self._keep(key, observed, understanding)
+            return await self._keep(key, observed, pool_plan)
         except ApiError as error:
             if (problem := _unanswered(error)) is not None:
-                await self._count(key, item, pool_status.status(observed, understanding, [problem]))
+                await self._count(key, item, pool_status.status(observed, pool_plan, [problem]))
             raise  # The queue then tries again, and the status is written if it was postponed.
 
-    async def _keep(self, key: Key, observed: pool_pods.Observed, understanding: pool_pods.PoolPlan) -> float | None:
+    async def _keep(self, key: Key, observed: pool_pods.Observed, pool_plan: pool_pods.PoolPlan) -> float | None:
         item, again = observed.pool, None
-        if understanding.built is not None:
-            trial = instance_pod.trial(understanding.built, "FallbackPool", item)
+        if pool_plan.built is not None:
+            trial = instance_pod.trial(pool_plan.built, "FallbackPool", item)
             refusal = await self._judge.judge(trial, "the pool's template")
             if refusal is not None:
-                understanding = dataclasses.replace(understanding, problem=refusal, built=None)
+                pool_plan = dataclasses.replace(pool_plan, problem=refusal, built=None)
                 again = FORGET_REFUSAL
-        plan = pool_pods.plan(observed, understanding, self._fresh)
+        plan = pool_pods.plan(observed, pool_plan, self._fresh)
         problems = await self._executor.run(key, plan.writes)
         if problems:
             again = FORGET_REFUSAL
@@ -207,9 +207,9 @@ class Reconciler:
             owned=self._store.owned(kube_objects.uid(item)),
             pods=self._store.labelled(PODS, key.namespace, names.POOL, key.name),
         )
-        later = await self._count(key, item, pool_status.status(seen, understanding, problems))
-        self._measure(key, understanding.sized)
-        if understanding.sized is not None and (told := pool_size.change(understanding.sized)) is not None:
+        later = await self._count(key, item, pool_status.status(seen, pool_plan, problems))
+        self._measure(key, pool_plan.sized)
+        if pool_plan.sized is not None and (told := pool_size.change(pool_plan.sized)) is not None:
             await self._recorder.normal(item, "Resized", told)
         return _earliest(plan.again_after, again, later)
 

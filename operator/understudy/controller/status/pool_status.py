@@ -61,19 +61,19 @@ def _held(observed: pool_pods.Observed) -> list[Object]:
     ]
 
 
-def status(observed: pool_pods.Observed, understanding: pool_pods.PoolPlan, problems: Sequence[Problem]) -> Object:
+def status(observed: pool_pods.Observed, pool_plan: pool_pods.PoolPlan, problems: Sequence[Problem]) -> Object:
     """Return the pool's status, without the times of its conditions."""
-    pool, spec = observed.pool, understanding.spec
+    pool, spec = observed.pool, pool_plan.spec
     generation = kube_objects.generation(pool)
     # A webhook that does not answer says nothing about the pool.
-    found = understanding.problem or next((one for one in problems if one.reason != UNANSWERED), None)
+    found = pool_plan.problem or next((one for one in problems if one.reason != UNANSWERED), None)
     if found is not None:
         accepted = condition("Accepted", False, found.reason, found.message, generation=generation)
     else:
         accepted = condition("Accepted", True, "Accepted", "The spec is valid.", generation=generation)
     result: Object = {"observedGeneration": generation}
     if spec is not None:
-        counts = count(observed, spec, understanding.sized)
+        counts = count(observed, spec, pool_plan.sized)
         result |= {
             "replicas": counts.replicas,
             "desired": counts.desired,
@@ -85,13 +85,13 @@ def status(observed: pool_pods.Observed, understanding: pool_pods.PoolPlan, prob
         if spec.readiness == "Uninitialized":
             result["waiting"] = len(observed.waiting)
             conditions.append(_available(observed, spec, counts))
-            if understanding.built is not None:
-                present = instance_pod.template_hash(understanding.built)
+            if pool_plan.built is not None:
+                present = instance_pod.template_hash(pool_plan.built)
                 result["updated"] = sum(pod_counts.hash_of(pod) == present for pod in _held(observed))
                 conditions.append(_updated(observed, spec, counts, result["updated"]))
-        if understanding.sized is not None:
-            result |= pool_size.status(understanding.sized)
-            conditions.append(pool_size.judged(pool, understanding.sized))
+        if pool_plan.sized is not None:
+            result |= pool_size.status(pool_plan.sized)
+            conditions.append(pool_size.judged(pool, pool_plan.sized))
         conditions += _moving(observed)
     else:
         result |= pool_size.last(pool)

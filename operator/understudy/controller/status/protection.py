@@ -43,7 +43,7 @@ class Considered:
     availability: Availability
 
 
-def protected(observed: Observed, understanding: WorkloadPlan) -> Condition:
+def protected(observed: Observed, workload_plan: WorkloadPlan) -> Condition:
     """Return the condition Protected.
 
     It reports whether the policy's first strategy could run at a failure now, and what is missing if not.
@@ -56,11 +56,11 @@ def protected(observed: Observed, understanding: WorkloadPlan) -> Condition:
     unwatched = "If it failed now, nobody would notice"
     name = kube_objects.name(observed.workload)
     if observed.gate is None:
-        problem = understanding.problem or understanding.policy_problem
+        problem = workload_plan.problem or workload_plan.policy_problem
         if problem is not None:
             return no(problem.reason, problem.message, f"{unwatched}: nothing was created yet.")
         return no("GateMissing", f"the gate {names.gate(name)} does not exist", f"{unwatched}: it is being created.")
-    if (refused := understanding.policy_problem) is not None:
+    if (refused := workload_plan.policy_problem) is not None:
         return no(refused.reason, refused.message, "What was created before stays as it is.")
     if not any(kube_objects.ready(pod) for pod in observed.monitors):
         trouble = pod_diagnosis.first(observed.monitors)
@@ -71,7 +71,7 @@ def protected(observed: Observed, understanding: WorkloadPlan) -> Condition:
             return no(
                 prevention.decision.reason, prevention.limit.words, f"If it failed now, {prevention.row.outlook}."
             )
-    found = considered(observed, understanding)
+    found = considered(observed, workload_plan)
     outlook = _outlook(found)
     if not any(kube_objects.ready(pod) for pod in observed.instances) and (
         trouble := pod_diagnosis.first(observed.instances)
@@ -91,10 +91,10 @@ def reported_limits(observed: Observed) -> LimitsInForce:
     return LimitsInForce(pause=reported.get(("Paused", "True")), budget=reported.get(("WithinBudget", "False")))
 
 
-def considered(observed: Observed, understanding: WorkloadPlan) -> list[Considered]:
+def considered(observed: Observed, workload_plan: WorkloadPlan) -> list[Considered]:
     """Return the strategies that count now, in the policy's order; empty while the policy is missing or invalid."""
-    there, found = resources(observed, understanding), []
-    for strategy in _strategies(observed, understanding):
+    there, found = resources(observed, workload_plan), []
+    for strategy in _strategies(observed, workload_plan):
         if strategy.pool_ref is None:
             found.append(Considered(strategy, strategy.type, availability.restart(there)))
         else:
@@ -103,19 +103,19 @@ def considered(observed: Observed, understanding: WorkloadPlan) -> list[Consider
     return found
 
 
-def resources(observed: Observed, understanding: WorkloadPlan) -> Resources:
+def resources(observed: Observed, workload_plan: WorkloadPlan) -> Resources:
     """Return the resources that a workload's strategies need, from the objects around it."""
-    named = {s.pool_ref.name for s in _strategies(observed, understanding) if s.pool_ref is not None}
+    named = {s.pool_ref.name for s in _strategies(observed, workload_plan) if s.pool_ref is not None}
     pools = {name: item for name, item in observed.pools.items() if name in named and not kube_objects.deleted(item)}
     return Resources(
-        pools={name: _pool(observed, understanding, item) for name, item in pools.items()},
-        discovery=_discovery(observed, understanding),
+        pools={name: _pool(observed, workload_plan, item) for name, item in pools.items()},
+        discovery=_discovery(observed, workload_plan),
         restart=_restart(observed),
         hints={name: kube_objects.hint(name, observed.pools) for name in named - set(pools)},
     )
 
 
-def stocked(observed: Observed, understanding: WorkloadPlan) -> Object:
+def stocked(observed: Observed, workload_plan: WorkloadPlan) -> Object:
     """Return the status field with the shared pools from which a pod could be claimed, in order, at most ``STOCKED_MOST``.
 
     The monitor relies on it until it needs a pod, and reads the pool only then.
@@ -123,19 +123,19 @@ def stocked(observed: Observed, understanding: WorkloadPlan) -> Object:
     shared = [p for p in observed.pools if pool_reader.readiness(observed.pools[p]) == "Uninitialized"]
     found = [
         one.strategy.pool_ref.name
-        for one in considered(observed, understanding)
+        for one in considered(observed, workload_plan)
         if one.strategy.pool_ref is not None and one.strategy.pool_ref.name in shared and one.availability.available
     ]
     return {"stocked": found[:STOCKED_MOST]} if found else {}
 
 
-def standby(observed: Observed, understanding: WorkloadPlan) -> str:
+def standby(observed: Observed, workload_plan: WorkloadPlan) -> str:
     """Return the printed column Standby.
 
     It has the readiness of the first pool that serves the workload, and its numbers of ready and wanted instances.
     """
     served = observed.serving
-    for strategy in _strategies(observed, understanding):
+    for strategy in _strategies(observed, workload_plan):
         name = strategy.pool_ref.name if strategy.pool_ref else ""
         if name not in served:
             continue
@@ -151,7 +151,7 @@ def standby(observed: Observed, understanding: WorkloadPlan) -> str:
             held = observed.unclaimed.get(name, ())
             have = len(pool_pods.claimable_now(held, observed.held_policies.get(name)))
             return f"Uninitialized ({min(have, want)}/{want})"
-    if understanding.policy_problem is not None or understanding.spec is None:
+    if workload_plan.policy_problem is not None or workload_plan.spec is None:
         known: str = (observed.workload.get("status") or {}).get("standby") or "Unknown"
         return known
     return "None"
@@ -180,10 +180,10 @@ def _outlook(found: Sequence[Considered]) -> str:
     return f"If it failed now, {first.name} would be used{details}."
 
 
-def _strategies(observed: Observed, understanding: WorkloadPlan) -> list[Strategy]:
-    if understanding.spec is None or understanding.policy_problem is not None:
+def _strategies(observed: Observed, workload_plan: WorkloadPlan) -> list[Strategy]:
+    if workload_plan.spec is None or workload_plan.policy_problem is not None:
         return []
-    policy = observed.policies[understanding.spec.failure_policy_ref.name]
+    policy = observed.policies[workload_plan.spec.failure_policy_ref.name]
     found = effective_policy.strategies(observed)
     on_demand = degraded_measures.prewarms(policy)
     awake = [s for s in found if s.pool_ref is None or not _asleep(observed, s.pool_ref.name, on_demand)]
@@ -208,7 +208,7 @@ def _made(observed: Observed, pool: str) -> list[Object]:
     return [pod for pod in found if not kube_objects.is_active(pod, observed.gate)]
 
 
-def _pool(observed: Observed, understanding: WorkloadPlan, item: Object) -> Pool:
+def _pool(observed: Observed, workload_plan: WorkloadPlan, item: Object) -> Pool:
     """Return what a workload could use from a pool."""
     readiness, serves = pool_reader.readiness(item), pool_reader.serves(item, observed.workload)
     name = kube_objects.name(item)
@@ -228,7 +228,7 @@ def _pool(observed: Observed, understanding: WorkloadPlan, item: Object) -> Pool
         )
     if readiness == "Uninitialized":
         unclaimed = observed.unclaimed.get(name, ())
-        priority = understanding.spec.pool_priority if understanding.spec is not None else 0
+        priority = workload_plan.spec.pool_priority if workload_plan.spec is not None else 0
         return Pool(
             readiness=readiness,
             serves=serves,
@@ -249,9 +249,9 @@ def _problem(pods: Sequence[Object]) -> Problem | None:
     return Problem(found.reason, found.message) if found is not None else None
 
 
-def _discovery(observed: Observed, understanding: WorkloadPlan) -> Problem | None:
+def _discovery(observed: Observed, workload_plan: WorkloadPlan) -> Problem | None:
     """Return why an instance that starts now could not find its robot. A running instance has found it already."""
-    spec = understanding.spec
+    spec = workload_plan.spec
     if spec is None or spec.ros.discovery.mode != "Managed" or any(map(kube_objects.ready, observed.discovery)):
         return None
     server = names.discovery(kube_objects.name(observed.workload))

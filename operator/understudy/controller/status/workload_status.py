@@ -47,7 +47,7 @@ CHOSEN = "StrategiesChosen"
 
 
 def status(
-    observed: Observed, understanding: WorkloadPlan, problems: Sequence[Problem], resized: Condition | None = None
+    observed: Observed, workload_plan: WorkloadPlan, problems: Sequence[Problem], resized: Condition | None = None
 ) -> Object:
     """Return the operator's part of a workload's status, without the times of its conditions.
 
@@ -55,20 +55,20 @@ def status(
     """
     workload = observed.workload
     conditions = [
-        _accepted(observed, understanding, problems),
-        _reconciled(observed, understanding, problems),
-        protection.protected(observed, understanding),
-        *_chosen(observed, understanding),
-        *_situation(observed, understanding),
+        _accepted(observed, workload_plan, problems),
+        _reconciled(observed, workload_plan, problems),
+        protection.protected(observed, workload_plan),
+        *_chosen(observed, workload_plan),
+        *_situation(observed, workload_plan),
         *dependency_graph.resolved(observed.dependencies, workload),
         *([resized] if resized is not None else []),
-        *node_drain.conditions(observed, understanding),
+        *node_drain.conditions(observed, workload_plan),
     ]
     return {
         "observedGeneration": kube_objects.generation(workload),
-        "standby": protection.standby(observed, understanding),
-        **protection.stocked(observed, understanding),
-        **_order(observed, understanding),
+        "standby": protection.standby(observed, workload_plan),
+        **protection.stocked(observed, workload_plan),
+        **_order(observed, workload_plan),
         "conditions": [c.to_wire() for c in conditions],
     }
 
@@ -97,28 +97,28 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     return found
 
 
-def _accepted(observed: Observed, understanding: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
+def _accepted(observed: Observed, workload_plan: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
     generation = kube_objects.generation(observed.workload)
     taken = next((p for p in problems if p.reason in ("NameTaken", "TemplateInvalid")), None)
-    found = understanding.problem or understanding.policy_problem or taken
+    found = workload_plan.problem or workload_plan.policy_problem or taken
     if found is not None:
         return condition("Accepted", False, found.reason, found.message, generation=generation)
     return condition("Accepted", True, "Accepted", "The spec and the policy are valid.", generation=generation)
 
 
-def _reconciled(observed: Observed, understanding: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
+def _reconciled(observed: Observed, workload_plan: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
     generation = kube_objects.generation(observed.workload)
 
     def no(reason: str, message: str) -> Condition:
         return condition("Reconciled", False, reason, message, generation=generation)
 
-    if understanding.problem is not None:
+    if workload_plan.problem is not None:
         return no("NotAccepted", "The spec is invalid: see Accepted. Existing objects stay unchanged.")
     if problems:
         return no(problems[0].reason, "; ".join(problem.message for problem in problems))
-    if understanding.environment is None:
+    if workload_plan.environment is None:
         return no("InProgress", "Waiting for the address of the discovery server's Service.")
-    kept = standby_pods.awaited(observed, understanding)
+    kept = standby_pods.awaited(observed, workload_plan)
     if found := pod_diagnosis.first(observed.instances):
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
@@ -126,9 +126,9 @@ def _reconciled(observed: Observed, understanding: WorkloadPlan, problems: Seque
     return condition("Reconciled", True, "Reconciled", "All objects match the spec.", generation=generation)
 
 
-def _order(observed: Observed, understanding: WorkloadPlan) -> Object:
+def _order(observed: Observed, workload_plan: WorkloadPlan) -> Object:
     """Return the strategies in force, in short form; the last known ones while the policy is missing or invalid."""
-    if understanding.spec is None or understanding.policy_problem is not None:
+    if workload_plan.spec is None or workload_plan.policy_problem is not None:
         known = (observed.workload.get("status") or {}).get("strategies")
         return {"strategies": known} if known else {}
     return {"strategies": ", ".join(_short(observed, one) for one in effective_policy.strategies(observed))}
@@ -147,18 +147,18 @@ def takes_from(strategies: str, pool: str) -> bool:
     return f"({pool})" in strategies
 
 
-def _chosen(observed: Observed, understanding: WorkloadPlan) -> list[Condition]:
+def _chosen(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
     """Return the condition for the selected order, if the policy leaves it open.
 
     While the policy is missing or invalid, the last condition stays.
     """
-    if understanding.spec is None or understanding.policy_problem is not None:
+    if workload_plan.spec is None or workload_plan.policy_problem is not None:
         live = (observed.workload.get("status") or {}).get("conditions") or []
         return [Condition.model_validate(one) for one in live if one["type"] == CHOSEN]
     order = effective_policy.order(observed)
     if order is None:
         return []
-    told, present = order_explanation.explain(order), _order(observed, understanding)["strategies"]
+    told, present = order_explanation.explain(order), _order(observed, workload_plan)["strategies"]
     if present != order_explanation.one_line(order):
         told += f" Until the recovery in progress ends, the order stays {present}."
     met = not order_explanation.unmet_requirements(order)
@@ -166,19 +166,19 @@ def _chosen(observed: Observed, understanding: WorkloadPlan) -> list[Condition]:
     return [condition(CHOSEN, met, why, told, generation=kube_objects.generation(observed.workload))]
 
 
-def _situation(observed: Observed, understanding: WorkloadPlan) -> list[Condition]:
+def _situation(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
     """Return the condition that reports whether the strategies of the robot's situation are in force.
 
     While the policy is missing or invalid, the last condition stays.
     """
-    if understanding.spec is None or understanding.policy_problem is not None:
+    if workload_plan.spec is None or workload_plan.policy_problem is not None:
         live = (observed.workload.get("status") or {}).get("conditions") or []
         return [Condition.model_validate(one) for one in live if one["type"] == situation_strategies.CONDITION]
-    policy = observed.policies[understanding.spec.failure_policy_ref.name]
+    policy = observed.policies[workload_plan.spec.failure_policy_ref.name]
     if not situation_strategies.has_some(policy):
         return []
     asked, in_force = situation_strategies.asked(observed.workload, policy), effective_policy.situation(observed)
-    order, lacking = _order(observed, understanding)["strategies"], effective_policy.lacking(observed)
+    order, lacking = _order(observed, workload_plan)["strategies"], effective_policy.lacking(observed)
     reason, told = situation_strategies.told(asked, in_force, order, lacking)
     generation = kube_objects.generation(observed.workload)
     return [condition(situation_strategies.CONDITION, asked == in_force, reason, told, generation=generation)]

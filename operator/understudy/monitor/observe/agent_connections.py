@@ -13,7 +13,7 @@ import aiohttp
 
 from understudy.api import names
 from understudy.api.base import seconds
-from understudy.api.protocol.agent_messages import AgentStatus, ProtocolError
+from understudy.api.protocol.agent_messages import RENEW_PERMIT, AgentStatus, ProtocolError
 from understudy.api.protocol.kept_state import LARGEST, KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
@@ -258,12 +258,15 @@ class AgentConnections:
         link = self._links.get(instance.uid)
         return (id(link), link.sessions) if link else (0, 0)
 
-    async def lease(self, instance: Instance, body: Mapping[str, Any]) -> None:
-        """Tell an agent what it may hold its application by. Raises AgentGone, AgentRefused."""
+    async def renew_permit(self, instance: Instance, body: Mapping[str, Any]) -> None:
+        """Send an agent the parties that may answer its instance, and the decision about it if it is held.
+
+        Raises AgentGone, AgentRefused.
+        """
         link = self._links.get(instance.uid)
         if link is None:
             raise AgentGone(f"{instance.name}: its agent is not connected")
-        await link.request("lease", body, within=ANSWER_LATE)
+        await link.request(RENEW_PERMIT, body, within=ANSWER_LATE)
 
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""

@@ -134,7 +134,7 @@ class Agents:
     def session(self, instance: Instance) -> tuple[int, int]:
         return (0, self.sessions[instance.uid])
 
-    async def lease(self, instance: Instance, body: dict[str, Any]) -> None:
+    async def renew_permit(self, instance: Instance, body: dict[str, Any]) -> None:
         if instance.uid == self.deaf:
             await asyncio.sleep(3600)
         self.told.append((instance.uid, body))

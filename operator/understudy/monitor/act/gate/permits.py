@@ -237,7 +237,7 @@ class Permits:
 
     async def _request(self, instance: Instance, body: dict[str, Any]) -> None:
         try:
-            await self._agents.lease(instance, body)
+            await self._agents.renew_permit(instance, body)
         except AgentGone as error:
             _logger.info("%s", error)
             self._sent.pop(instance.uid, None)
