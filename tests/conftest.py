@@ -46,6 +46,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption(
         "--kubeconfig", type=Path, default=None, help="kubeconfig of the cluster (default: asks scripts/cluster)"
     )
+    group.addoption(
+        "--part",
+        choices=["all", "side-by-side", "alone"],
+        default="all",
+        help="of the end-to-end tests: those that can run beside others, or those marked `alone`",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import tempfile
 import time
 import uuid
 from collections.abc import Iterator
@@ -25,12 +27,25 @@ NOT_AGAIN = ["^Never: "]
 """A test that fails is run once more, and said to have been: the machine is busy. What may never be at a robot is red at once."""
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if "tests/e2e" in str(item.path):
-            item.add_marker(pytest.mark.e2e)
-            item.add_marker(pytest.mark.timeout(900))
-            item.add_marker(pytest.mark.flaky(reruns=1, rerun_except=NOT_AGAIN))
+ALONE = {"api_server", "cordoned", "earlier", "stage", "without_operator"}
+"""Fixtures that change what all robots of a cluster share: its nodes, its API server, the operator."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before xdist reads the groups
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    mine = [item for item in items if "tests/e2e" in str(item.path)]
+    for item in mine:
+        item.add_marker(pytest.mark.timeout(900))
+        item.add_marker(pytest.mark.flaky(reruns=1, rerun_except=NOT_AGAIN))
+        if ALONE & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.alone)
+        if item.get_closest_marker("shared_robots"):
+            item.add_marker(pytest.mark.xdist_group(item.path.name))
+    part = config.getoption("part")
+    if part != "all":
+        left_out = {item for item in mine if (item.get_closest_marker("alone") is None) != (part == "side-by-side")}
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
 
 
 def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str = "") -> Kubectl:
@@ -55,8 +70,19 @@ def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str 
 
 @pytest.fixture(scope="session")
 def release(kubeconfig: Path) -> Kubectl:
-    """kubectl in the namespace of the operator, which was installed by the chart and through nothing else."""
-    return install(kubeconfig)
+    """kubectl in the namespace of the operator, which was installed by the chart and through nothing else.
+
+    The first of several processes that run side by side installs it.
+    """
+    run = os.environ.get("PYTEST_XDIST_TESTRUNUID")
+    if run is None:
+        return install(kubeconfig)
+    with (Path(tempfile.gettempdir()) / f"understudy-e2e-{run}").open("a") as installed:
+        fcntl.flock(installed, fcntl.LOCK_EX)
+        if installed.tell() == 0:
+            install(kubeconfig)
+            installed.write("installed\n")
+    return Kubectl(kubeconfig, SYSTEM)
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,8 @@ from tests.e2e.kubectl import Kubectl
 from tests.e2e.manipulation import CONFIGURATIONS, REACHED, Manipulator
 from tests.e2e.navigation import Tour
 
+pytestmark = pytest.mark.alone  # the steps of a motion are measured
+
 OFTEN = ("executing",)
 """Configurations that CI moves through; the others are `long`."""
 

@@ -145,6 +145,7 @@ def test_kept_state_outlasts_the_monitors_container(keeping: Robot) -> None:
     assert was <= taken <= was + timedelta(seconds=10)
 
 
+@pytest.mark.alone  # cordons a node
 @pytest.mark.local_only
 @pytest.mark.long
 def test_kept_state_outlasts_the_monitors_pod_and_its_node_with_a_claim(kubectl: Kubectl, claim: str) -> None:

@@ -7,6 +7,8 @@ import pytest
 from tests.e2e.scenario import Robot
 from tests.e2e.test_strategies import assert_handed_over
 
+pytestmark = pytest.mark.alone
+
 
 @pytest.mark.parametrize(
     "strategy",
