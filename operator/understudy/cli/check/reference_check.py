@@ -15,6 +15,8 @@ from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.controller.desired import strategy_selection
 from understudy.controller.observed import dependency_graph, kube_objects
 from understudy.controller.status.policy_status import shared, unshared
+from understudy.failover import availability
+from understudy.failover.availability import Pool, Resources
 from understudy.kube import selectors
 from understudy.trees.core.health_tree import HealthTree
 from understudy.trees.languages.notations import load_monitoring
@@ -31,7 +33,7 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
     )
     for workload in workloads:
         yield from _names(workload, "spec.failurePolicyRef.name", "FailurePolicy", policies)
-        yield from _no_pool_serves(workload, policies, pools)
+        yield from _no_fallback_available(workload, policies, pools)
         yield from _requirements_not_met(workload, policies, pools)
         yield from _never_idle(workload, policies)
         yield from _outputs_not_watched(workload, policies)
@@ -99,22 +101,33 @@ def _selects(pool: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]
     yield pool.finding("spec.workloadSelector", message, warning=True)
 
 
-def _no_pool_serves(workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]) -> Iterator[Finding]:
-    """Report a workload that no pool of its policy serves, if all of these pools are given."""
+def _no_fallback_available(
+    workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]
+) -> Iterator[Finding]:
+    """Report a workload for which no fallback of its policy could run, if all of their pools are given."""
     name = _field(workload.data, "spec.failurePolicyRef.name")
     for policy in policies:
         if policy.name != name or not workload.together(policy):
             continue
         strategies = _list(_at(policy.data, "spec", "strategies"))
         named = {pool for one in strategies if isinstance(pool := _at(one, "poolRef", "name"), str)}
-        given = [pool for pool in pools if pool.name in named and workload.together(pool)]
-        known = {pool.name for pool in given} == named and all(_selector(pool) is not None for pool in given)
-        if named and known and not any(_serves(pool, workload) for pool in given):
+        given = {pool.name: pool for pool in pools if pool.name in named and workload.together(pool)}
+        if not named or set(given) != named or any(_selector(pool) is None for pool in given.values()):
+            continue
+        there = Resources({name: _pool(pool, workload) for name, pool in given.items()})
+        found = [availability.fallback(name, there) for name in sorted(named)]
+        if not any(one.available for one in found):
             message = (
-                f"found {_labels(workload)}, which no pool of FailurePolicy {policy.name} selects "
-                f"({', '.join(sorted(named))}), so this workload has no standby; add the labels that one of them selects"
+                f"found {_labels(workload)}, with which no fallback of FailurePolicy {policy.name} could run: "
+                f"{'; '.join(one.message for one in found)}"
             )
             yield workload.finding("metadata.labels", message, warning=True)
+
+
+def _pool(pool: Manifest, workload: Manifest) -> Pool:
+    """Return what a workload could use from a pool. Files do not say how many pods are ready, so one is assumed."""
+    readiness = _at(pool.data, "spec", "readiness")
+    return Pool(readiness if isinstance(readiness, str) else "", serves=_serves(pool, workload), ready=1)
 
 
 def _requirements_not_met(

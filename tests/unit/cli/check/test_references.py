@@ -26,7 +26,7 @@ def test_a_pool_that_selects_nobody() -> None:
     assert (pool.severity, pool.field) == ("warning", "spec.workloadSelector")
     assert "robot-17 has labels app=navigation" in pool.message
     assert (workload.severity, workload.field) == ("warning", "metadata.labels")
-    assert "no standby" in workload.message
+    assert "no fallback of FailurePolicy navigation could run" in workload.message
 
 
 def test_a_pool_without_any_workload() -> None:
