@@ -222,7 +222,7 @@ class Elsewhere:
         return [Outcome(**found) for text in told for found in json.loads(text)]
 
 
-def test_whoever_is_first_every_pod_has_one_owner_and_every_gate_one_pod(fleet: Fleet) -> None:
+def test_every_pod_has_one_owner_and_every_gate_one_pod_in_any_order_of_claims(fleet: Fleet) -> None:
     fleet.create(spare(replicas=PODS), *(workload(robot) for robot in ROBOTS), *map(gate, ROBOTS))
     fleet.create(*(held(fleet, number) for number in range(PODS)))
     access = load_access(str(fleet.cluster.kubeconfig))

@@ -62,7 +62,7 @@ def test_a_process_is_found_in_the_groups_above_it(counting: Path) -> None:
     assert os.getpid() not in cgroups.pids(GROUP)
 
 
-def test_a_frozen_group_stands_still_and_goes_on(counting: Path) -> None:
+def test_a_frozen_control_group_stops_and_continues(counting: Path) -> None:
     assert grows(counting)
     cgroups.freeze(GROUP, True)
     assert cgroups.frozen(GROUP)
@@ -73,7 +73,7 @@ def test_a_frozen_group_stands_still_and_goes_on(counting: Path) -> None:
     assert grows(counting)
 
 
-def test_what_is_frozen_can_be_ended(counting: Path) -> None:
+def test_a_frozen_control_group_can_be_terminated(counting: Path) -> None:
     cgroups.freeze(GROUP, True)
     cgroups.kill(GROUP)
     assert not cgroups.pids(GROUP)

@@ -55,7 +55,7 @@ def test_good_manifests_are_taken_whole(cluster: Cluster, file: Path) -> None:
 
 
 @pytest.mark.parametrize("file", BAD, ids=lambda file: file.stem)
-def test_bad_manifests_are_refused_with_the_field_and_what_would_be_right(cluster: Cluster, file: Path) -> None:
+def test_invalid_manifests_are_refused_with_the_field_and_a_correction(cluster: Cluster, file: Path) -> None:
     (item,) = load(file)
     expected = [line.removeprefix(_REFUSED) for line in file.read_text().splitlines() if line.startswith(_REFUSED)]
     assert expected, "say what the refusal must contain"

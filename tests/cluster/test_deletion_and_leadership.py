@@ -95,7 +95,7 @@ def test_of_two_candidates_one_leads_and_the_other_follows_a_kill(fleet: Fleet) 
         until(lambda: len(fleet.instances()) == 2, "another standby, made by the new leader")
 
 
-def test_a_leader_that_is_told_to_end_hands_over_at_once(fleet: Fleet) -> None:
+def test_a_leader_that_is_terminated_hands_over_at_once(fleet: Fleet) -> None:
     with process(fleet, "one") as one:
         until(lambda: leader(fleet) == "one", "a leader", seconds=60)
         with socket.create_server(("", 0)) as free:

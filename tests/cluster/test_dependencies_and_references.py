@@ -50,7 +50,7 @@ def sign(fleet: Fleet, image: str) -> None:
     fleet.cluster.patch(fleet.get("RobotWorkload", "w"), said, subresource="status")
 
 
-def test_a_monitor_keeps_the_right_to_all_policies_until_its_image_has_said_that_it_asks_by_name(
+def test_a_monitor_keeps_the_right_to_all_policies_until_its_image_reports_that_it_reads_one(
     fleet: Fleet, operator: Operator
 ) -> None:
     other = policy("Restart") | {"metadata": {"name": "other"}}
@@ -73,9 +73,7 @@ def told_to_follow(fleet: Fleet, name: str) -> list[str]:
     return [one["name"] for one in settings["upstream"]]
 
 
-def test_a_circle_of_dependencies_is_told_on_every_workload_in_it_until_one_is_taken_out(
-    fleet: Fleet, operator: Operator
-) -> None:
+def test_a_cycle_of_dependencies_is_reported_on_every_workload_of_the_cycle(fleet: Fleet, operator: Operator) -> None:
     fleet.create(policy("Restart"), depending("a", "b"), depending("b", "c"), depending("c", "a"))
     for name in "abc":
         found = fleet.wait_condition("RobotWorkload", name, "DependenciesResolved", "DependencyCycle")
@@ -139,7 +137,7 @@ def test_labels_are_taken_off_even_if_the_workload_went_while_no_operator_ran(fl
         until(lambda: not fleet.instances(), "the labels to be taken off")
 
 
-def test_the_second_to_refer_to_a_deployment_is_told(fleet: Fleet, operator: Operator) -> None:
+def test_a_second_workload_that_refers_to_a_deployment_is_refused(fleet: Fleet, operator: Operator) -> None:
     reference = {"kind": "Deployment", "name": "nav2"}
     fleet.create(deployment(), policy("Restart"), workload("first", workloadRef=reference))
     fleet.wait_built("first")

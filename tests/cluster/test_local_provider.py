@@ -182,7 +182,7 @@ def deployed(own: OwnCluster, namespace: str) -> Callable[[], list[client.V1Pod]
     return pods
 
 
-def test_every_node_is_ready_and_runs_the_version_that_was_asked_for(own: OwnCluster) -> None:
+def test_every_node_is_ready_and_runs_the_requested_version(own: OwnCluster) -> None:
     nodes = own.core.list_node().items
     assert sorted(item.metadata.name for item in nodes) == ["node1", "node2", "node3"]
     assert all(own.ready(item.metadata.name) for item in nodes)
@@ -213,7 +213,7 @@ def test_udp_crosses_between_pods_on_different_nodes(own: OwnCluster, namespace:
     assert int(answered) == 20
 
 
-def test_a_policy_stops_an_established_flow_between_nodes_and_lets_it_go_on(own: OwnCluster, namespace: str) -> None:
+def test_a_policy_stops_and_readmits_an_established_flow_between_nodes(own: OwnCluster, namespace: str) -> None:
     own.pod(namespace, "echo", ["python3", "-c", ECHO], on="node1", labels={"app": "echo"})
     own.pod(namespace, "asking", ["sleep", "infinity"], on="node2")
     address = own.address(namespace, "echo")
@@ -259,7 +259,7 @@ def test_a_pod_is_resized_in_place(own: OwnCluster, namespace: str) -> None:
     assert own.execute(namespace, "growing", "sh", "-c", look).strip() == "40000"
 
 
-def test_a_node_without_power_is_lost_and_its_pod_replaced_and_it_comes_back(
+def test_a_node_without_power_is_lost_its_pod_is_replaced_and_the_node_returns(
     own: OwnCluster, deployed: Callable[[], list[client.V1Pod]]
 ) -> None:
     (before,) = deployed()
@@ -274,7 +274,7 @@ def test_a_node_without_power_is_lost_and_its_pod_replaced_and_it_comes_back(
     until(lambda: len(deployed()) == 1, "the lost pod is gone", 30)
 
 
-def test_a_frozen_node_is_lost_and_goes_on_where_it_stood(own: OwnCluster) -> None:
+def test_a_frozen_node_is_lost_and_continues_after_the_thaw(own: OwnCluster) -> None:
     frozen = "node2"
     before = node.init(own.layout, 2)
     own.fault("freeze", frozen)
@@ -312,7 +312,7 @@ def test_a_pod_on_a_node_that_is_cut_off_runs_on_until_the_node_is_back(
     until(lambda: not runs(), "the evicted pod has ended", 30)
 
 
-def test_up_starts_again_what_is_missing(own: OwnCluster) -> None:
+def test_up_starts_missing_processes_again(own: OwnCluster) -> None:
     group = network.control_plane_group(own.layout)
     scheduler = processes.find(group, "kube-scheduler")
     assert scheduler is not None
@@ -323,7 +323,7 @@ def test_up_starts_again_what_is_missing(own: OwnCluster) -> None:
     assert own.ready("node2")
 
 
-def test_a_cluster_whose_start_was_killed_can_be_brought_up_and_leaves_nothing_when_it_goes() -> None:
+def test_a_cluster_whose_start_was_killed_can_be_started_and_removed_completely() -> None:
     name = "provider-tests-killed"
     environment = {
         **os.environ,

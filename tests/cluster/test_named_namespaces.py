@@ -43,7 +43,7 @@ def confined(cluster: Cluster, helm: str, kubeconfig: Path, namespace: str, tmp_
         cluster.delete(item)
 
 
-def test_it_protects_what_is_there_and_sees_nothing_else(
+def test_an_operator_of_named_namespaces_sees_only_these(
     cluster: Cluster, release: Release, namespace: str, confined: Path
 ) -> None:
     fleet = Fleet(cluster, namespace)

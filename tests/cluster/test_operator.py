@@ -123,7 +123,7 @@ def test_a_deleted_pod_is_replaced_and_labelled(fleet: Fleet, operator: Operator
     assert len([p for p in fleet.instances() if names.SOURCE in p["metadata"]["labels"]]) == 1
 
 
-def test_what_somebody_deletes_or_changes_comes_back(fleet: Fleet, operator: Operator) -> None:
+def test_deleted_and_changed_objects_are_restored(fleet: Fleet, operator: Operator) -> None:
     fleet.create(policy("Restart"), workload())
     fleet.wait_built()
     standby = fleet.get("NetworkPolicy", "w-standby", NETWORK)
@@ -140,7 +140,7 @@ def test_what_somebody_deletes_or_changes_comes_back(fleet: Fleet, operator: Ope
     )
 
 
-def test_a_health_tree_of_a_config_map_is_in_force_while_a_broken_change_is_told(
+def test_a_health_tree_from_a_configmap_stays_in_force_when_a_change_is_invalid(
     fleet: Fleet, operator: Operator
 ) -> None:
     def tree(gap: str) -> str:
@@ -355,7 +355,7 @@ def test_a_pool_s_size_follows_the_failures_that_its_robots_status_tells_of(
         assert fleet.settled() == before
 
 
-def test_a_new_template_of_a_pool_leaves_as_many_ready_as_it_says(fleet: Fleet, operator: Operator) -> None:
+def test_a_rollout_of_a_pool_s_template_keeps_the_configured_number_ready(fleet: Fleet, operator: Operator) -> None:
     fleet.create(policy("spare"), spare(replicas=3, updateStrategy={"minReady": 2}), workload())
     until(lambda: len(fleet.held()) == 3, "three held pods")
     old = fleet.held()
@@ -471,7 +471,7 @@ def test_pods_on_a_node_that_is_to_be_emptied_are_replaced_before_they_go(
     until(lambda: not fleet.condition("FallbackPool", "spare", "Moving"), "that to be over")
 
 
-def test_silent_watches_are_made_up_for_by_lists(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lists_find_the_changes_that_silent_watches_miss(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     async def silent(*_: object) -> None:
         await asyncio.Event().wait()
 

@@ -86,7 +86,7 @@ def test_the_pod_in_control_gets_more_while_its_workload_is_degraded(fleet: Flee
     assert fleet.get("Pod", pod, CORE)["metadata"]["uid"] == uid
 
 
-def test_what_the_api_server_does_not_take_is_told_and_leaves_all_else_as_it_is(
+def test_an_object_that_the_api_server_refuses_is_reported_and_changes_nothing_else(
     fleet: Fleet, operator: Operator
 ) -> None:
     """Request and limit would be the same then, of everything in the pod: another class of quality, which a pod can't change."""
@@ -135,7 +135,7 @@ def chosen(fleet: Fleet) -> list[str]:
     return [one.get("poolRef", {}).get("name", one["type"]) for one in settings["strategies"]]
 
 
-def test_what_is_required_decides_which_standbys_are_kept(fleet: Fleet, operator: Operator) -> None:
+def test_requirements_decide_which_standbys_are_kept(fleet: Fleet, operator: Operator) -> None:
     fleet.create(requiring(taskCriticality="High"), hot(), spare(), workload())
     fleet.wait_built()
     until(lambda: fleet.pods(f"{names.WORKLOAD}=w,{names.POOL}=hot"), "a standby")

@@ -48,7 +48,7 @@ def protected(fleet: Fleet, operator: Operator) -> Fleet:
     return fleet
 
 
-def test_protected_says_by_what_and_stops_saying_so(protected: Fleet) -> None:
+def test_protected_names_the_strategy_and_becomes_false_without_it(protected: Fleet) -> None:
     assert protected.get("RobotWorkload", "w")["status"]["standby"] == "Executing (1/1)"
     standby = next(p for p in protected.instances() if names.POOL in p["metadata"]["labels"])
     protected.make_ready(standby, ready=False)
@@ -207,7 +207,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_gives_a_condition_and_an_event_that_say_what_to_do(
+def test_invalid_input_leads_to_a_condition_and_an_event_with_the_correction(
     case: str, fleet: Fleet, operator: Operator
 ) -> None:
     items, (kind, name, type_, reason), words = BAD[case]

@@ -56,7 +56,7 @@ def test_monitors_discovery_servers_and_agents_are_within_it(
     until(lambda: len(fleet.held()) == 1, "a held pod")
 
 
-def test_a_template_that_is_not_within_it_is_told_and_what_is_missing(
+def test_a_template_that_violates_pod_security_is_reported_with_the_missing_fields(
     restricted: None, fleet: Fleet, operator: Operator
 ) -> None:
     fleet.create(policy("hot", "spare"), hot(), spare(replicas=1), workload())

@@ -51,7 +51,7 @@ def test_the_operator_may_not_grant_more_than_it_holds(cluster: Cluster, namespa
     assert refused.value.status == 403
 
 
-def test_the_operator_never_changes_what_users_said(cluster: Cluster, namespace: str, operator: str) -> None:
+def test_the_operator_never_changes_fields_of_users(cluster: Cluster, namespace: str, operator: str) -> None:
     pool: Object = {
         "apiVersion": "understudy.dev/v1alpha1",
         "kind": "FallbackPool",
@@ -108,7 +108,7 @@ def test_the_operator_resizes_pods_and_monitors_do_not(cluster: Cluster, namespa
     assert changed["metadata"]["uid"] == made["metadata"]["uid"]
 
 
-def test_a_monitor_sees_who_waits_and_commits_to_its_own_gate_only(cluster: Cluster, namespace: str) -> None:
+def test_a_monitor_reads_all_waiting_claims_and_changes_only_its_own_gate(cluster: Cluster, namespace: str) -> None:
     for item in _access("Deployment", namespace):
         cluster.create(item, namespace)
     monitor = account(namespace, names.monitor_account("robot-17"))
@@ -138,7 +138,7 @@ def _rights(cluster: Cluster, namespace: str, user: str) -> list[Right]:
 
 
 @pytest.mark.parametrize("pools", [["spare"], []])
-def test_what_can_i_lists_for_a_monitor_is_its_own_workload_s(
+def test_can_i_lists_only_objects_of_the_workload_for_its_monitor(
     cluster: Cluster, namespace: str, pools: list[str]
 ) -> None:
     for item in _access("Deployment", namespace, pools=pools):

@@ -134,7 +134,9 @@ def _template_broken(kubectl: Kubectl) -> None:
 @pytest.mark.parametrize(
     "spoil", [_policy_deleted, _tree_broken, _lent_tree_broken, _reference_to_nothing, _template_broken]
 )
-def test_what_is_protected_stays_protected(executing: Robot, spoil: Callable[[Kubectl], None]) -> None:
+def test_a_protected_workload_stays_protected_when_its_objects_become_invalid(
+    executing: Robot, spoil: Callable[[Kubectl], None]
+) -> None:
     old = executing.wait_protected()
     spoil(executing.kubectl)
     eventually(
@@ -179,7 +181,7 @@ def _initialize(kubectl: Kubectl, procedure: Object) -> None:
     kubectl.patch("fallbackpool", POOL, change, kind_of_patch="json")
 
 
-def test_a_bring_up_that_never_ends_is_told_and_goes_on_once_it_is_corrected(kubectl: Kubectl) -> None:
+def test_a_bring_up_that_never_ends_is_reported_and_continues_once_it_is_corrected(kubectl: Kubectl) -> None:
     robot, right = Robot(kubectl), {}
 
     def never(workload: Object) -> None:
@@ -210,7 +212,7 @@ def test_a_bring_up_that_never_ends_is_told_and_goes_on_once_it_is_corrected(kub
     )
 
 
-def test_all_that_never_comes_at_once_and_the_robot_is_driven_all_the_same(kubectl: Kubectl) -> None:
+def test_the_robot_is_driven_although_nothing_that_its_policy_waits_for_arrives(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
     policy, pool = manifest("strategies/initialized.yaml")
     policy["spec"]["strategies"][0] |= {"recovery": {"yaml": NEVER}, "verifyWithin": "10s"}
@@ -284,7 +286,7 @@ def test_all_that_never_comes_at_once_and_the_robot_is_driven_all_the_same(kubec
     assert robot.wait_recovered(2).strategy == "Fallback/Initialized"
 
 
-def test_no_standby_is_made_of_a_pool_that_is_not_accepted(kubectl: Kubectl) -> None:
+def test_no_standby_is_created_from_a_pool_that_is_not_accepted(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
     policy, pool = manifest("strategies/initialized.yaml")
     right = pool["spec"]["initialization"]

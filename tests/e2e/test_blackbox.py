@@ -33,7 +33,7 @@ def messages(bag: Bag, topic: str) -> list[tuple[Taken, Any]]:
     return [(taken, bag.definitions.read(taken.data, type_)) for taken in bag.messages({topic: type_})]
 
 
-def test_a_failure_is_kept_with_what_led_to_it(executing: Robot, tmp_path: Path) -> None:
+def test_the_black_box_keeps_a_failure_and_the_time_before_it(executing: Robot, tmp_path: Path) -> None:
     old = executing.wait_protected()
     executing.kubectl.patch("failurepolicy", "quickstart-executing", {"spec": {"blackBox": {"window": f"{KEPT:g}s"}}})
     eventually(lambda: told(executing).get("on"), within=30, every=1.0, what="the black box is on")

@@ -33,7 +33,7 @@ def judged_as_it_is(robot: Robot, file: Path) -> None:
     assert "'often'" in wrong.stdout
 
 
-def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: Path) -> None:
+def test_the_console_shows_a_robot_before_and_after_a_failure(executing: Robot, tmp_path: Path) -> None:
     kubectl, name = executing.kubectl, executing.workload
     active = executing.wait_protected()
     executing.wait_standby()
@@ -93,7 +93,7 @@ def test_a_robot_is_told_before_and_after_a_failure(executing: Robot, tmp_path: 
     assert understudy(kubectl, "report", "-o", str(page), "robot-2-drive").returncode == 2
 
 
-def test_what_changes_is_told_to_whoever_watches(executing: Robot, tmp_path: Path) -> None:
+def test_status_watch_prints_every_change(executing: Robot, tmp_path: Path) -> None:
     kubectl, name, file = executing.kubectl, executing.workload, tmp_path / "watched"
     active = executing.wait_protected()
     executing.wait_standby()
@@ -118,7 +118,7 @@ def test_what_changes_is_told_to_whoever_watches(executing: Robot, tmp_path: Pat
     assert "\x1b" not in file.read_text(), "colours are for terminals"
 
 
-def test_a_shell_takes_what_completion_gives_it() -> None:
+def test_a_shell_accepts_the_completion_script() -> None:
     given = offline("completion", "bash").stdout
     script = 'eval "$1"; complete -p understudy'
     done = subprocess.run(

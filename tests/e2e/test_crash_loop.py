@@ -34,7 +34,7 @@ def living(robot: Robot) -> set[str]:
 
 
 @pytest.mark.long
-def test_a_crash_loop_has_the_next_strategy_tried_before_the_time_of_the_first_is_over(kubectl: Kubectl) -> None:
+def test_a_crash_loop_starts_the_next_strategy_before_the_first_one_times_out(kubectl: Kubectl) -> None:
     switch, robot = Switch(kubectl), Robot(kubectl)
     policy, pool = patient(manifest("strategies/uninitialized.yaml"))
     fallback, restart = policy["spec"]["strategies"]
@@ -70,7 +70,7 @@ def test_a_crash_loop_has_the_next_strategy_tried_before_the_time_of_the_first_i
 
 
 @pytest.mark.long
-def test_when_every_new_instance_crashes_that_is_told_nothing_thrashes_and_the_first_good_one_drives(
+def test_a_crash_loop_of_every_strategy_is_reported_without_thrashing_until_an_instance_works(
     kubectl: Kubectl,
 ) -> None:
     switch, robot = Switch(kubectl), Robot(kubectl)
@@ -148,7 +148,7 @@ def test_when_every_new_instance_crashes_that_is_told_nothing_thrashes_and_the_f
 
 
 @pytest.mark.long
-def test_an_instance_that_crashes_as_soon_as_it_drives_has_the_next_strategy_tried(kubectl: Kubectl) -> None:
+def test_the_next_strategy_is_tried_if_the_new_instance_crashes_once_it_drives(kubectl: Kubectl) -> None:
     """A restarted instance is seen to drive, and ends; the next failure isn't answered by the same strategy."""
     robot = Robot(kubectl)
     policy, pool = manifest("strategies/uninitialized.yaml")

@@ -82,7 +82,7 @@ class Degrading(Cell):
         return {event["reason"] for event in events if event["involvedObject"]["name"] == NAME}
 
 
-def test_it_is_told_given_more_in_place_and_well_again_with_no_failover(kubectl: Kubectl) -> None:
+def test_a_degraded_workload_is_reported_and_resized_in_place_without_a_failover(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"resize": {"container": "app", "cpu": AFTER}})
     active = cell.wait_well()
     assert cell.resources(active)["resources"]["limits"]["cpu"] == BEFORE
@@ -116,7 +116,7 @@ def test_it_is_told_given_more_in_place_and_well_again_with_no_failover(kubectl:
     eventually(lambda: {"Degraded", "WellAgain"} <= cell.said(), within=30, what="both are Events", note=cell.describe)
 
 
-def test_it_is_handed_over_at_an_idle_moment_and_not_before(kubectl: Kubectl) -> None:
+def test_a_degraded_workload_is_handed_over_only_while_it_is_idle(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"reschedule": {"after": "3s", "idleFor": "3s"}})
     first = cell.wait_well()
     client = cell.client("client", "300")  # half a minute of work
@@ -147,7 +147,7 @@ def test_it_is_handed_over_at_an_idle_moment_and_not_before(kubectl: Kubectl) ->
 
 
 @pytest.mark.long
-def test_a_standby_is_made_ready_while_it_is_degraded_and_takes_over_like_any(kubectl: Kubectl) -> None:
+def test_a_standby_is_created_while_the_workload_is_degraded_and_takes_over(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"prewarm": {"poolRef": {"name": NAME}}}, standbys=0)
     first = cell.wait_well()
     assert cell.status()["strategy"] == "Restart"
@@ -173,7 +173,7 @@ def test_a_standby_is_made_ready_while_it_is_degraded_and_takes_over_like_any(ku
 
 
 @pytest.mark.long
-def test_the_standby_goes_when_all_is_well(kubectl: Kubectl) -> None:
+def test_the_standby_of_a_degraded_workload_is_deleted_once_it_is_healthy(kubectl: Kubectl) -> None:
     cell = Degrading(kubectl, {"prewarm": {"poolRef": {"name": NAME}}}, standbys=0)
     active = cell.wait_well()
     cell.slow(active)

@@ -80,7 +80,7 @@ def three(kubectl: Kubectl) -> Three:
     return found
 
 
-def test_what_follows_from_a_failure_is_not_taken_for_another_and_is_dealt_with_after_it(three: Three) -> None:
+def test_a_failure_that_follows_from_an_upstream_failure_is_handled_after_it(three: Three) -> None:
     before = three.wait_driven()
     three.localization.fail(before["localization"], "frozen")
     eventually(
@@ -104,7 +104,7 @@ def test_what_follows_from_a_failure_is_not_taken_for_another_and_is_dealt_with_
 
 
 @pytest.mark.long
-def test_a_failure_of_its_own_is_acted_on_though_others_are_depended_on(three: Three) -> None:
+def test_a_workload_with_dependencies_is_recovered_from_its_own_failure(three: Three) -> None:
     before = three.wait_driven()
     three.planning.fail(before["planning"], "frozen")
     recovery = three.planning.wait_recovered(1)
@@ -118,7 +118,7 @@ def test_a_failure_of_its_own_is_acted_on_though_others_are_depended_on(three: T
 
 
 @pytest.mark.long
-def test_a_monitor_that_is_replaced_meanwhile_does_it_once_all_the_same(three: Three) -> None:
+def test_a_monitor_that_is_replaced_meanwhile_reacts_to_the_upstream_recovery_once(three: Three) -> None:
     before = three.wait_driven()
     three.localization.fail(before["localization"], "frozen")
     three.planning.replace_monitor()

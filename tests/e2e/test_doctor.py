@@ -30,7 +30,7 @@ def left(kubectl: Kubectl) -> list[dict[str, Any]]:
     return [item for item in found if not item["metadata"].get("deletionTimestamp")]
 
 
-def test_a_cluster_that_does_what_it_should_is_told_so(kubectl: Kubectl) -> None:
+def test_the_doctor_finds_no_problem_in_a_working_cluster(kubectl: Kubectl) -> None:
     kubectl("label", "namespace", kubectl.namespace, "pod-security.kubernetes.io/enforce=restricted")
     done = understudy(kubectl, "doctor", "-o", "json")
     assert done.returncode == 0, done.stdout + done.stderr
@@ -74,7 +74,7 @@ def test_ctrl_c_leaves_nothing_behind(kubectl: Kubectl) -> None:
     assert left(kubectl) == []
 
 
-def test_a_robot_s_discovery_server_is_asked(executing: Robot) -> None:
+def test_the_doctor_checks_the_discovery_server_of_a_robot(executing: Robot) -> None:
     executing.wait_protected()
     done = understudy(executing.kubectl, "doctor", executing.workload, "-o", "json")
     assert done.returncode == 0, done.stdout + done.stderr

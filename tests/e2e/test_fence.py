@@ -39,7 +39,7 @@ def test_nobody_drives_a_robot_that_was_fenced_until_somebody_resumes(executing:
     executing.wait_protected()
 
 
-def test_a_robot_outside_is_given_what_the_one_inside_has(restarting: Robot) -> None:
+def test_a_robot_outside_the_cluster_gets_the_same_profile_as_one_inside(restarting: Robot) -> None:
     kubectl, name = restarting.kubectl, restarting.workload
     told = understudy(kubectl, "robot-profile", name, "-o", "json")
     assert told.returncode == 0, told.stderr

@@ -78,7 +78,7 @@ def test_a_configured_standby_is_activated_and_takes_over(managed: Robot, how: s
     )
 
 
-def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_when_it_does_not(managed: Robot) -> None:
+def test_a_standby_counts_only_while_its_check_holds_and_is_replaced_otherwise(managed: Robot) -> None:
     active = managed.wait_protected()
     wait_counted(managed, 1)
     (standby,) = (pod["metadata"]["name"] for pod in standbys(managed) if is_ready(pod))

@@ -33,7 +33,7 @@ def lowest_rate(robot: Robot, pod: str, begin: float, end: float) -> float:
     return min(sum(one < at <= one + WINDOW for at in received) for one in begins) / WINDOW
 
 
-def test_failures_are_made_where_they_are_allowed(executing: Robot) -> None:
+def test_failures_are_injected_only_in_a_namespace_that_allows_them(executing: Robot) -> None:
     kubectl, name = executing.kubectl, executing.workload
     active = executing.wait_protected()
     executing.wait_standby()

@@ -80,7 +80,7 @@ def said_by(robot: Robot, pod: str) -> list[str]:
 
 
 @pytest.mark.long
-def test_a_waiting_standby_is_given_what_is_new_and_drives_by_it(robot: Robot) -> None:
+def test_a_standby_receives_new_state_while_it_waits_and_uses_it_after_the_takeover(robot: Robot) -> None:
     old = robot.wait_protected()
     (standby,) = (pod["metadata"]["name"] for pod in standbys(robot) if is_ready(pod))
     for speed in (FIRST, SECOND):

@@ -40,7 +40,7 @@ def assert_nothing_is_done(robot: Robot) -> None:
 
 
 @pytest.mark.long
-def test_once_the_budget_is_spent_the_robot_is_told_the_safe_command_and_nothing_else_is_done_until_somebody_says_so(
+def test_a_spent_budget_leads_to_safe_commands_until_somebody_resumes(
     kubectl: Kubectl,
 ) -> None:
     command = {"topic": "/cmd_vel", "every": "50ms", "message": {"header": {"frame_id": SAFE, "stamp": "now"}}}
@@ -86,7 +86,7 @@ def test_once_the_budget_is_spent_the_robot_is_told_the_safe_command_and_nothing
     assert robot.wait_driven() == again.new
 
 
-def test_the_budget_is_there_again_when_its_window_has_moved_on(kubectl: Kubectl) -> None:
+def test_the_budget_is_available_again_after_its_window(kubectl: Kubectl) -> None:
     robot = executing_with(kubectl, limits={"budget": {"recoveries": 1, "within": "40s"}})
     first = robot.wait_protected()
     robot.fail(first, "frozen")
@@ -98,7 +98,7 @@ def test_the_budget_is_there_again_when_its_window_has_moved_on(kubectl: Kubectl
     assert_handed_over(robot, again)
 
 
-def test_while_it_is_paused_nothing_is_done_and_afterwards_what_failed_is_recovered(executing: Robot) -> None:
+def test_a_failure_during_a_pause_is_recovered_after_it(executing: Robot) -> None:
     kubectl, name = executing.kubectl, executing.workload
     active = executing.wait_protected()
     assert understudy(kubectl, "pause", name, "--reason", "a new gripper", "--owner", "ann").returncode == 0
@@ -145,7 +145,7 @@ def test_a_pause_ends_at_its_time(executing: Robot) -> None:
 
 
 @pytest.mark.long
-def test_one_that_fails_within_the_healthy_delay_is_followed_by_the_next_strategy_also_by_the_next_monitor(
+def test_a_failure_soon_after_a_recovery_starts_the_next_strategy_even_after_a_monitor_restart(
     kubectl: Kubectl,
 ) -> None:
     robot = executing_with(kubectl, limits={"healthyDelay": "5m"})
@@ -164,7 +164,7 @@ def test_one_that_fails_within_the_healthy_delay_is_followed_by_the_next_strateg
 
 
 @pytest.mark.long
-def test_in_a_storm_the_next_robot_that_fails_waits_until_it_is_over(kubectl: Kubectl) -> None:
+def test_a_robot_that_fails_in_a_storm_waits_until_the_storm_is_over(kubectl: Kubectl) -> None:
     policy, pool = patient(manifest("strategies/uninitialized.yaml"))
     policy["spec"]["limits"] = {"stormGuard": {"percent": 50, "workloads": 2, "within": "40s"}}
     kubectl.apply([policy, pool])

@@ -129,7 +129,7 @@ def test_all_goals_are_reached_though_the_stacks_node_is_lost(navigator: Navigat
 
 
 @pytest.mark.long
-def test_a_stack_that_has_nothing_to_do_may_be_silent_and_is_missed_when_it_is_lost(navigator: Navigator) -> None:
+def test_a_stack_without_a_goal_may_be_silent_and_its_loss_is_detected(navigator: Navigator) -> None:
     """Standing still without a goal there is no /cmd_vel, which is no failure; without a heartbeat it is one."""
 
     def only_restart_would_take_long(objects: list[Object]) -> None:

@@ -68,7 +68,9 @@ def test_the_node_of_the_pod_in_control_loses_its_power(robot: Robot, stage: Sta
 
 
 @pytest.mark.long
-def test_the_understudys_node_loses_its_power_and_the_robot_goes_on_and_has_another(robot: Robot, stage: Stage) -> None:
+def test_the_robot_is_driven_on_and_gets_another_standby_when_the_standby_s_node_loses_power(
+    robot: Robot, stage: Stage
+) -> None:
     active = robot.wait_protected()
     (standby,) = (pod["metadata"]["name"] for pod in robot.pods() if pod["metadata"]["name"] != active)
     stage.lose(stage.node_of(standby), "down")

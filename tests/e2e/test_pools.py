@@ -71,7 +71,7 @@ def protect(robot: Robot, **spec: object) -> str:
     return robot.wait_protected()
 
 
-def test_a_new_template_leaves_as_many_ready_as_it_says_and_a_robot_that_fails_then_finds_one(robot: Robot) -> None:
+def test_a_rollout_of_a_new_template_keeps_the_configured_number_of_pods_ready(robot: Robot) -> None:
     kubectl = robot.kubectl
     old = protect(robot, replicas=2, updateStrategy={"type": "Recreate", "minReady": 1})
     eventually(lambda: status(kubectl)["ready"] == 2, within=90, what="both are ready")

@@ -20,7 +20,7 @@ def without_profile(objects: list[Object]) -> list[Object]:
 
 
 @pytest.mark.long
-def test_a_robot_that_was_started_without_its_profile_is_told_until_it_has_it(kubectl: Kubectl) -> None:
+def test_a_robot_without_its_profile_is_reported_until_it_has_it(kubectl: Kubectl) -> None:
     robot = Robot(kubectl)
     kubectl.apply(manifest("strategies/restart.yaml"))
     objects = robot.objects(policy="quickstart-restart")

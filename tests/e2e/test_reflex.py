@@ -133,7 +133,7 @@ def test_the_robots_reader_falls_over_by_itself_and_the_loser_is_fenced(reflexiv
 
 @pytest.mark.local_only
 @pytest.mark.parametrize("how", [pytest.param("killed", marks=pytest.mark.long), "frozen"])
-def test_it_works_without_the_api_server_and_is_committed_when_that_is_back(
+def test_the_reflex_works_without_the_api_server_and_is_committed_once_it_is_back(
     reflexive: Robot, api_server: ApiServer, how: str
 ) -> None:
     old = wait_armed(reflexive)
@@ -230,7 +230,9 @@ def test_the_same_without_the_api_server_until_the_node_is_back(
 
 @pytest.mark.long
 @pytest.mark.local_only
-def test_a_standby_that_was_cut_off_goes_on_and_a_monitor_that_is_gone_holds_nobody(apart: Robot, stage: Stage) -> None:
+def test_a_standby_continues_after_a_network_cut_and_a_missing_monitor_holds_no_instance(
+    apart: Robot, stage: Stage
+) -> None:
     active = wait_armed(apart)
     pods = instances(apart)
     standby = next(name for name in pods if name != active)

@@ -112,7 +112,7 @@ def diagnosed(kubectl: Kubectl) -> Iterator[tuple[Robot, Reader]]:
     reader.close()
 
 
-def test_a_failover_is_told_on_diagnostics_with_its_reason_and_is_no_evidence(diagnosed: tuple[Robot, Reader]) -> None:
+def test_diagnostics_report_a_failover_with_its_reason_and_are_not_evidence(diagnosed: tuple[Robot, Reader]) -> None:
     robot, reader = diagnosed
     kubectl = robot.kubectl
     eventually(lambda: reader.told, within=60, what="a status is read", note=robot.describe)
@@ -162,7 +162,7 @@ def test_a_viewer_finds_the_tree_and_is_shown_it(kubectl: Kubectl) -> None:
     assert told[0][1] == "understudy.parallel"
 
 
-def test_an_image_that_can_not_show_it_is_told_of(kubectl: Kubectl) -> None:
+def test_an_image_without_the_tree_s_message_package_is_reported(kubectl: Kubectl) -> None:
     robot = told_of(kubectl, snapshots=True)
     wanted = "involvedObject.kind=RobotWorkload,reason=TypeNotInstalled"
     eventually(

@@ -13,7 +13,7 @@ LATE = 0.25
 """Seconds that a message or its sender may be held up by a busy machine."""
 
 
-def test_a_robot_that_nobody_drives_is_told_to_stand_still_until_somebody_does(restarting: Robot) -> None:
+def test_a_robot_without_an_active_instance_receives_the_safe_command(restarting: Robot) -> None:
     old = restarting.wait_protected()
     command = {"topic": "/cmd_vel", "every": "50ms", "message": {"header": {"frame_id": SAFE, "stamp": "now"}}}
     policy = restarting.get()["spec"]["failurePolicyRef"]["name"]

@@ -80,7 +80,7 @@ def test_two_workloads_claiming_the_last_pod_have_one_owner(kubectl: Kubectl) ->
     )
 
 
-def test_who_finds_the_last_pod_taken_waits_for_the_next_one(kubectl: Kubectl) -> None:
+def test_a_workload_that_finds_the_pool_empty_waits_for_the_next_pod(kubectl: Kubectl) -> None:
     kubectl.apply(waiting("120s"))
     robots = [Robot(kubectl, name) for name in ("robot-1", "robot-2")]
     for robot in robots:
@@ -133,7 +133,7 @@ def test_of_two_that_wait_for_a_pod_the_more_critical_is_served_first(kubectl: K
     eventually(lambda: available(kubectl)["status"] == "True", within=60, what="the pool is filled and nobody waits")
 
 
-def test_who_has_waited_for_its_time_is_restarted(kubectl: Kubectl) -> None:
+def test_a_workload_that_waited_for_waitfor_is_restarted(kubectl: Kubectl) -> None:
     kubectl.apply(waiting("3s"))
     robot = Robot(kubectl)
     kubectl.apply(robot.objects(policy=POOL))

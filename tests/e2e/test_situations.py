@@ -44,7 +44,7 @@ class Carrying(Cell):
         return found.get("status", ""), found.get("reason", "")
 
 
-def test_a_task_raises_the_standby_that_recovers_a_failure_in_it_and_after_it_all_is_as_before(
+def test_a_task_raises_the_readiness_of_the_standby_until_the_task_ends(
     kubectl: Kubectl,
 ) -> None:
     cell = Carrying(kubectl)

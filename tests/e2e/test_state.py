@@ -92,7 +92,7 @@ def wait_kept(robot: Robot, *names: str) -> None:
     eventually(lambda: set(names) <= set(kept(robot)), within=90, what=f"{names} are kept", note=robot.describe)
 
 
-def test_state_is_kept_and_given_and_what_can_not_be_is_told(keeping: Robot) -> None:
+def test_state_is_kept_and_restored_and_missing_state_is_reported(keeping: Robot) -> None:
     wait_kept(keeping, "Topic /map", "Topic /odom", "Parameters /drive", "Lifecycle /drive")
     assert kept(keeping)["Topic /map"]["bytes"] > 1000
 

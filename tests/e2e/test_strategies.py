@@ -74,7 +74,7 @@ def test_the_pod_is_restarted(restarting: Robot, how: str) -> None:
     restarting.wait_protected()
 
 
-def test_a_pod_deleted_by_force_is_not_switched_away_from_while_it_still_commands(executing: Robot) -> None:
+def test_a_pod_deleted_by_force_keeps_control_while_it_still_commands(executing: Robot) -> None:
     old = executing.wait_protected()
     executing.fail(old, "deleted-by-force")
     recovery = executing.wait_recovered(1)

@@ -73,7 +73,7 @@ def drain(robot: Robot, node: str, within: float = 120.0) -> None:
     robot.kubectl("drain", node, selector, *options, timeout=within + 30)
 
 
-def test_a_failover_that_is_asked_for_is_not_noticed_by_the_robot(executing: Robot) -> None:
+def test_the_robot_does_not_notice_a_requested_switchover(executing: Robot) -> None:
     old = executing.wait_protected()
     executing.wait_standby()
     done = understudy(executing.kubectl, "failover", executing.workload)
@@ -91,9 +91,7 @@ def test_a_failover_that_is_asked_for_is_not_noticed_by_the_robot(executing: Rob
 
 
 @pytest.mark.long
-def test_one_that_is_asked_for_as_the_page_says_without_our_command_is_the_same(
-    executing: Robot, tmp_path: Path
-) -> None:
+def test_a_switchover_requested_by_annotation_works_as_documented(executing: Robot, tmp_path: Path) -> None:
     kubectl, page = executing.kubectl, (REPOSITORY / "docs" / "switchover.md").read_text()
     (typed,) = re.findall(r"```sh\n(asked=.*?)```", page, re.DOTALL)
     executing.wait_protected()
@@ -118,7 +116,7 @@ def test_an_initialized_standby_is_activated_before_the_switch(managed: Robot) -
     assert_unnoticed(managed, recovery, kind="Failover")
 
 
-def test_a_pod_of_a_shared_pool_takes_over_and_the_robot_goes_home_again(uninitialized: Robot) -> None:
+def test_a_pod_of_a_shared_pool_takes_over_and_control_returns_to_the_workload_s_own_pod(uninitialized: Robot) -> None:
     uninitialized.wait_protected()
     done = understudy(uninitialized.kubectl, "failover", uninitialized.workload)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -140,7 +138,7 @@ def test_a_pod_of_a_shared_pool_takes_over_and_the_robot_goes_home_again(uniniti
     assert len(uninitialized.recoveries()) == 2
 
 
-def test_without_an_understudy_nothing_is_changed_and_the_reason_is_told(restarting: Robot) -> None:
+def test_a_switchover_without_an_understudy_is_refused_with_the_reason(restarting: Robot) -> None:
     active = restarting.wait_protected()
     done = understudy(restarting.kubectl, "failover", restarting.workload)
     assert done.returncode == 1, done.stdout + done.stderr

@@ -42,7 +42,7 @@ def watched(robot: Robot) -> str | None:
     return said if "it the tree was never healthy" not in said else None
 
 
-def test_the_live_tree_is_asked_for_through_kubectl(executing: Robot, tmp_path: Path) -> None:
+def test_understudy_tree_shows_the_live_tree(executing: Robot, tmp_path: Path) -> None:
     active = executing.wait_protected()
     shown = eventually(
         lambda: live(executing), within=60, every=2.0, what="the live tree is healthy", note=executing.describe

@@ -19,7 +19,7 @@ GAP = re.compile(r"no command for ([\d.]+) s")
 
 
 @pytest.mark.usefixtures("kubectl")
-def test_the_tutorials_robot_goes_on_when_what_drives_it_is_killed_and_when_it_freezes(
+def test_the_robot_of_the_tutorial_is_driven_on_after_a_kill_and_after_a_freeze(
     kubeconfig: Path, tmp_path: Path
 ) -> None:
     environment = shell_environment(kubeconfig, tmp_path) | {"IMAGE": IMAGE}

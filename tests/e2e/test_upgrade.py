@@ -174,7 +174,7 @@ def lose(robot: Robot, active: str, policy: str, *, number: int) -> str:
 
 
 @pytest.mark.long
-def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what_it_left_is_recovered_by_this_one(
+def test_an_upgrade_from_the_previous_version_leaves_no_gap_at_the_robots(
     earlier: Version, kubectl: Kubectl, release: Kubectl
 ) -> None:
     pooled, standing, active = driven(kubectl)
@@ -249,7 +249,7 @@ def test_an_upgrade_from_the_version_before_leaves_no_gap_at_the_robots_and_what
 
 
 @pytest.mark.long
-def test_going_back_to_the_version_before_leaves_the_robots_driven_and_what_this_one_left_is_recovered_by_that(
+def test_a_rollback_to_the_previous_version_leaves_no_gap_at_the_robots(
     earlier: Version, kubectl: Kubectl, release: Kubectl
 ) -> None:
     install(release.kubeconfig)
@@ -294,7 +294,7 @@ def test_going_back_to_the_version_before_leaves_the_robots_driven_and_what_this
 
 
 @pytest.mark.long
-def test_a_monitor_of_a_user_s_own_image_goes_on_in_the_version_before_until_that_is_built_again(
+def test_a_monitor_with_a_user_s_older_image_works_until_the_image_is_rebuilt(
     earlier: Version, kubectl: Kubectl, release: Kubectl
 ) -> None:
     """It asks for all FailurePolicies of the namespace, which one of this version may not."""
