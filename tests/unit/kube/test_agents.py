@@ -64,8 +64,21 @@ async def agent():
 
 
 @pytest.fixture
-async def link(agent):
-    made = AgentLink("127.0.0.1", agent.port, TOKEN, "robot", "uid/1")
+def changes():
+    """Whether there was a connection, at each change of the link."""
+    return []
+
+
+@pytest.fixture
+async def link(agent, changes):
+    made = AgentLink(
+        "127.0.0.1",
+        agent.port,
+        TOKEN,
+        "robot",
+        "uid/1",
+        on_change=lambda changed: changes.append(changed.connected),
+    )
     yield made
     await made.close()
 
@@ -145,7 +158,7 @@ async def test_a_lost_connection_fails_pending_requests_at_once(agent, link):
     assert agent.sessions >= 2
 
 
-async def test_a_silent_agent_counts_as_disconnected(agent, link, monkeypatch):
+async def test_a_silent_agent_counts_as_disconnected(agent, link, changes, monkeypatch):
     monkeypatch.setattr(wire, "SILENCE", 0.3)
 
     async def fall_silent(reader, writer):
@@ -153,8 +166,6 @@ async def test_a_silent_agent_counts_as_disconnected(agent, link, monkeypatch):
         await asyncio.sleep(60)
 
     agent.follow = fall_silent
-    changes = []
-    link._on_change = lambda changed: changes.append(changed.connected)
     await link.wait_connected(2)
     asking = asyncio.create_task(link.ask())
     with pytest.raises(AgentGone, match="lost"):
@@ -205,11 +216,10 @@ async def test_invalid_data_ends_the_session_but_not_the_link(agent, link, said)
         agent.follow = keep_saying
         await asyncio.sleep(60)
 
-    again = asyncio.Event()
-    link._on_change = lambda changed: agent.sessions > 1 and changed.connected and again.set()
     agent.follow = talk
     async with asyncio.timeout(5):
-        await again.wait()
+        while not (agent.sessions > 1 and link.connected):
+            await asyncio.sleep(0.01)
 
 
 async def test_an_answer_without_a_request_is_ignored(agent, link):

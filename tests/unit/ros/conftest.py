@@ -81,6 +81,22 @@ def eventually() -> Callable[..., None]:
 
 
 @pytest.fixture
+def address_of(monkeypatch: pytest.MonkeyPatch) -> Callable[[bytes], str]:
+    """Gives a host, by its part of a GID, one IPv4 address: this machine may have several, or none."""
+    from understudy.ros.rmw import MIDDLEWARE
+
+    real, hosts = MIDDLEWARE.host_at, {}
+    monkeypatch.setattr(MIDDLEWARE, "host_at", lambda address: hosts.get(address) or real(address))
+
+    def address(host: bytes) -> str:
+        given = f"192.0.2.{100 + len(hosts)}"
+        hosts[given] = host
+        return given
+
+    return address
+
+
+@pytest.fixture
 def watching(graph: Any) -> Iterator[object]:
     """Watches topics on the graph."""
     from understudy.ros.observe.topic_watch import TopicWatch

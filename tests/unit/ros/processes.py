@@ -27,15 +27,20 @@ class Processes:
         """Start a role of nodes.py, or of another script here, and wait until it says that it's ready; ``inside`` is a command
         to run it by.
         """
+        process = self.start([*inside, sys.executable, str(HERE / script), *arguments], **environment)
+        assert self.line(process, 30) == "ready"
+        return process
+
+    def start(self, command: Sequence[str], **environment: str) -> subprocess.Popen[str]:
+        """Start a command with this environment added to the test's."""
         process = subprocess.Popen(
-            [*inside, sys.executable, str(HERE / script), *arguments],
+            command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
             env={**os.environ, "PYTHONPATH": f"{PACKAGE}{os.pathsep}{HERE.parents[2]}", **environment},
         )
         self._running.append(process)
-        assert self.line(process, 30) == "ready"
         return process
 
     @staticmethod

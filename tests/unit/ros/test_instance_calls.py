@@ -280,8 +280,6 @@ rclpy.spin(node)
 def test_a_subscriber_that_cannot_be_reached_holds_nothing_up() -> None:
     """Instances of one workload know of each other's subscribers, and no packet passes between them."""
     environment = {
-        **os.environ,
-        "PYTHONPATH": str(PACKAGE),
         "ROS_DOMAIN_ID": "62",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
@@ -290,19 +288,13 @@ def test_a_subscriber_that_cannot_be_reached_holds_nothing_up() -> None:
     running = Processes()
     with network() as lan:
         try:
-            for ip, command in (
-                ("10.62.0.2", [sys.executable, "-c", LISTEN]),
-                ("10.62.0.3", [sys.executable, str(Path(__file__).parent / "publishing.py")]),
-            ):
-                process = subprocess.Popen(
-                    [*lan.host(ip), *command],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    text=True,
-                    env=environment,
+            other, own = (
+                running.start([*lan.host(ip), sys.executable, *command], **environment)
+                for ip, command in (
+                    ("10.62.0.2", ["-c", LISTEN]),
+                    ("10.62.0.3", [str(Path(__file__).parent / "publishing.py")]),
                 )
-                running._running.append(process)
-            other, own = running._running
+            )
             assert running.line(own, 60) == "both 2"
             other.send_signal(signal.SIGSTOP)
             assert own.stdin is not None

@@ -188,7 +188,8 @@ def test_of_a_process_that_takes_the_place_of_another_nothing_is_known_but_what_
     node = Endpoint("lifecycle_msgs::srv::dds_::GetState_Request_", b"", NODE)
     servers = [replace(node, gid=b"a" * 16)]
     monkeypatch.setattr(graph, "servers", lambda service: list(servers))
-    monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 0.0)
+    for name in ("PERIOD", "RETRY"):
+        monkeypatch.setattr(f"understudy.ros.observe.node_inquiries.{name}", 0.0)
     record = TopicRecord(contents=1)
     states = LifecycleStates(graph, lambda gid: True, lambda topic: record, alone=True)
     try:
@@ -202,7 +203,6 @@ def test_of_a_process_that_takes_the_place_of_another_nothing_is_known_but_what_
         assert states.of(NODE) is None
         record.contents.append(Told(time.time(), "inactive"))
         servers[:] = [replace(node, gid=b"c" * 16)]
-        states._inquiries[NODE].next = 0.0
         states.look()
         assert states.of(NODE).state == "inactive", "it was told by the new one"
         servers.clear()

@@ -28,10 +28,10 @@ def heard(watching: TopicWatch) -> int:
     return record.count if record is not None else 0
 
 
-def test_what_the_node_logs_fails_and_what_others_and_it_otherwise_log_does_not(watching, processes, eventually):
+def test_what_the_node_logs_fails_and_what_others_and_it_otherwise_log_does_not(watching, processes, eventually, graph):
     judged = Judged(watching, TREE, grace=0.001)
     controller, planner = (processes.node("log", name) for name in ("controller", "planner"))
-    eventually(lambda: judged.now() and len(watching._graph.publishers("/rosout")) == 2)
+    eventually(lambda: judged.now() and len(graph.publishers("/rosout")) == 2)
     states = set()
 
     def said(node: Any, *lines: str) -> None:

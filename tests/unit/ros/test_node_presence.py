@@ -56,7 +56,7 @@ def test_a_node_that_is_gone_fails_whoever_else_comes_and_goes(watching, join, e
     eventually(lambda: judged.now().state == "Healthy")
 
 
-def test_one_without_parameter_events_is_told_by_what_else_it_has(watching, join, eventually):
+def test_one_without_parameter_events_is_told_by_what_else_it_has(watching, join, eventually, graph):
     # Its other topics are gone through once a second.
     controller, said = join("controller"), Judged(watching, {"node": {"name": "/controller", "for": "5s"}})
     eventually(lambda: said.now().state == "Healthy")
@@ -67,7 +67,7 @@ def test_one_without_parameter_events_is_told_by_what_else_it_has(watching, join
 
     def without() -> bool:
         states.add(said.now().state)
-        return not any(end.node == "/controller" for end in watching._graph.publishers("/parameter_events"))
+        return not any(end.node == "/controller" for end in graph.publishers("/parameter_events"))
 
     eventually(without)
     for _ in range(3):
@@ -90,15 +90,15 @@ def test_an_agent_counts_the_nodes_of_its_own_host(graph, join, eventually):
         watching.close()
 
 
-def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypatch):
+def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypatch, graph):
     active, standby, robot = "192.0.2.1", "192.0.2.2", "192.0.2.3"
     ends: list[Endpoint] = []
 
     def give(*nodes: tuple[str, str]) -> None:
         ends[:] = [Endpoint("any", VENDOR + host_id(address) + bytes(12), node) for address, node in nodes]
 
-    monkeypatch.setattr(watching._graph, "publishers", lambda topic: ends)
-    monkeypatch.setattr(watching._graph, "publisher_count", lambda topic: len(ends))
+    monkeypatch.setattr(graph, "publishers", lambda topic: ends)
+    monkeypatch.setattr(graph, "publisher_count", lambda topic: len(ends))
     watching.follow([WANTED])
 
     def counted(instances: dict[str, str], pod: str) -> Any:
@@ -119,13 +119,16 @@ def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypat
     assert counted({"w-1": active, "w-2": standby}, "w-1") == (False, False)
 
 
-def test_the_publishers_are_gone_through_when_their_number_changes_and_else_seldom(watching, monkeypatch, eventually):
+def test_the_publishers_are_gone_through_when_their_number_changes_and_else_seldom(
+    watching, monkeypatch, eventually, graph
+):
     looks = []
-    real = watching._graph.publishers
-    monkeypatch.setattr(watching._graph, "publishers", lambda topic: looks.append(topic) or real(topic))
+    real = graph.publishers
+    eventually(lambda: (ends := real("/parameter_events")) and all(end.node for end in ends))
+    monkeypatch.setattr(graph, "publishers", lambda topic: looks.append(topic) or real(topic))
     monkeypatch.setattr("understudy.ros.observe.node_presence.AT_LEAST", 3600.0)
     watching.follow([WANTED])
-    eventually(lambda: watching.drain() or (watching.node("/controller") and watching._inhabitants._count > 0))
+    eventually(lambda: watching.drain() or watching.node("/controller"))
     looks.clear()
     first = watching.node("/controller").received
     eventually(lambda: watching.drain() or watching.node("/controller").received > first + 0.3)

@@ -30,10 +30,14 @@ def node(processes: Any) -> Callable[..., Any]:
     return lambda *speed: processes.node("parameters", NODE, *speed)
 
 
+OFTEN = 0.3
+"""Seconds between two requests."""
+
+
 @pytest.fixture(autouse=True)
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nodes are asked more often."""
-    monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 0.3)
+    monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", OFTEN)
 
 
 def put(**values: Any) -> None:
@@ -82,7 +86,8 @@ def test_a_change_is_received_as_an_event_and_not_only_by_polling(watching, node
 
     eventually(heard)
     monkeypatch.setattr("understudy.ros.observe.node_inquiries.PERIOD", 3600.0)
-    eventually(lambda: judged.now() and watching._parameters._inquiries[NODE, "speed"].next > time.monotonic() + 600)
+    asked = time.monotonic() + 2 * OFTEN  # the last request was due by then
+    eventually(lambda: judged.now() and time.monotonic() > asked)
     put(speed=2.0)
     eventually(lambda: judged.now().state == "Failed")
 

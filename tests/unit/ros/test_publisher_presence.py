@@ -95,7 +95,7 @@ def test_an_agent_counts_the_publishers_of_its_own_host(graph, others, eventuall
         watching.close()
 
 
-def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypatch):
+def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypatch, graph):
     def gid(address: str) -> bytes:
         return VENDOR + host_id(address) + bytes(12)
 
@@ -104,7 +104,7 @@ def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypat
         Endpoint("std_msgs/msg/String", gid(address), node)
         for address, node in ((active, "/a"), (standby, "/b"), (robot, "/c"))
     ]
-    monkeypatch.setattr(watching._graph, "publishers", lambda topic: ends)
+    monkeypatch.setattr(graph, "publishers", lambda topic: ends)
     watching.follow([WatchedTopic("/chat", None, 0.0, None, heard=False, publishers=True)])
 
     def counted(instances: dict[str, str], pod: str) -> tuple[str, ...]:

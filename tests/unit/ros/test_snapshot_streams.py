@@ -44,6 +44,7 @@ class Stage:
     """Streams, and a tree that is shown on them."""
 
     def __init__(self, graph: Any) -> None:
+        self.graph = graph
         self.streams = Streams(graph, SPACE)
         self.listed = listed()
         self.published = 0
@@ -53,6 +54,34 @@ class Stage:
         if self.streams.read():
             self.published += self.streams.show(self.listed)
         await asyncio.sleep(0.02)
+
+    async def call(self, name: str, **parameters: Any) -> Any:
+        """The answer to a request of a tool, to open or to close a stream."""
+        type_ = interface_class(f"py_trees_ros_interfaces/srv/{name.title()}SnapshotStream")
+        request = type_.Request(topic_name=parameters.pop("topic"))
+        for parameter, value in parameters.items():
+            setattr(request.parameters, parameter, value)
+        client = self.graph.node.create_client(type_, f"{SPACE}/snapshot_streams/{name}")
+        try:
+            await self.until(client.service_is_ready)
+            with client.handle:
+                client.handle.send_request(request)
+            answers: list[Any] = []
+
+            def answered() -> bool:
+                with client.handle:
+                    info, answer = client.handle.take_response(type_.Response)
+                answers.append(answer)
+                return info is not None
+
+            await self.until(answered)
+            return answers[-1]
+        finally:
+            self.graph.node.destroy_client(client)
+
+    async def open(self, topic: str, period: float = math.inf) -> str:
+        opened: str = (await self.call("open", topic=topic, snapshot_period=period)).topic_name
+        return opened
 
     async def line(self, processes: Any, node: Any) -> Any:
         """What a process says next, while streams are looked at."""
@@ -122,53 +151,41 @@ async def test_a_viewer_opens_a_stream_of_its_own_and_closes_it(stage: Stage, pr
         return found
 
     assert await answer("inf") == {"set": True}
-    assert stage.streams._streams[topic].period == math.inf
+    assert stage.streams.periods[topic] == math.inf
     assert await answer("close") == {"closed": True}
-    assert list(stage.streams._streams) == [f"{SPACE}/snapshots"]
+    assert list(stage.streams.periods) == [f"{SPACE}/snapshots"]
     assert await answer("close") == {"closed": False}
     assert graph.publishers(f"{SPACE}/snapshots")
     assert not graph.publishers(topic)
 
 
-def test_a_client_does_not_decide_where_this_process_publishes(stage: Stage) -> None:
-    type_ = interface_class("py_trees_ros_interfaces/srv/OpenSnapshotStream")
-
-    def opened(name: str, period: float = math.inf) -> str:
-        request, response = type_.Request(topic_name=name), type_.Response()
-        request.parameters.snapshot_period = period
-        stage.streams._open(request, response)
-        topic: str = response.topic_name
-        return topic
-
-    assert opened("/cmd_vel") == f"{SPACE}/snapshot_streams/_snapshots_0"
-    assert opened("~/a/../b") == f"{SPACE}/snapshot_streams/_snapshots_1"
-    assert opened("mine") == opened("mine") == f"{SPACE}/snapshot_streams/mine"
-    assert opened("fast", 0.0) == f"{SPACE}/snapshot_streams/fast"
-    assert stage.streams._streams[f"{SPACE}/snapshot_streams/fast"].period == LEAST
-    assert opened("odd", math.nan) == f"{SPACE}/snapshot_streams/odd"
-    assert stage.streams._streams[f"{SPACE}/snapshot_streams/odd"].period == math.inf
+async def test_a_client_does_not_decide_where_this_process_publishes(stage: Stage) -> None:
+    assert await stage.open("/cmd_vel") == f"{SPACE}/snapshot_streams/_snapshots_0"
+    assert await stage.open("~/a/../b") == f"{SPACE}/snapshot_streams/_snapshots_1"
+    assert await stage.open("mine") == await stage.open("mine") == f"{SPACE}/snapshot_streams/mine"
+    assert await stage.open("fast", 0.0) == f"{SPACE}/snapshot_streams/fast"
+    assert stage.streams.periods[f"{SPACE}/snapshot_streams/fast"] == LEAST
+    assert await stage.open("odd", math.nan) == f"{SPACE}/snapshot_streams/odd"
+    assert stage.streams.periods[f"{SPACE}/snapshot_streams/odd"] == math.inf
     for number in range(MOST):
-        opened(f"more{number}")
-    assert len(stage.streams._streams) == MOST
-    assert opened("one_more") == f"{SPACE}/snapshots"
+        await stage.open(f"more{number}")
+    assert len(stage.streams.periods) == MOST
+    assert await stage.open("one_more") == f"{SPACE}/snapshots"
 
 
-def test_the_stream_that_is_always_there_can_not_be_closed(stage: Stage) -> None:
-    type_ = interface_class("py_trees_ros_interfaces/srv/CloseSnapshotStream")
+async def test_the_stream_that_is_always_there_can_not_be_closed(stage: Stage) -> None:
     for name in (f"{SPACE}/snapshots", "/elsewhere"):
-        response = type_.Response()
-        stage.streams._close(type_.Request(topic_name=name), response)
-        assert response.result is False
-    assert f"{SPACE}/snapshots" in stage.streams._streams
+        assert (await stage.call("close", topic=name)).result is False
+    assert f"{SPACE}/snapshots" in stage.streams.periods
 
 
-def test_a_stream_whose_tool_has_died_is_closed(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
-    stage.streams._add(f"{SPACE}/snapshot_streams/left", math.inf)
+async def test_a_stream_whose_tool_has_died_is_closed(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    await stage.open("left")
     assert not stage.streams.read()
-    assert len(stage.streams._streams) == 2
+    assert len(stage.streams.periods) == 2
     monkeypatch.setattr(snapshot_streams, "ABANDONED", -1.0)
     stage.streams.read()
-    assert list(stage.streams._streams) == [f"{SPACE}/snapshots"]
+    assert list(stage.streams.periods) == [f"{SPACE}/snapshots"]
 
 
 def test_the_topic_is_latched_as_its_readers_ask_for(stage: Stage, graph: Any) -> None:

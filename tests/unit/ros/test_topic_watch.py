@@ -224,7 +224,7 @@ def test_a_goal_is_no_longer_active_when_its_server_is_gone(watching, processes,
     eventually(lambda: watching.drain() is not None and watching.task(STATUS) is None, timeout=45)
 
 
-def test_goals_of_an_instance_that_is_not_in_control_do_not_count(watching, processes, eventually):
+def test_goals_of_an_instance_that_is_not_in_control_do_not_count(watching, processes, eventually, address_of):
     processes.node("work", "/count")
     watching.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
     eventually(lambda: watching.drain() and watching.active(STATUS))
@@ -232,5 +232,5 @@ def test_goals_of_an_instance_that_is_not_in_control_do_not_count(watching, proc
     pods = {"elsewhere": "192.0.2.1"}
     watching.attribute(pods, "elsewhere")
     assert watching.task(STATUS) is not None, "a server in no pod of the workload's, such as a proxy"
-    watching._sources._pods[MIDDLEWARE.host_of(gid)] = ("standby",)
+    watching.attribute({**pods, "standby": address_of(MIDDLEWARE.host_of(gid))}, "elsewhere")
     assert watching.task(STATUS) is None

@@ -16,6 +16,7 @@ import threading
 import time
 from bisect import bisect_left
 from collections import OrderedDict, deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
@@ -186,17 +187,49 @@ class ProbeSender:
         return self._sockets[family]
 
 
+class Arrivals:
+    """When each pod's probes arrived, as far as that is remembered. Times are Unix seconds."""
+
+    PODS = 256
+    """Pods that are remembered. If there are more, the one that was silent for longest is forgotten."""
+
+    MOST = 4096
+    """Arrivals that are remembered for each pod: four seconds of a burst."""
+
+    def __init__(self) -> None:
+        self._arrivals: OrderedDict[str, deque[float]] = OrderedDict()
+
+    def pods(self) -> list[str]:
+        """UIDs of the pods from which a probe came."""
+        return list(self._arrivals)
+
+    def of(self, uid: str) -> Sequence[float]:
+        """Return when a pod's probes arrived, in order."""
+        return self._arrivals.get(uid, ())
+
+    def add(self, uid: str, arrival: float) -> None:
+        """Record that a pod's probe arrived."""
+        arrivals = self._arrivals.get(uid)
+        if arrivals is None:
+            if len(self._arrivals) >= self.PODS:
+                self._arrivals.popitem(last=False)
+            arrivals = self._arrivals[uid] = deque(maxlen=self.MOST)
+        else:
+            self._arrivals.move_to_end(uid)
+        if arrivals and arrivals[-1] > arrival:
+            # The clock went back: slewed a little, or set.
+            if arrivals[-1] - arrival > 1.0:
+                arrivals.clear()
+            else:
+                arrival = arrivals[-1]
+        arrivals.append(arrival)
+
+
 class ProbeReceiver:
     """Records when each pod's probes arrive.
 
     The times are the kernel's timestamps, so that a busy process does not record them late.
     """
-
-    PODS = 256
-    """Pods that are remembered. If there are more, the one that was silent for longest is forgotten."""
-
-    ARRIVALS = 4096
-    """Arrivals that are remembered for each pod: four seconds of a burst."""
 
     leak_hint = (
         "The cluster's network does not enforce NetworkPolicies for UDP with endPort. Use a network plugin that does."
@@ -204,7 +237,7 @@ class ProbeReceiver:
     block_hint = "Look for other NetworkPolicies that select it, or for a network that does not carry its traffic."
 
     def __init__(self) -> None:
-        self._arrivals: OrderedDict[str, deque[float]] = OrderedDict()
+        self._arrivals = Arrivals()
         self._socket: socket.socket | None = None
         self._changed = asyncio.Event()
         self._waiting = 0
@@ -236,24 +269,24 @@ class ProbeReceiver:
     def pods(self) -> list[str]:
         """UIDs of the pods from which a probe came."""
         self._take()
-        return list(self._arrivals)
+        return self._arrivals.pods()
 
     def last(self, uid: str) -> float | None:
         """Return when a pod's last probe arrived, in Unix seconds; None if none did."""
         self._take()
-        arrivals = self._arrivals.get(uid)
+        arrivals = self._arrivals.of(uid)
         return arrivals[-1] if arrivals else None
 
     def count_since(self, uid: str, time: float) -> int:
         """Return the number of a pod's probes that arrived at or after a time, as far as they are remembered."""
         self._take()
-        arrivals = self._arrivals.get(uid, ())
+        arrivals = self._arrivals.of(uid)
         return len(arrivals) - bisect_left(arrivals, time)
 
     def first_since(self, uid: str, time: float) -> float | None:
         """Return when the first probe of a pod at or after a time arrived."""
         self._take()
-        arrivals = self._arrivals.get(uid)
+        arrivals = self._arrivals.of(uid)
         if not arrivals or arrivals[-1] < time:
             return None
         return arrivals[bisect_left(arrivals, time)]
@@ -314,23 +347,7 @@ class ProbeReceiver:
                 break
             probe = decode(datagram)
             if probe is not None:
-                self._note(probe.uid, _timestamp(ancillary))
-
-    def _note(self, uid: str, arrival: float) -> None:
-        arrivals = self._arrivals.get(uid)
-        if arrivals is None:
-            if len(self._arrivals) >= self.PODS:
-                self._arrivals.popitem(last=False)
-            arrivals = self._arrivals[uid] = deque(maxlen=self.ARRIVALS)
-        else:
-            self._arrivals.move_to_end(uid)
-        if arrivals and arrivals[-1] > arrival:
-            # The clock went back: slewed a little, or set.
-            if arrivals[-1] - arrival > 1.0:
-                arrivals.clear()
-            else:
-                arrival = arrivals[-1]
-        arrivals.append(arrival)
+                self._arrivals.add(probe.uid, _timestamp(ancillary))
 
 
 def _timestamp(ancillary: list[tuple[int, int, bytes]]) -> float:

@@ -114,6 +114,11 @@ class Streams:
             for name, type_ in services.items()
         ]
 
+    @property
+    def periods(self) -> dict[str, float]:
+        """The maximum seconds between snapshots without a change, by the topic of each stream."""
+        return {name: stream.period for name, stream in self._streams.items()}
+
     # -- snapshots --------------------------------------------------------------------------------------------------
 
     def read(self) -> bool:
