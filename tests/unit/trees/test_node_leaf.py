@@ -105,7 +105,7 @@ def test_nothing_is_subscribed_to_for_it_though_a_topic_has_its_name():
         (CONTROLLER, "", "found '/controller'; node is a mapping such as {name: /controller_server}"),
         ({}, ".name", "missing; give the node's fully qualified name, such as /controller_server"),
         ({"name": "controller"}, ".name", "found 'controller'; did you mean '/controller'?"),
-        ({"name": 3}, ".name", "found 3; give a node's fully qualified name such as /controller_server"),
+        ({"name": 3}, ".name", "found 3; give a fully qualified node name such as /controller_server"),
         ({"name": "/a", "for": 2}, ".for", "found 2, which has no unit; write it with ms, s, m or h, such as 500ms"),
         ({"name": "/a", "gap": "2s"}, ".gap", "unknown key 'gap'; known are name, for"),
     ],

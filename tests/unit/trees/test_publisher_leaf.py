@@ -157,7 +157,7 @@ def test_an_output_whose_publishers_alone_are_looked_at_says_nothing_of_when_mes
         (
             {"topic": CMD, "node": 3},
             ".node",
-            "found 3; give a node's fully qualified name such as /controller_server",
+            "found 3; give a fully qualified node name such as /controller_server",
         ),
         ({"topic": CMD, "count": 0}, ".count", "found 0; give a whole number from 1 to 1000"),
         ({"topic": CMD, "count": True}, ".count", "found True; give a whole number from 1 to 1000"),

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
-from understudy.trees.core.leaf import Leaf, State, duration
-from understudy.trees.core.observations import Evaluation, Evidence
-from understudy.trees.core.task_activity import TaskActive, task_timing
+from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
+from understudy.trees.core.observations import Evidence
+from understudy.trees.core.task_activity import task_timing
 
 EvidenceT = TypeVar("EvidenceT", bound=Evidence)
 
@@ -76,10 +75,8 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     the condition has held for the first time, the leaf is starting until the grace ends.
     """
 
-    def __init__(
-        self, path: str, topic: str, evaluation: Evaluation, *, hold_off: float, tasks: Sequence[TaskActive]
-    ) -> None:
-        super().__init__(path, topic, evaluation, tasks)
+    def __init__(self, place: LeafPlace, topic: str, hold_off: float = 0.0) -> None:
+        super().__init__(place, topic)
         self.hold_off = hold_off
         self._track: EvidenceTrack[EvidenceT] = EvidenceTrack()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from py_trees.behaviour import Behaviour
@@ -19,6 +20,17 @@ STATUS: dict[State, Status] = {"Healthy": Status.SUCCESS, "Starting": Status.RUN
 
 STATE: dict[Status, State] = {status: state for state, status in STATUS.items()}
 """The state of each py_trees status."""
+
+
+@dataclass(frozen=True)
+class LeafPlace:
+    """The place of a leaf in a tree."""
+
+    path: str
+    evaluation: Evaluation
+    """Provides its input."""
+    tasks: Sequence[TaskActive] = ()
+    """The tasks for which it is judged."""
 
 
 class Leaf(Behaviour, ABC):
@@ -38,11 +50,11 @@ class Leaf(Behaviour, ABC):
     of_cluster = False
     """Whether it needs observations of the cluster, because the ROS graph does not have them."""
 
-    def __init__(self, path: str, topic: str, evaluation: Evaluation, tasks: Sequence[TaskActive]) -> None:
-        super().__init__(path)
+    def __init__(self, place: LeafPlace, topic: str) -> None:
+        super().__init__(place.path)
         self.topic = topic
-        self.tasks = tasks
-        self._evaluation = evaluation
+        self.tasks = place.tasks
+        self._evaluation = place.evaluation
 
     def update(self) -> Status:
         """Return the state at the time of the evaluation as a py_trees status."""

@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.core.evidence import EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import State, duration
-from understudy.trees.core.observations import Content, Evaluation, TopicRecord, Unreadable
-from understudy.trees.core.task_activity import SETTLE, TaskActive
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, time_key
+from understudy.trees.core.leaf import LeafPlace, State, duration
+from understudy.trees.core.observations import Content, TopicRecord, Unreadable
+from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, time_key
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expression_values import Undefined
-from understudy.trees.source.expressions import ExpressionError, Fields, Quantity
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.source.expressions import ExpressionError, Quantity
+from understudy.trees.source.value_reader import found_text, name_of, number_of, type_of
 
 MOST_GOALS = 16
 """Greatest number of goals of one action that are distinguished; most servers have one at a time."""
@@ -46,19 +44,10 @@ class ProgressLeaf(ContentLeaf):
     has made no progress.
     """
 
-    def __init__(
-        self,
-        path: str,
-        action: str,
-        evaluation: Evaluation,
-        *,
-        gap: float | None = None,
-        aim: Aim | None = None,
-        tasks: Sequence[TaskActive],
-    ) -> None:
+    def __init__(self, place: LeafPlace, action: str, gap: float | None, aim: Aim | None) -> None:
         """Make a leaf over an action's feedback. At least one of ``gap`` (seconds) and ``aim`` is given. Its own task
         is the last one."""
-        super().__init__(path, feedback_of(action), evaluation, hold_off=0.0, tasks=tasks)
+        super().__init__(place, feedback_of(action))
         self._action, self._gap, self._aim = action, gap, aim
         self._best: dict[bytes, float] = {}
         self._why = ""
@@ -144,77 +133,61 @@ def feedback_of(action: str) -> str:
     return f"{action}/_action/feedback"
 
 
-_EXAMPLE = "{action: /navigate_to_pose, gap: 5s}"
 _MEASURES = ("falls", "grows")
 
 
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    if "action" not in value:
-        reader.problem(f"{path}.action", "missing; give the action's fully qualified name, such as /navigate_to_pose")
-    action = reader.matching(
-        value, "action", path, ROS_NAME_PATTERN, "a fully qualified action name such as /navigate_to_pose"
-    )
-    type_ = reader.matching(
-        value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "action"), "package/action/Name"
-    )
-    gap = reader.given(value, "gap", path, duration_of)
-    settle = reader.given(value, "settle", path, duration_of) if "settle" in value else SETTLE
-    aim = _aim(reader, value, path, f"{type_}_Feedback" if type_ is not None else "", fields)
-    if "gap" not in value and not any(key in value for key in _MEASURES):
-        reader.problem(
-            path, "none of gap, falls and grows is given; give gap, such as 5s, or falls, such as distance_remaining"
-        )
-    if action is None or settle is None or len(reader.problems) > before:
-        return None
-    task = TaskActive(action, settle)
-    feedback = f"{type_}_FeedbackMessage" if type_ is not None else None
-    return LeafPlan(
-        f"{action.lstrip('/')}.progress",
-        WatchedTopic(feedback_of(action), feedback, 0.0, None, contents=1, whole=aim is not None),
-        lambda place, evaluation, tasks: ProgressLeaf(place, action, evaluation, gap=gap, aim=aim, tasks=tasks),
-        task,
-    )
-
-
-def _aim(reader: Reader, value: Mapping[str, Any], path: str, type_: str, fields: Fields | None) -> Aim | None:
-    given = [key for key in _MEASURES if key in value]
-    if len(given) > 1:
-        reader.problem(f"{path}.grows", "found falls and grows; give the one that shows progress")
-    if not given:
+def _check(given: Given) -> None:
+    measures = [key for key in _MEASURES if key in given]
+    if len(measures) > 1:
+        given.problem("grows", "found falls and grows; give the one that shows progress")
+    if not measures:
+        if "gap" not in given:
+            given.problem(
+                "", "none of gap, falls and grows is given; give gap, such as 5s, or falls, such as distance_remaining"
+            )
         for key in ("by", "within"):
-            if key in value:
-                reader.problem(f"{path}.{key}", "it is only for falls or grows; give one of these, or leave it out")
-        return None
-    if "type" not in value:
-        reader.problem(f"{path}.type", "missing; give the action's type, such as nav2_msgs/action/NavigateToPose")
-    if "by" not in value:
-        reader.problem(f"{path}.by", "missing; give by how much it must improve, such as 0.2")
-    if "within" not in value:
-        reader.problem(f"{path}.within", "missing; give the time in which it must, such as 20s")
+            if key in given:
+                given.problem(key, "it is only for falls or grows; give one of these, or leave it out")
+        return
+    for key, right in _OF_MEASURES.items():
+        if key not in given:
+            given.problem(key, f"missing; give {right}")
+    type_ = f"{given['type']}_Feedback" if given["type"] is not None else ""
 
     def quantity(found: object) -> Quantity:
         if not isinstance(found, str):
             raise ValueError(f"found {found_text(found)}; write a field of the feedback, such as distance_remaining")
         try:
-            return Quantity.parse(found, type_, fields)
+            return Quantity.parse(found, type_, given.fields)
         except ExpressionError as error:
             raise ValueError(f"found {found_text(found)}: {error}") from error
 
-    measured = reader.given(value, given[0], path, quantity)
-    by, within = reader.given(value, "by", path, _by), reader.given(value, "within", path, duration_of)
-    if measured is None or by is None or within is None:
-        return None
-    return Aim(measured, -1 if given[0] == "falls" else 1, by, within)
+    given.convert(measures[0], quantity)
+
+
+_OF_MEASURES = {
+    "type": "the action's type, such as nav2_msgs/action/NavigateToPose",
+    "by": "by how much it must improve, such as 0.2",
+    "within": "the time in which it must, such as 20s",
+}
+"""The keys that a measure needs, and what to give."""
+
+
+def _plan(given: Given) -> LeafPlan:
+    action, gap, type_ = given["action"], given["gap"], given["type"]
+    quantities = ((given[key], sign) for key, sign in (("falls", -1), ("grows", 1)) if key in given)
+    aim = next((Aim(one, sign, given["by"], given["within"]) for one, sign in quantities), None)
+    feedback = f"{type_}_FeedbackMessage" if type_ is not None else None
+    return LeafPlan(
+        f"{action.lstrip('/')}.progress",
+        WatchedTopic(feedback_of(action), feedback, 0.0, None, contents=1, whole=aim is not None),
+        lambda place: ProgressLeaf(place, action, gap, aim),
+        TaskActive(action, given["settle"]),
+    )
 
 
 def _by(found: object) -> float:
-    # XML has no numbers: they are written as text there.
-    try:
-        number = math.nan if isinstance(found, bool) or not isinstance(found, int | float | str) else float(found)
-    except (ValueError, OverflowError):
-        number = math.nan
-    if not 0 < number < math.inf:
+    if not 0 < (number := number_of(found)) < math.inf:
         raise ValueError(f"found {found_text(found)}; give a number above 0, such as 0.2")
     return number
 
@@ -223,15 +196,21 @@ PROGRESS = LeafKind(
     "progress",
     "while the goal of an action makes progress, or there is none",
     (
-        Key("action", "the action, fully qualified, such as /navigate_to_pose"),
-        Key("type", "package/action/Name"),
+        Key(
+            "action",
+            "the action, fully qualified, such as /navigate_to_pose",
+            read=name_of("action", "/navigate_to_pose"),
+            missing="give the action's fully qualified name, such as /navigate_to_pose",
+        ),
+        Key("type", "package/action/Name", read=type_of("action")),
         time_key("gap", "the longest time without feedback, such as 5s"),
         Key("falls", "the number in the feedback that must become less, such as distance_remaining"),
         Key("grows", "the number in the feedback that must become more"),
-        Key("by", "by how much it must improve, such as 0.3", "float"),
+        Key("by", "by how much it must improve, such as 0.3", "float", read=_by),
         time_key("within", "the time in which it must improve, such as 30s"),
         time_key("settle", "how long it may take to start after the goal became active", default="2s"),
     ),
-    _EXAMPLE,
-    _read,
+    "{action: /navigate_to_pose, gap: 5s}",
+    _plan,
+    _check,
 )

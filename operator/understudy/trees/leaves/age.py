@@ -3,30 +3,21 @@ them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import duration
-from understudy.trees.core.observations import Content, Evaluation
-from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.core.leaf import LeafPlace, duration
+from understudy.trees.core.observations import Content
 from understudy.trees.leaves.leaf_plan import (
     TYPE,
-    Key,
+    Given,
     LeafKind,
     LeafPlan,
     fails_on_arrival,
-    hold_off_of,
     time_key,
     topic_key,
-    topic_of,
-    type_of,
+    word_key,
 )
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.problems import did_you_mean
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
 
 HEADER = "std_msgs/Header"
 
@@ -40,19 +31,9 @@ every sample (OMG DDS 1.4, 2.2.2.5.5; ``source_timestamp`` of ``rmw_message_info
 class AgeLeaf(ContentLeaf):
     """Holds while the newest message was not too old when it was received."""
 
-    def __init__(
-        self,
-        path: str,
-        topic: str,
-        evaluation: Evaluation,
-        most: float,
-        by: str = STAMP,
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, topic: str, hold_off: float, most: float, by: str) -> None:
         """Make a leaf over a topic; ``most`` and ``hold_off`` in seconds, ``by`` one of CLOCKS."""
-        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, topic, hold_off)
         self._most, self._by = most, by
 
     @property
@@ -81,38 +62,23 @@ def rounded(seconds: float) -> str:
     return f"{seconds * 1000:.3g} ms" if seconds < 0.9995 else f"{seconds:.3g} s" if seconds < 1e6 else "over 11 days"
 
 
-_EXAMPLE = "{topic: /scan, type: sensor_msgs/msg/LaserScan, most: 300ms}"
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, "/scan")
-    type_ = type_of(reader, value, path)
-    by = reader.given(value, "by", path, _clock) if "by" in value else STAMP
-    known = fields(type_) if type_ and fields is not None else None
+def _check(given: Given) -> None:
+    type_, by = given["type"], given["by"]
+    known = given.fields(type_) if type_ and given.fields is not None else None
     if by == STAMP and known is not None and next(iter(known.values()), None) != HEADER:
-        reader.problem(
-            f"{path}.type",
+        given.problem(
+            "type",
             f"found {type_}, which does not begin with a header; an age needs one with a stamp, or give by: source",
         )
-    if "most" not in value:
-        reader.problem(f"{path}.most", "missing; give how old a message may be when it arrives, such as 300ms")
-    most = reader.given(value, "most", path, duration_of)
-    hold_off = hold_off_of(reader, value, path)
-    if topic is None or most is None or by is None or len(reader.problems) > before:
-        return None
+
+
+def _plan(given: Given) -> LeafPlan:
+    topic, hold_off, most, by = given["topic"], given.hold_off, given["most"], given["by"]
     return LeafPlan(
         f"{topic.lstrip('/')}.age",
-        WatchedTopic(topic, type_, 0.0, None, contents=1, prompt=fails_on_arrival(hold_off)),
-        lambda place, evaluation, tasks: AgeLeaf(place, topic, evaluation, most, by, hold_off=hold_off, tasks=tasks),
+        WatchedTopic(topic, given["type"], 0.0, None, contents=1, prompt=fails_on_arrival(hold_off)),
+        lambda place: AgeLeaf(place, topic, hold_off, most, by),
     )
-
-
-def _clock(found: object) -> str:
-    if found not in CLOCKS:
-        hint = did_you_mean(found, CLOCKS) if isinstance(found, str) else f"; known are {', '.join(CLOCKS)}"
-        raise ValueError(f"found {found_text(found)}{hint}")
-    return str(found)
 
 
 AGE = LeafKind(
@@ -121,16 +87,21 @@ AGE = LeafKind(
     (
         topic_key("/scan"),
         TYPE,
-        time_key("most", "the greatest age of a message when it arrives, such as 300ms"),
+        time_key(
+            "most",
+            "the greatest age of a message when it arrives, such as 300ms",
+            missing="give how old a message may be when it arrives, such as 300ms",
+        ),
         time_key("for", "how long messages must be older before that is a failure, such as 1s"),
-        Key(
+        word_key(
             "by",
             "the time that an age is counted from: the header's stamp, or source, when it was sent",
             "age_by",
             CLOCKS,
-            STAMP,
+            default=STAMP,
         ),
     ),
-    _EXAMPLE,
-    _read,
+    "{topic: /scan, type: sensor_msgs/msg/LaserScan, most: 300ms}",
+    _plan,
+    _check,
 )

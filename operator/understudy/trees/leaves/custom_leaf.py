@@ -13,27 +13,24 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from datetime import timedelta
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Content, Evaluation, Unreadable
-from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.core.leaf import LeafPlace
+from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.leaf_plan import (
     TYPE,
+    Given,
     Key,
     LeafKind,
     LeafPlan,
     fails_on_arrival,
-    hold_off_of,
     time_key,
     topic_key,
-    topic_of,
-    type_of,
 )
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.source.value_reader import duration_of, found_text, number_of
 
 _logger = logging.getLogger(__name__)
 
@@ -64,19 +61,9 @@ class Judge(Protocol):
 class CustomLeaf(ContentLeaf):
     """Holds while its judge accepts the newest message, and also if the judge itself fails."""
 
-    def __init__(
-        self,
-        path: str,
-        topic: str,
-        evaluation: Evaluation,
-        kind: str,
-        make: Callable[[], Judge],
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, topic: str, hold_off: float, kind: str, make: Callable[[], Judge]) -> None:
         """Make a leaf over a topic; ``hold_off`` in seconds."""
-        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, topic, hold_off)
         self.kind = kind
         self._make = make
         self._judge: Judge | None = None
@@ -113,33 +100,23 @@ class CustomLeaf(ContentLeaf):
         self.blind = blind
 
 
-class Setting(NamedTuple):
-    """A key with which a judge is made."""
-
-    read: Callable[[object], Any]
-    """Reads its value. Raises ValueError."""
-    required: bool
-
-
 def kind_of(name: str, judge: object) -> LeafKind:
     """Return the kind of leaf for a class, whose keys are the parameters of its constructor. Raises ValueError."""
     if not isinstance(judge, type) or not callable(getattr(judge, "judge", None)):
         raise ValueError("it must be a class with a method judge(self, message)")
-    settings = _settings(judge)
-    example = "".join(f", {key}: ..." for key, setting in settings.items() if setting.required)
-    own = (Key(key, f"{key} of {judge.__name__}", _UNITS.get(key, "string")) for key in settings)
+    own = _settings(name, judge)
+    example = "".join(f", {key.name}: ..." for key in own if key.missing)
     summary = f"while {judge.__name__} accepts the newest message"
-    return LeafKind(
-        name, summary, (*_SHARED, *own), f"{{topic: /scan{example}}}", partial(_read, name, judge, settings)
-    )
+    return LeafKind(name, summary, (*_SHARED, *own), f"{{topic: /scan{example}}}", partial(_plan, name, judge, own))
 
 
-def _settings(judge: type) -> dict[str, Setting]:
+def _settings(name: str, judge: type) -> list[Key]:
+    """Return the keys with which a judge is made."""
     try:
         parameters = inspect.signature(judge, eval_str=True).parameters.values()
     except Exception as error:  # annotations are evaluated, which may raise anything
         raise ValueError(f"the parameters of {judge.__name__}() cannot be determined, {_told(error)}") from error
-    found = {}
+    found = []
     for one in parameters:
         if one.kind not in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY):
             raise ValueError(f"its parameter {one.name} cannot be given by name")
@@ -151,43 +128,25 @@ def _settings(judge: type) -> dict[str, Setting]:
         if read is None:
             known = ", ".join(type_.__name__ for type_ in _READS)
             raise ValueError(f"its parameter {one.name} must have one of these as its type: {known}")
-        found[one.name] = Setting(read, one.default is one.empty)
+        missing = f"{name} needs it" if one.default is one.empty else ""
+        about, type_ = f"{one.name} of {judge.__name__}", _UNITS.get(one.name, "string")
+        found.append(Key(one.name, about, type_, read=read, missing=missing))
     return found
 
 
-def _read(
-    name: str,
-    judge: Callable[..., Judge],
-    settings: Mapping[str, Setting],
-    reader: Reader,
-    value: Mapping[str, Any],
-    path: str,
-    fields: Fields | None,
-) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, "/scan")
-    type_ = type_of(reader, value, path)
-    hold_off = hold_off_of(reader, value, path)
-    given = {}
-    for key, setting in settings.items():
-        if key in value:
-            given[key] = reader.given(value, key, path, setting.read)
-        elif setting.required:
-            reader.problem(f"{path}.{key}", f"missing; {name} needs it")
-    if topic is None or len(reader.problems) > before:
-        return None
-    make = partial(judge, **given)
+def _plan(name: str, judge: Callable[..., Judge], settings: Sequence[Key], given: Given) -> LeafPlan:
+    topic, hold_off = given["topic"], given.hold_off
+    make = partial(judge, **{key.name: given[key.name] for key in settings if key.name in given})
     try:
         make()
-    except Exception as error:  # with a ValueError it refuses a value; any other error is its own mistake
-        reader.problem(path, str(error) if isinstance(error, ValueError) else f"{name} cannot be made, {_told(error)}")
-        return None
+    except ValueError:  # it refuses a value
+        raise
+    except Exception as error:  # its own mistake
+        raise ValueError(f"{name} cannot be made, {_told(error)}") from error
     return LeafPlan(
         f"{topic.lstrip('/')}.{name}",
-        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
-        lambda place, evaluation, tasks: CustomLeaf(
-            place, topic, evaluation, name, make, hold_off=hold_off, tasks=tasks
-        ),
+        WatchedTopic(topic, given["type"], 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
+        lambda place: CustomLeaf(place, topic, hold_off, name, make),
     )
 
 
@@ -205,10 +164,7 @@ def _text(found: object) -> str:
 
 
 def _number(found: object) -> float:
-    try:
-        number = math.nan if isinstance(found, bool) or not isinstance(found, int | float | str) else float(found)
-    except (ValueError, OverflowError):
-        number = math.nan
+    number = number_of(found)
     if not math.isfinite(number):
         raise ValueError(f"found {found_text(found)}; give a number")
     return number

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Content, Evaluation, Unreadable
-from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.core.leaf import LeafPlace
+from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.leaf_plan import (
+    Given,
     Key,
     LeafKind,
     LeafPlan,
     fails_on_arrival,
-    hold_off_of,
     time_key,
     topic_key,
-    topic_of,
+    word_key,
 )
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.problems import did_you_mean
-from understudy.trees.source.value_reader import Reader, found_text
+from understudy.trees.source.value_reader import found_text
 
 TYPE = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -64,20 +61,11 @@ class DiagnosticsLeaf(ContentLeaf):
     every = True
 
     def __init__(
-        self,
-        path: str,
-        topic: str,
-        evaluation: Evaluation,
-        *,
-        name: str | None = None,
-        prefix: str = "",
-        worst: int = 0,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
+        self, place: LeafPlace, topic: str, hold_off: float, name: str | None, prefix: str, worst: int
     ) -> None:
         """Make a leaf over the statuses named ``name``, or else all with names that begin with ``prefix``; ``hold_off``
         in seconds."""
-        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, topic, hold_off)
         self._name, self._prefix, self._worst = name, prefix, worst
         self._levels: dict[str, _Level] = {}
 
@@ -143,33 +131,25 @@ def _told(name: str, level: int, text: str) -> str:
     return f"{name[:_LONGEST]} says {said}{': ' if text else ''}{text}"
 
 
-_EXAMPLE = '{name: "camera: driver", worst: WARN}'
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, TOPIC) if "topic" in value else TOPIC
-    name, prefix = (reader.given(value, key, path, _text) for key in ("name", "prefix"))
-    for key, text in (("name", name), ("prefix", prefix)):
+def _check(given: Given) -> None:
+    for key in ("name", "prefix"):
+        text = given[key]
         if text is not None and text.startswith(OWN.rstrip()):
-            reader.problem(
-                f"{path}.{key}",
+            given.problem(
+                key,
                 f"found {text!r}: Understudy's own status is no evidence; give a status of the application or of the robot",
             )
-    if "name" in value and "prefix" in value:
-        reader.problem(f"{path}.prefix", "found name and prefix; give the whole name, or what the names begin with")
-    if "worst" not in value:
-        reader.problem(f"{path}.worst", "missing; give the worst level that is allowed: OK, WARN or ERROR")
-    worst = reader.given(value, "worst", path, _worst)
-    hold_off = hold_off_of(reader, value, path)
-    if topic is None or worst is None or len(reader.problems) > before:
-        return None
+    if "name" in given and "prefix" in given:
+        given.problem("prefix", "found name and prefix; give the whole name, or what the names begin with")
+
+
+def _plan(given: Given) -> LeafPlan:
+    topic, hold_off, worst = given["topic"], given.hold_off, LEVELS.index(given["worst"])
+    name, prefix = given["name"], given["prefix"] or ""
     return LeafPlan(
         topic.lstrip("/"),
         WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=fails_on_arrival(hold_off)),
-        lambda place, evaluation, tasks: DiagnosticsLeaf(
-            place, topic, evaluation, name=name, prefix=prefix or "", worst=worst, hold_off=hold_off, tasks=tasks
-        ),
+        lambda place: DiagnosticsLeaf(place, topic, hold_off, name, prefix, worst),
     )
 
 
@@ -179,24 +159,23 @@ def _text(found: object) -> str:
     return found
 
 
-def _worst(found: object) -> int:
-    allowed = LEVELS[:3]
-    if found not in allowed:
-        hint = did_you_mean(found.upper(), allowed) if isinstance(found, str) else "; known are OK, WARN, ERROR"
-        raise ValueError(f"found {found_text(found)}{hint}")
-    return allowed.index(str(found))
-
-
 DIAGNOSTICS = LeafKind(
     "diagnostics",
     "while no status on /diagnostics is worse than allowed",
     (
         topic_key("", "/diagnostics, or another topic of its type", default=TOPIC),
-        Key("name", "the name of the status", xml="status"),
-        Key("prefix", "the beginning of the names of the statuses"),
-        Key("worst", "the worst level that is allowed: OK, WARN or ERROR", "level", LEVELS[:3]),
+        Key("name", "the name of the status", xml="status", read=_text),
+        Key("prefix", "the beginning of the names of the statuses", read=_text),
+        word_key(
+            "worst",
+            "the worst level that is allowed: OK, WARN or ERROR",
+            "level",
+            LEVELS[:3],
+            missing="give the worst level that is allowed: OK, WARN or ERROR",
+        ),
         time_key("for", "how long a level must be worse before that is a failure, such as 2s"),
     ),
-    _EXAMPLE,
-    _read,
+    '{name: "camera: driver", worst: WARN}',
+    _plan,
+    _check,
 )

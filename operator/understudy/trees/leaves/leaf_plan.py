@@ -10,13 +10,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import Leaf
-from understudy.trees.core.observations import Evaluation
+from understudy.trees.core.leaf import Leaf, LeafPlace
 from understudy.trees.core.task_activity import TaskActive
 from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, duration_of
+from understudy.trees.source.value_reader import Read, Reader, duration_of, name_of, type_of, word_of
 
 LOOK_INTERVAL = 0.1
 """The longest time in seconds between two evaluations by the monitor. A failure that takes at least this long is
@@ -41,6 +39,10 @@ class Key:
     """The port in XML if it differs: ``name`` is the node's own name there."""
     osc: str = ""
     """The argument in OpenSCENARIO 2 if the language's own rules do not give it."""
+    read: Read = str
+    """Converts the value in the short form."""
+    missing: str = ""
+    """What to give if the value is missing; empty if the key may be left out."""
 
     @property
     def port(self) -> str:
@@ -48,8 +50,43 @@ class Key:
         return self.xml or self.name
 
 
-Make = Callable[[str, Evaluation, Sequence[TaskActive]], Leaf]
-"""Makes a leaf from its path, the evaluation that provides its input, and the tasks for which it is judged."""
+class Given:
+    """The values that a tree gives a leaf, by key. A value that is not given or has a problem is the default or None."""
+
+    def __init__(
+        self, reader: Reader, keys: Sequence[Key], written: Mapping[str, Any], path: str, fields: Fields | None
+    ) -> None:
+        """Read the values, and note their problems. ``fields`` are those of message types."""
+        self.fields = fields
+        self._reader, self._written, self._path = reader, written, path
+        self._values: dict[str, Any] = {}
+        for key in keys:
+            if key.name in written:
+                self.convert(key.name, key.read)
+            elif key.missing:
+                self.problem(key.name, f"missing; {key.missing}")
+            else:
+                self._values[key.name] = key.read(key.default) if key.default else None
+
+    def __getitem__(self, key: str) -> Any:
+        return self._values.get(key)
+
+    def __contains__(self, key: str) -> bool:
+        """Whether the tree gives the key."""
+        return key in self._written
+
+    @property
+    def hold_off(self) -> float:
+        """The seconds of ``for``: how long a condition must not hold before that is a failure; 0 if it is not given."""
+        return self["for"] or 0.0
+
+    def convert(self, key: str, read: Read) -> None:
+        """Convert the written value of a key, for example with the help of the others."""
+        self._values[key] = self._reader.given(self._written, key, self._path, read)
+
+    def problem(self, key: str, message: str) -> None:
+        """Note a problem with a key; an empty key stands for the leaf itself."""
+        self._reader.problem(f"{self._path}.{key}" if key else self._path, message)
 
 
 @dataclass(frozen=True)
@@ -60,7 +97,7 @@ class LeafPlan:
     """The name of the leaf if the tree does not give one."""
     watched: WatchedTopic
     """What it needs of its topic."""
-    make: Make
+    make: Callable[[LeafPlace], Leaf]
     task: TaskActive | None = None
     """The task of the leaf itself; it is judged only while this task is active."""
     also: tuple[WatchedTopic, ...] = ()
@@ -78,9 +115,10 @@ class LeafKind:
     arguments: tuple[Key, ...]
     example: str
     """Its value in the short form, as flow-style YAML."""
-    read: Callable[[Reader, Mapping[str, Any], str, Fields | None], LeafPlan | None]
-    """Reads its mapping at the given path, with the fields of message types. If there are problems, it notes them and
-    returns None."""
+    plan: Callable[[Given], LeafPlan]
+    """Returns the plan of a leaf whose values have no problem. Raises ValueError if there cannot be such a leaf."""
+    check: Callable[[Given], None] = lambda given: None
+    """Notes problems of values that depend on each other."""
     active_only: bool = False
     """Whether it judges the active instance only. A procedure cannot wait for it, because it prepares another instance."""
 
@@ -89,49 +127,54 @@ class LeafKind:
         """The keys in the short form."""
         return tuple(key.name for key in self.arguments)
 
+    def read(self, reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
+        """Read its mapping at the given path, with the fields of message types. If there are problems, note them and
+        return None."""
+        before = len(reader.problems)
+        reader.known(value, self.keys, path)
+        given = Given(reader, self.arguments, value, path, fields)
+        self.check(given)
+        if len(reader.problems) > before:
+            return None
+        try:
+            return self.plan(given)
+        except ValueError as error:
+            reader.problem(path, str(error))
+            return None
+
 
 # -- keys that most leaves share --------------------------------------------------------------------------------------
 
 
-def topic_key(example: str, about: str = "", *, default: str = "") -> Key:
-    """The key ``topic``."""
-    return Key("topic", about or f"the topic, fully qualified, such as {example}", default=default)
-
-
-TYPE = Key("type", "package/msg/Name")
-
-
-def time_key(name: str, about: str, *, default: str = "") -> Key:
-    """A key with a duration as its value."""
-    return Key(name, about, "time", default=default)
-
-
-def topic_of(reader: Reader, value: Mapping[str, Any], path: str, example: str, key: str = "topic") -> str | None:
-    """Read the topic of a leaf."""
-    if key not in value:
-        reader.problem(f"{path}.{key}", f"missing; give the topic's fully qualified name, such as {example}")
-    return reader.matching(value, key, path, ROS_NAME_PATTERN, f"a fully qualified topic name such as {example}")
-
-
-def node_of(
-    reader: Reader, value: Mapping[str, Any], path: str, key: str = "node", *, required: bool = True
-) -> str | None:
-    """Read the node of a leaf, fully qualified."""
-    if required and key not in value:
-        reader.problem(f"{path}.{key}", "missing; give the node's fully qualified name, such as /controller_server")
-    return reader.matching(
-        value, key, path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
+def topic_key(example: str, about: str = "", *, name: str = "topic", default: str = "", xml: str = "") -> Key:
+    """A key with a topic as its value. It may be left out if it has a default."""
+    return Key(
+        name,
+        about or f"the topic, fully qualified, such as {example}",
+        default=default,
+        xml=xml,
+        read=name_of("topic", example),
+        missing="" if default else f"give the topic's fully qualified name, such as {example}",
     )
 
 
-def type_of(reader: Reader, value: Mapping[str, Any], path: str) -> str | None:
-    """Read the type of the topic's messages."""
-    return reader.matching(value, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "msg"), "package/msg/Name")
+TYPE = Key("type", "package/msg/Name", read=type_of("msg"))
 
 
-def hold_off_of(reader: Reader, value: Mapping[str, Any], path: str) -> float:
-    """Read ``for``: the seconds for which a condition must not hold before that is a failure; 0 if it is not given."""
-    return reader.given(value, "for", path, duration_of) or 0.0
+def node_key(about: str, *, name: str = "node", xml: str = "", required: bool = True) -> Key:
+    """A key with a node as its value."""
+    missing = "give the node's fully qualified name, such as /controller_server" if required else ""
+    return Key(name, about, xml=xml, read=name_of("node", "/controller_server"), missing=missing)
+
+
+def time_key(name: str, about: str, *, default: str = "", missing: str = "") -> Key:
+    """A key with a duration as its value."""
+    return Key(name, about, "time", default=default, read=duration_of, missing=missing)
+
+
+def word_key(name: str, about: str, type_: str, members: Sequence[str], *, default: str = "", missing: str = "") -> Key:
+    """A key with one of some words as its value; ``type_`` is the name of the enum in OpenSCENARIO 2."""
+    return Key(name, about, type_, tuple(members), default, read=word_of(members), missing=missing)
 
 
 def fails_on_arrival(hold_off: float) -> bool:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
 
 from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Evaluation, NodeState
-from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, fails_on_arrival, hold_off_of, node_of, time_key
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.problems import did_you_mean
-from understudy.trees.source.value_reader import Reader, found_text
+from understudy.trees.core.leaf import LeafPlace
+from understudy.trees.core.observations import NodeState
+from understudy.trees.leaves.leaf_plan import (
+    Given,
+    LeafKind,
+    LeafPlan,
+    fails_on_arrival,
+    node_key,
+    time_key,
+    word_key,
+)
 
 TYPE = "lifecycle_msgs/msg/TransitionEvent"
 
@@ -32,18 +35,9 @@ class LifecycleLeaf(EvidenceLeaf[NodeState]):
 
     hears = False
 
-    def __init__(
-        self,
-        path: str,
-        node: str,
-        evaluation: Evaluation,
-        state: str = "active",
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, node: str, hold_off: float, state: str) -> None:
         """Make a leaf over a node, fully qualified; ``hold_off`` in seconds."""
-        super().__init__(path, f"{node}{EVENTS}", evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, f"{node}{EVENTS}", hold_off)
         self._node, self._state = node, state
 
     def _found(self) -> NodeState | None:
@@ -82,40 +76,24 @@ class LifecycleLeaf(EvidenceLeaf[NodeState]):
         return f"answer of node {self._node} to what state it is in"
 
 
-_EXAMPLE = "{node: /controller_server}"
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    node = node_of(reader, value, path)
-    state = reader.given(value, "state", path, _state) if "state" in value else "active"
-    hold_off = hold_off_of(reader, value, path)
-    if node is None or len(reader.problems) > before:
-        return None
+def _plan(given: Given) -> LeafPlan:
+    node, hold_off, state = given["node"], given.hold_off, given["state"]
+    prompt = fails_on_arrival(hold_off)
     return LeafPlan(
         f"{node.lstrip('/')}.lifecycle",
-        WatchedTopic(
-            f"{node}{EVENTS}", TYPE, 0.0, BURST, contents=1, whole=True, managed=True, prompt=fails_on_arrival(hold_off)
-        ),
-        lambda place, evaluation, tasks: LifecycleLeaf(place, node, evaluation, state, hold_off=hold_off, tasks=tasks),
+        WatchedTopic(f"{node}{EVENTS}", TYPE, 0.0, BURST, contents=1, whole=True, managed=True, prompt=prompt),
+        lambda place: LifecycleLeaf(place, node, hold_off, state),
     )
-
-
-def _state(found: object) -> str:
-    if found not in STATES:
-        hint = did_you_mean(found, STATES) if isinstance(found, str) else f"; known are {', '.join(STATES)}"
-        raise ValueError(f"found {found_text(found)}{hint}")
-    return str(found)
 
 
 LIFECYCLE = LeafKind(
     "lifecycle",
     "while a managed node is in a state",
     (
-        Key("node", "the managed node, fully qualified, such as /controller_server"),
-        Key("state", "unconfigured, inactive, active or finalized", "lifecycle_state", STATES, "active"),
+        node_key("the managed node, fully qualified, such as /controller_server"),
+        word_key("state", "unconfigured, inactive, active or finalized", "lifecycle_state", STATES, default="active"),
         time_key("for", "how long it must be in another state before that is a failure, such as 1s"),
     ),
-    _EXAMPLE,
-    _read,
+    "{node: /controller_server}",
+    _plan,
 )

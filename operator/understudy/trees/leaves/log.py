@@ -5,18 +5,15 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import Leaf, State, duration
-from understudy.trees.core.observations import Content, Evaluation, Unreadable
-from understudy.trees.core.task_activity import TaskActive, task_timing
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, node_of, time_key
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.problems import did_you_mean
-from understudy.trees.source.value_reader import Reader, duration_of, found_text, whole_number_of
+from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
+from understudy.trees.core.observations import Content, Unreadable
+from understudy.trees.core.task_activity import task_timing
+from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, node_key, time_key, word_key
+from understudy.trees.source.value_reader import found_text, whole_number_of
 
 TYPE = "rcl_interfaces/msg/Log"
 
@@ -135,19 +132,9 @@ class LogLeaf(Leaf):
     within its grace is starting until the grace ends.
     """
 
-    def __init__(
-        self,
-        path: str,
-        pattern: Pattern,
-        evaluation: Evaluation,
-        *,
-        count: int = 1,
-        window: float = 0.0,
-        quiet: float = QUIET,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, pattern: Pattern, count: int, window: float, quiet: float) -> None:
         """Make a leaf over the messages of a pattern; ``window`` and ``quiet`` in seconds."""
-        super().__init__(path, TOPIC, evaluation, tasks)
+        super().__init__(place, TOPIC)
         self._pattern, self._count, self._window, self._quiet = pattern, count, window, quiet
         self._heard = _Heard(math.nan)
 
@@ -251,39 +238,24 @@ def _told(message: Any) -> str:
     return f"{message.name[:_LONGEST]} says {level}: {text}"
 
 
-_EXAMPLE = "{level: ERROR, node: /controller_server}"
+def _check(given: Given) -> None:
+    if not any(key in given for key in ("level", "node", "says")):
+        given.problem("", f"none of level, node and says is given; say which messages count, such as {_EXAMPLE}")
+    count = given["count"]
+    if count is not None and count > 1 and "window" not in given:
+        given.problem("window", f"missing; give the time within which {count} messages are too many")
+    if count == 1 and "window" in given:
+        given.problem("window", "a window is only for a count above 1; give count, or leave window out")
 
 
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    if not any(key in value for key in ("level", "node", "says")):
-        reader.problem(path, f"none of level, node and says is given; say which messages count, such as {_EXAMPLE}")
-    level, says = reader.given(value, "level", path, _level), reader.given(value, "says", path, _says)
-    node = node_of(reader, value, path, required=False)
-    count = reader.given(value, "count", path, whole_number_of(MOST)) if "count" in value else 1
-    window = reader.given(value, "window", path, duration_of)
-    quiet = reader.given(value, "quiet", path, duration_of)
-    if count is not None and count > 1 and "window" not in value:
-        reader.problem(f"{path}.window", f"missing; give the time within which {count} messages are too many")
-    if count == 1 and "window" in value:
-        reader.problem(f"{path}.window", "a window is only for a count above 1; give count, or leave window out")
-    if len(reader.problems) > before:
-        return None
-    pattern = Pattern(level, node, says)
+def _plan(given: Given) -> LeafPlan:
+    node, count, window = given["node"], given["count"], given["window"] or 0.0
+    pattern, quiet = Pattern(given["level"], node, given["says"]), given["quiet"] or window or QUIET
     return LeafPlan(
         f"{node.lstrip('/')}.log" if node is not None else "log",
         WatchedTopic(TOPIC, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=True),
-        lambda place, evaluation, tasks: LogLeaf(
-            place, pattern, evaluation, count=count, window=window or 0.0, quiet=quiet or window or QUIET, tasks=tasks
-        ),
+        lambda place: LogLeaf(place, pattern, count, window, quiet),
     )
-
-
-def _level(found: object) -> str:
-    if found not in tuple(LEVELS):
-        hint = did_you_mean(found.upper(), LEVELS) if isinstance(found, str) else f"; known are {', '.join(LEVELS)}"
-        raise ValueError(f"found {found_text(found)}{hint}")
-    return str(found)
 
 
 def _says(found: object) -> str:
@@ -295,19 +267,28 @@ def _says(found: object) -> str:
     return found
 
 
+_EXAMPLE = "{level: ERROR, node: /controller_server}"
+
 LOG = LeafKind(
     "log",
     "while nodes do not log what they should not",
     (
-        Key(
+        word_key(
             "level", "the least severe level that counts: DEBUG, INFO, WARN, ERROR or FATAL", "severity", tuple(LEVELS)
         ),
-        Key("node", "the node that logs it, such as /controller_server"),
-        Key("says", "text that the message contains; * stands for any characters"),
-        Key("count", "the number of messages that is too many, such as 3", "int", default="1"),
+        node_key("the node that logs it, such as /controller_server", required=False),
+        Key("says", "text that the message contains; * stands for any characters", read=_says),
+        Key(
+            "count",
+            "the number of messages that is too many, such as 3",
+            "int",
+            default="1",
+            read=whole_number_of(MOST),
+        ),
         time_key("window", "the time within which they are too many, such as 20s"),
         time_key("quiet", "the time without such a message after which the leaf holds again, such as 1m"),
     ),
     _EXAMPLE,
-    _read,
+    _plan,
+    _check,
 )

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from understudy.kinematics.command_following import Allowance, CommandFollowing, Motion
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import Leaf, State
-from understudy.trees.core.observations import Content, Evaluation, Unreadable
-from understudy.trees.core.task_activity import TaskActive, task_timing
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, time_key, topic_key, topic_of, type_of
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.core.leaf import Leaf, LeafPlace, State
+from understudy.trees.core.observations import Content, Unreadable
+from understudy.trees.core.task_activity import task_timing
+from understudy.trees.leaves.leaf_plan import TYPE, Given, Key, LeafKind, LeafPlan, time_key, topic_key
+from understudy.trees.source.value_reader import found_text
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 COMMANDS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
@@ -38,18 +38,9 @@ class MotionLeaf(Leaf):
     for an instance that is not in control, because that instance does not cause what the robot does.
     """
 
-    def __init__(
-        self,
-        path: str,
-        topic: str,
-        evaluation: Evaluation,
-        commands: str,
-        allowance: Allowance,
-        *,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, topic: str, commands: str, allowance: Allowance) -> None:
         """Make a leaf over a topic with the odometry of an observer outside the robot, and a topic with commands."""
-        super().__init__(path, topic, evaluation, tasks)
+        super().__init__(place, topic)
         self._commands, self._allowance = commands, allowance
         self._following = CommandFollowing(allowance)
         self._began = (-math.inf, -math.inf)
@@ -167,8 +158,6 @@ def _finite(motion: Motion) -> Motion:
     return motion
 
 
-_EXAMPLE = "{topic: /tracker/robot/odometry, commands: /cmd_vel}"
-
 _QUANTITY = re.compile(r"([0-9]+(?:\.[0-9]+)?) ?(m/s2|m/s|rad/s2|rad/s|%)")
 
 
@@ -187,58 +176,55 @@ def _quantity(unit: str, example: str, least: float = 0.0) -> Callable[[object],
     return read
 
 
-_QUANTITIES = {
-    "delay": duration_of,
-    "window": duration_of,
-    "acceleration": _quantity("m/s2", "0.5 m/s2", 0.01),
-    "turn_acceleration": _quantity("rad/s2", "1 rad/s2", 0.01),
-    "slip": _quantity("%", "20 %"),
-    "tolerance": _quantity("m/s", "0.03 m/s", 0.001),
-    "turn_tolerance": _quantity("rad/s", "0.1 rad/s", 0.001),
-}
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, "/tracker/robot/odometry")
-    commands = topic_of(reader, value, path, "/cmd_vel", key="commands")
-    type_ = type_of(reader, value, path)
+def _check(given: Given) -> None:
+    type_, topic, commands = given["type"], given["topic"], given["commands"]
     if type_ is not None and type_ not in COMMANDS:
-        reader.problem(f"{path}.type", f"found {type_!r}; commands are of {' or '.join(COMMANDS)}")
+        given.problem("type", f"found {type_!r}; commands are of {' or '.join(COMMANDS)}")
     if topic is not None and topic == commands:
-        reader.problem(
-            f"{path}.commands", f"found {commands!r}, which is the topic too; give the topic of the commands"
-        )
-    given = {key: reader.given(value, key, path, read) for key, read in _QUANTITIES.items() if key in value}
-    if topic is None or commands is None or len(reader.problems) > before:
-        return None
-    if "slip" in given:
-        given["slip"] /= 100
-    allowance = Allowance(**given)
+        given.problem("commands", f"found {commands!r}, which is the topic too; give the topic of the commands")
+
+
+def _plan(given: Given) -> LeafPlan:
+    topic, commands = given["topic"], given["commands"]
+    allowance = Allowance(
+        given["delay"],
+        given["window"],
+        given["acceleration"],
+        given["turn_acceleration"],
+        given["slip"] / 100,
+        given["tolerance"],
+        given["turn_tolerance"],
+    )
     return LeafPlan(
         f"{topic.strip('/').removesuffix('/odometry')}.motion",
         WatchedTopic(topic, ODOMETRY, 0.0, None, contents=KEPT, whole=True),
-        lambda place, evaluation, tasks: MotionLeaf(place, topic, evaluation, commands, allowance, tasks=tasks),
-        also=(WatchedTopic(commands, type_, 0.0, None, contents=KEPT, whole=True),),
+        lambda place: MotionLeaf(place, topic, commands, allowance),
+        also=(WatchedTopic(commands, given["type"], 0.0, None, contents=KEPT, whole=True),),
     )
+
+
+def _quantity_key(name: str, about: str, default: str, least: float = 0.0) -> Key:
+    unit = default.split(" ")[1]
+    return Key(name, f"{about}, such as {default}", default=default, read=_quantity(unit, default, least))
 
 
 MOTION = LeafKind(
     "motion",
     "while an observer outside the robot does not see it move otherwise than commanded",
     (
-        topic_key("", "the odometry from outside the robot, such as /tracker/robot/odometry"),
-        Key("commands", "the topic of the commands, such as /cmd_vel"),
-        Key("type", "the type of the commands, geometry_msgs/msg/Twist or TwistStamped"),
+        topic_key("/tracker/robot/odometry", "the odometry from outside the robot, such as /tracker/robot/odometry"),
+        topic_key("/cmd_vel", "the topic of the commands, such as /cmd_vel", name="commands"),
+        replace(TYPE, about="the type of the commands, geometry_msgs/msg/Twist or TwistStamped"),
         time_key("delay", "the longest time from a command to its visible effect, such as 300ms", default="300ms"),
         time_key("window", "the time over which the observed motion is averaged, such as 500ms", default="500ms"),
-        Key("acceleration", "the least acceleration towards the command, such as 0.5 m/s2", default="0.5 m/s2"),
-        Key("turn_acceleration", "the same for turning, such as 1 rad/s2", default="1 rad/s2"),
-        Key("slip", "the relative error that is allowed of a velocity, such as 20 %", default="20 %"),
-        Key("tolerance", "the absolute error that is allowed in addition, such as 0.03 m/s", default="0.03 m/s"),
-        Key("turn_tolerance", "the same for turning, such as 0.1 rad/s", default="0.1 rad/s"),
+        _quantity_key("acceleration", "the least acceleration towards the command", "0.5 m/s2", 0.01),
+        _quantity_key("turn_acceleration", "the same for turning", "1 rad/s2", 0.01),
+        _quantity_key("slip", "the relative error that is allowed of a velocity", "20 %"),
+        _quantity_key("tolerance", "the absolute error that is allowed in addition", "0.03 m/s", 0.001),
+        _quantity_key("turn_tolerance", "the same for turning", "0.1 rad/s", 0.001),
     ),
-    _EXAMPLE,
-    _read,
+    "{topic: /tracker/robot/odometry, commands: /cmd_vel}",
+    _plan,
+    _check,
     active_only=True,
 )

@@ -2,29 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
 from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import State, duration
-from understudy.trees.core.observations import Evaluation, NodePresence
-from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, hold_off_of, node_of, time_key
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader
+from understudy.trees.core.observations import NodePresence
+from understudy.trees.leaves.leaf_plan import Given, LeafKind, LeafPlan, node_key, time_key
 
 
 class NodeLeaf(EvidenceLeaf[NodePresence]):
     """Holds while the instance has a node of a name."""
 
     hears = False
-
-    def __init__(
-        self, path: str, node: str, evaluation: Evaluation, *, hold_off: float = 0.0, tasks: Sequence[TaskActive] = ()
-    ) -> None:
-        """Make a leaf over a node, fully qualified; ``hold_off`` in seconds."""
-        super().__init__(path, node, evaluation, hold_off=hold_off, tasks=tasks)
 
     def fresh(self, track: EvidenceTrack[NodePresence]) -> list[NodePresence]:
         """Return the last observation of the ROS graph, once."""
@@ -64,19 +52,12 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
         )
 
 
-_EXAMPLE = "{name: /controller_server}"
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    node = node_of(reader, value, path, "name")
-    hold_off = hold_off_of(reader, value, path)
-    if node is None or len(reader.problems) > before:
-        return None
+def _plan(given: Given) -> LeafPlan:
+    node, hold_off = given["name"], given.hold_off
     return LeafPlan(
         f"{node.lstrip('/')}.node",
         WatchedTopic(node, None, 0.0, None, heard=False, node=True),
-        lambda place, evaluation, tasks: NodeLeaf(place, node, evaluation, hold_off=hold_off, tasks=tasks),
+        lambda place: NodeLeaf(place, node, hold_off),
     )
 
 
@@ -84,9 +65,9 @@ NODE = LeafKind(
     "node",
     "while the instance has the node",
     (
-        Key("name", "the node, fully qualified, such as /controller_server", xml="node"),
+        node_key("the node, fully qualified, such as /controller_server", name="name", xml="node"),
         time_key("for", "how long it must be missing before that is a failure, such as 2s"),
     ),
-    _EXAMPLE,
-    _read,
+    "{name: /controller_server}",
+    _plan,
 )

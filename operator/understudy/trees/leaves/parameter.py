@@ -5,17 +5,14 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Evaluation, ParameterState, ParameterValue
-from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, hold_off_of, node_of, time_key
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, found_text
+from understudy.trees.core.leaf import LeafPlace
+from understudy.trees.core.observations import ParameterState, ParameterValue
+from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, node_key, time_key
+from understudy.trees.source.value_reader import found_text
 
 TYPE = "rcl_interfaces/msg/ParameterEvent"
 
@@ -100,19 +97,9 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
 
     hears = False
 
-    def __init__(
-        self,
-        path: str,
-        node: str,
-        evaluation: Evaluation,
-        name: str,
-        expected: Expected,
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, node: str, hold_off: float, name: str, expected: Expected) -> None:
         """Make a leaf over a parameter of a node, fully qualified; ``hold_off`` in seconds."""
-        super().__init__(path, EVENTS, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, EVENTS, hold_off)
         self._node, self._name, self._expected = node, name, expected
 
     def _found(self) -> ParameterState | None:
@@ -151,31 +138,23 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
         return f"answer of node {self._node} to what {self._name} is"
 
 
-_EXAMPLE = "{node: /controller_server, name: max_vel_x, equals: 0.26}"
-
 _WAYS = ("equals", "one_of", "between")
 
 
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    node = node_of(reader, value, path)
-    if "name" not in value:
-        reader.problem(f"{path}.name", "missing; give the parameter's name, such as max_vel_x")
-    name = reader.given(value, "name", path, _name)
-    given = [way for way in _WAYS if way in value]
-    if len(given) != 1:
-        found = " and ".join(given) if given else "none of equals, one_of and between"
-        reader.problem(path, f"found {found}; give one of them, such as equals: 0.26")
-    expected = [reader.given(value, way, path, _READ[way]) for way in given]
-    hold_off = hold_off_of(reader, value, path)
-    if node is None or name is None or len(reader.problems) > before:
-        return None
+def _check(given: Given) -> None:
+    ways = [way for way in _WAYS if way in given]
+    if len(ways) != 1:
+        found = " and ".join(ways) if ways else "none of equals, one_of and between"
+        given.problem("", f"found {found}; give one of them, such as equals: 0.26")
+
+
+def _plan(given: Given) -> LeafPlan:
+    node, hold_off, name = given["node"], given.hold_off, given["name"]
+    (expected,) = (given[way] for way in _WAYS if way in given)
     return LeafPlan(
         f"{node.lstrip('/')}.{name}.parameter",
         WatchedTopic(EVENTS, TYPE, 0.0, BURST, contents=KEPT, whole=True, parameters=frozenset({(node, name)})),
-        lambda place, evaluation, tasks: ParameterLeaf(
-            place, node, evaluation, name, expected[0], hold_off=hold_off, tasks=tasks
-        ),
+        lambda place: ParameterLeaf(place, node, hold_off, name, expected),
     )
 
 
@@ -210,9 +189,6 @@ def _between(found: object) -> Expected:
     return Between(least, most)
 
 
-_READ = {"equals": _equals, "one_of": _one_of, "between": _between}
-
-
 def _text(found: object) -> str:
     """Return a value as it is written. A value in YAML may be a number or a boolean."""
     if isinstance(found, bool):
@@ -230,13 +206,20 @@ PARAMETER = LeafKind(
     "parameter",
     "while a parameter of a node has the right value",
     (
-        Key("node", "the node, fully qualified, such as /controller_server"),
-        Key("name", "the parameter, such as max_vel_x", xml="parameter"),
-        Key("equals", "the value that it must have, such as 0.26"),
-        Key("one_of", "the values of which it must have one, separated by ;"),
-        Key("between", "the least and the greatest allowed number, such as 0.2 to 0.3"),
+        node_key("the node, fully qualified, such as /controller_server"),
+        Key(
+            "name",
+            "the parameter, such as max_vel_x",
+            xml="parameter",
+            read=_name,
+            missing="give the parameter's name, such as max_vel_x",
+        ),
+        Key("equals", "the value that it must have, such as 0.26", read=_equals),
+        Key("one_of", "the values of which it must have one, separated by ;", read=_one_of),
+        Key("between", "the least and the greatest allowed number, such as 0.2 to 0.3", read=_between),
         time_key("for", "how long it must differ before that is a failure, such as 1s"),
     ),
-    _EXAMPLE,
-    _read,
+    "{node: /controller_server, name: max_vel_x, equals: 0.26}",
+    _plan,
+    _check,
 )

@@ -13,17 +13,15 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import ge, gt, le, lt
-from typing import Any
 
 from understudy.api.quantities import QUANTITY, amount
 from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import Leaf, State, duration
-from understudy.trees.core.observations import Evaluation, PodState
-from understudy.trees.core.task_activity import TaskActive, task_timing
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, Make, hold_off_of, time_key
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, duration_of, found_text, whole_number_of
+from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
+from understudy.trees.core.observations import PodState
+from understudy.trees.core.task_activity import task_timing
+from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, time_key
+from understudy.trees.source.value_reader import found_text, whole_number_of
 
 POD = "pod"
 """Stands for the pod among the watched topics. No topic has this name, because names of topics begin with a slash."""
@@ -74,9 +72,6 @@ class _LookLeaf(EvidenceLeaf[PodState]):
     of_cluster = True
     unrecorded = _UNRECORDED
 
-    def __init__(self, path: str, evaluation: Evaluation, *, hold_off: float, tasks: Sequence[TaskActive]) -> None:
-        super().__init__(path, POD, evaluation, hold_off=hold_off, tasks=tasks)
-
     def fresh(self, track: EvidenceTrack[PodState]) -> list[PodState]:
         """Return the last observation of the pod, once."""
         found = self._evaluation.observations.pod()
@@ -95,18 +90,9 @@ class _LookLeaf(EvidenceLeaf[PodState]):
 class ConditionLeaf(_LookLeaf):
     """Holds while a condition of the pod has a status."""
 
-    def __init__(
-        self,
-        path: str,
-        evaluation: Evaluation,
-        condition: str,
-        status: str = "True",
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, hold_off: float, condition: str, status: str) -> None:
         """Make a leaf over a condition by its type; ``hold_off`` in seconds."""
-        super().__init__(path, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, POD, hold_off)
         self._condition, self._status = condition, status
 
     def said(self, content: PodState, failed: bool) -> Finding:
@@ -126,18 +112,9 @@ class ConditionLeaf(_LookLeaf):
 class UsageLeaf(_LookLeaf):
     """Holds while the pod's usage of a resource is within its bound, and also while the usage cannot be determined."""
 
-    def __init__(
-        self,
-        path: str,
-        evaluation: Evaluation,
-        what: str,
-        bound: Bound,
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, hold_off: float, what: str, bound: Bound) -> None:
         """Make a leaf over one of RESOURCES; ``hold_off`` in seconds."""
-        super().__init__(path, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, POD, hold_off)
         self._what, self._bound = what, bound
 
     def said(self, content: PodState, failed: bool) -> Finding:
@@ -186,11 +163,9 @@ class RestartsLeaf(Leaf):
     of_cluster = True
     unrecorded = _UNRECORDED
 
-    def __init__(
-        self, path: str, evaluation: Evaluation, most: int, window: float, *, tasks: Sequence[TaskActive] = ()
-    ) -> None:
+    def __init__(self, place: LeafPlace, most: int, window: float) -> None:
         """Make a leaf that allows ``most`` restarts in ``window`` seconds."""
-        super().__init__(path, POD, evaluation, tasks)
+        super().__init__(place, POD)
         self._most, self._window = most, window
         self._counted = _Counted(math.nan)
 
@@ -253,10 +228,6 @@ class RestartsLeaf(Leaf):
 
 # -- how it is written ------------------------------------------------------------------------------------------------
 
-_EXAMPLE = "{condition: Ready, for: 10s}"
-
-_Read = Callable[[Reader, Mapping[str, Any], str], Make | None]
-
 _WITH: Mapping[str, tuple[str, ...]] = {
     "condition": ("status", "for"),
     "restarts": ("window",),
@@ -265,71 +236,41 @@ _WITH: Mapping[str, tuple[str, ...]] = {
 """What the leaf can evaluate, and the keys that may be given with it."""
 
 
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    given = [key for key in _WITH if key in value]
-    if len(given) != 1:
-        found = _listed(given, "and") if given else f"none of {_listed(list(_WITH), 'and')}"
-        reader.problem(path, f"found {found}; give one of them, such as condition: Ready")
-        return None
-    (what,) = given
+def _check(given: Given) -> None:
+    kinds = [kind for kind in _WITH if kind in given]
+    if len(kinds) != 1:
+        found = _listed(kinds, "and") if kinds else f"none of {_listed(list(_WITH), 'and')}"
+        given.problem("", f"found {found}; give one of them, such as condition: Ready")
+        return
+    (what,) = kinds
     for key in dict.fromkeys(key for keys in _WITH.values() for key in keys):
-        if key in value and key not in _WITH[what]:
+        if key in given and key not in _WITH[what]:
             belongs = _listed([other for other, keys in _WITH.items() if key in keys], "or")
-            reader.problem(f"{path}.{key}", f"{key} is only for {belongs}; leave it out")
-    make = _READ[what](reader, value, path)
-    if make is None or len(reader.problems) > before:
-        return None
-    name = str(value["condition"]).replace("/", ".") if what == "condition" else what
+            given.problem(key, f"{key} is only for {belongs}; leave it out")
+    if what == "restarts" and "window" not in given:
+        given.problem("window", "missing; give the time within which there may be so many restarts, such as 10m")
+
+
+def _plan(given: Given) -> LeafPlan:
+    (what,) = (kind for kind in _WITH if kind in given)
+    name = given["condition"].replace("/", ".") if what == "condition" else what
     watched = WatchedTopic(POD, None, 0.0, None, heard=False, pod=True, usage=what in RESOURCES)
-    return LeafPlan(f"{POD}.{name}", watched, make)
+    return LeafPlan(f"{POD}.{name}", watched, _make(what, given))
+
+
+def _make(what: str, given: Given) -> Callable[[LeafPlace], Leaf]:
+    found, hold_off = given[what], given.hold_off
+    if what == "condition":
+        status = given["status"] or STATUSES[0]
+        return lambda place: ConditionLeaf(place, hold_off, found, status)
+    if what == "restarts":
+        window = given["window"]
+        return lambda place: RestartsLeaf(place, found, window)
+    return lambda place: UsageLeaf(place, hold_off, what, found)
 
 
 def _listed(words: Sequence[str], between: str) -> str:
     return f" {between} ".join(filter(None, (", ".join(words[:-1]), words[-1])))
-
-
-def _condition(reader: Reader, value: Mapping[str, Any], path: str) -> Make | None:
-    condition = reader.given(value, "condition", path, _type)
-    status = reader.given(value, "status", path, _status) if "status" in value else STATUSES[0]
-    hold_off = hold_off_of(reader, value, path)
-    if condition is None or status is None:
-        return None
-    return lambda place, evaluation, tasks: ConditionLeaf(
-        place, evaluation, condition, status, hold_off=hold_off, tasks=tasks
-    )
-
-
-def _restarts(reader: Reader, value: Mapping[str, Any], path: str) -> Make | None:
-    most = reader.given(value, "restarts", path, whole_number_of(MOST_RESTARTS, least=0))
-    if "window" not in value:
-        reader.problem(
-            f"{path}.window", "missing; give the time within which there may be so many restarts, such as 10m"
-        )
-    window = reader.given(value, "window", path, duration_of)
-    if most is None or window is None:
-        return None
-    return lambda place, evaluation, tasks: RestartsLeaf(place, evaluation, most, window, tasks=tasks)
-
-
-def _usage(what: str) -> _Read:
-    def read(reader: Reader, value: Mapping[str, Any], path: str) -> Make | None:
-        bound = reader.given(value, what, path, _bound(what))
-        hold_off = hold_off_of(reader, value, path)
-        if bound is None:
-            return None
-        return lambda place, evaluation, tasks: UsageLeaf(
-            place, evaluation, what, bound, hold_off=hold_off, tasks=tasks
-        )
-
-    return read
-
-
-_READ: Mapping[str, _Read] = {
-    "condition": _condition,
-    "restarts": _restarts,
-    **{what: _usage(what) for what in RESOURCES},
-}
 
 
 def _type(found: object) -> str:
@@ -362,15 +303,25 @@ POD_LEAF = LeafKind(
     POD,
     "while the pod of the instance has a condition, is not restarted too often, or uses no more CPU or memory than allowed",
     (
-        Key("condition", "the type of a condition of the pod, such as Ready"),
-        Key("status", "the status that the condition must have: True, False or Unknown; True if it is not given"),
-        Key("restarts", "how often its containers may be restarted within the window, such as 2", "int"),
+        Key("condition", "the type of a condition of the pod, such as Ready", read=_type),
+        Key(
+            "status",
+            "the status that the condition must have: True, False or Unknown; True if it is not given",
+            read=_status,
+        ),
+        Key(
+            "restarts",
+            "how often its containers may be restarted within the window, such as 2",
+            "int",
+            read=whole_number_of(MOST_RESTARTS, least=0),
+        ),
         time_key("window", "the time within which restarts are counted, such as 10m"),
-        Key("cpu", "the cores that its containers may use, such as < 1.5"),
-        Key("memory", "the memory that its containers may use, such as < 200Mi"),
+        Key("cpu", "the cores that its containers may use, such as < 1.5", read=_bound("cpu")),
+        Key("memory", "the memory that its containers may use, such as < 200Mi", read=_bound("memory")),
         time_key("for", "how long it must not hold before that is a failure, such as 10s; not with restarts"),
     ),
-    _EXAMPLE,
-    _read,
+    "{condition: Ready, for: 10s}",
+    _plan,
+    _check,
     active_only=True,
 )

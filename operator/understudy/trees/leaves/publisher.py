@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
-
-from understudy.api.ros_names import ROS_NAME_PATTERN
 from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Evaluation, Publishers
-from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, hold_off_of, time_key, topic_key, topic_of
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, whole_number_of
+from understudy.trees.core.leaf import LeafPlace
+from understudy.trees.core.observations import Publishers
+from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, node_key, time_key, topic_key
+from understudy.trees.source.value_reader import whole_number_of
 
 MOST = 1000
 """Greatest number of publishers that a tree may require; topics have a few."""
@@ -23,19 +18,9 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
 
     hears = False
 
-    def __init__(
-        self,
-        path: str,
-        topic: str,
-        evaluation: Evaluation,
-        count: int = 1,
-        node: str | None = None,
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, topic: str, hold_off: float, count: int, node: str | None) -> None:
         """Make a leaf over a topic; ``node`` is fully qualified, ``hold_off`` in seconds."""
-        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, topic, hold_off)
         self._count, self._node = count, node
 
     def fresh(self, track: EvidenceTrack[Publishers]) -> list[Publishers]:
@@ -64,25 +49,12 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         return f"{self.topic} in node {self._node}" if self._node is not None else self.topic
 
 
-_EXAMPLE = "{topic: /cmd_vel, node: /controller_server}"
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, "/cmd_vel")
-    count = reader.given(value, "count", path, whole_number_of(MOST)) if "count" in value else 1
-    node = reader.matching(
-        value, "node", path, ROS_NAME_PATTERN, "a node's fully qualified name such as /controller_server"
-    )
-    hold_off = hold_off_of(reader, value, path)
-    if topic is None or count is None or len(reader.problems) > before:
-        return None
+def _plan(given: Given) -> LeafPlan:
+    topic, hold_off, count, node = given["topic"], given.hold_off, given["count"], given["node"]
     return LeafPlan(
         f"{topic.lstrip('/')}.publisher",
         WatchedTopic(topic, None, 0.0, None, heard=False, publishers=True),
-        lambda place, evaluation, tasks: PublisherLeaf(
-            place, topic, evaluation, count, node, hold_off=hold_off, tasks=tasks
-        ),
+        lambda place: PublisherLeaf(place, topic, hold_off, count, node),
     )
 
 
@@ -91,10 +63,10 @@ PUBLISHER = LeafKind(
     "while the topic has a publisher",
     (
         topic_key("/cmd_vel"),
-        Key("count", "the least number of publishers, such as 1", "int", default="1"),
-        Key("node", "the node that the publishers must be in, such as /controller_server"),
+        Key("count", "the least number of publishers, such as 1", "int", default="1", read=whole_number_of(MOST)),
+        node_key("the node that the publishers must be in, such as /controller_server", required=False),
         time_key("for", "how long there must be fewer before that is a failure, such as 2s"),
     ),
-    _EXAMPLE,
-    _read,
+    "{topic: /cmd_vel, node: /controller_server}",
+    _plan,
 )

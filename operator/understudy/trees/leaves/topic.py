@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import Leaf, State, duration
-from understudy.trees.core.observations import Evaluation, TopicRecord
+from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
+from understudy.trees.core.observations import TopicRecord
 from understudy.trees.core.rate_window import Band, Window, hertz
-from understudy.trees.core.task_activity import TaskActive, TaskTiming, task_timing
-from understudy.trees.leaves.leaf_plan import TYPE, Key, LeafKind, LeafPlan, time_key, topic_of, type_of
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.core.task_activity import TaskTiming, task_timing
+from understudy.trees.leaves.leaf_plan import TYPE, Given, Key, LeafKind, LeafPlan, time_key, topic_key
+from understudy.trees.source.value_reader import found_text
 
 
 class TopicLeaf(Leaf):
@@ -27,18 +25,9 @@ class TopicLeaf(Leaf):
     grace ends. A rate is always starting until a window has passed since the first sample.
     """
 
-    def __init__(
-        self,
-        path: str,
-        topic: str,
-        evaluation: Evaluation,
-        *,
-        gap: float | None = None,
-        window: Window | None = None,
-        tasks: Sequence[TaskActive] = (),
-    ) -> None:
+    def __init__(self, place: LeafPlace, topic: str, gap: float | None, window: Window | None) -> None:
         """Make a leaf over a topic; ``gap`` in seconds. At least one of gap and window is given."""
-        super().__init__(path, topic, evaluation, tasks)
+        super().__init__(place, topic)
         self.gap = gap
         self.window = window
         self._held: float | None = None
@@ -224,24 +213,27 @@ class TopicLeaf(Leaf):
 # -- how it is written ------------------------------------------------------------------------------------------------
 
 
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, "/cmd_vel", key="name")
-    type_ = type_of(reader, value, path)
-    gap = reader.given(value, "gap", path, duration_of)
-    band = reader.given(value, "rate", path, _band)
-    length = reader.given(value, "window", path, duration_of)
-    if "gap" not in value and "rate" not in value:
-        reader.problem(path, "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
-    if "window" in value and "rate" not in value:
-        reader.problem(f"{path}.window", "a window is only for a rate; give rate, or leave window out")
-    window = _window(reader, band, length, path) if band is not None else None
-    if topic is None or len(reader.problems) > before:
-        return None
+def _check(given: Given) -> None:
+    if "gap" not in given and "rate" not in given:
+        given.problem("", "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
+    if "window" in given and "rate" not in given:
+        given.problem("window", "a window is only for a rate; give rate, or leave window out")
+    band, length = given["rate"], given["window"]
+    if band is not None and length is not None and length < band.shortest_window():
+        given.problem(
+            "window",
+            f"{duration(length)} is too short to tell whether a rate is {band}: a window counts whole messages; "
+            f"give at least {duration(band.shortest_window())}",
+        )
+
+
+def _plan(given: Given) -> LeafPlan:
+    topic, gap, band = given["name"], given["gap"], given["rate"]
+    window = Window(band, given["window"] or band.default_window()) if band is not None else None
     return LeafPlan(
         topic.lstrip("/"),
-        WatchedTopic(topic, type_, window.length if window else 0.0, window.band.expected if window else None),
-        lambda place, evaluation, tasks: TopicLeaf(place, topic, evaluation, gap=gap, window=window, tasks=tasks),
+        WatchedTopic(topic, given["type"], window.length if window else 0.0, window.band.expected if window else None),
+        lambda place: TopicLeaf(place, topic, gap, window),
     )
 
 
@@ -251,28 +243,17 @@ def _band(value: object) -> Band:
     return Band.parse(value)
 
 
-def _window(reader: Reader, band: Band, length: float | None, path: str) -> Window | None:
-    shortest = band.shortest_window()
-    if length is not None and length < shortest:
-        reader.problem(
-            f"{path}.window",
-            f"{duration(length)} is too short to tell whether a rate is {band}: a window counts whole messages; "
-            f"give at least {duration(shortest)}",
-        )
-        return None
-    return Window(band, length if length is not None else band.default_window())
-
-
 TOPIC = LeafKind(
     "topic",
     "while the topic is received often enough",
     (
-        Key("name", "the topic, fully qualified, such as /cmd_vel", xml="topic"),
+        topic_key("/cmd_vel", name="name", xml="topic"),
         TYPE,
         time_key("gap", "the longest silence, such as 500ms"),
-        Key("rate", "a band, such as > 8 Hz or 9 to 11 Hz", "frequency"),
+        Key("rate", "a band, such as > 8 Hz or 9 to 11 Hz", "frequency", read=_band),
         time_key("window", "the time over which a rate is counted, such as 2s"),
     ),
     "{name: /cmd_vel, gap: 500ms}",
-    _read,
+    _plan,
+    _check,
 )

@@ -5,28 +5,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from understudy.trees.core.evidence import EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import State, duration
-from understudy.trees.core.observations import Content, Evaluation, Unreadable
-from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.core.leaf import LeafPlace, State, duration
+from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.age import rounded
-from understudy.trees.leaves.leaf_plan import (
-    Key,
-    LeafKind,
-    LeafPlan,
-    fails_on_arrival,
-    hold_off_of,
-    time_key,
-    topic_key,
-    topic_of,
-)
+from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, fails_on_arrival, time_key, topic_key
 from understudy.trees.leaves.message_content import ContentLeaf
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.source.value_reader import found_text
 
 TYPE = "tf2_msgs/msg/TFMessage"
 
@@ -55,21 +44,18 @@ class TransformLeaf(ContentLeaf):
 
     def __init__(
         self,
-        path: str,
+        place: LeafPlace,
         topic: str,
-        evaluation: Evaluation,
-        child: str,
-        parent: str | None,
+        hold_off: float,
+        frames: tuple[str | None, str],
         gap: float,
-        *,
-        most: float | None = None,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
+        most: float | None,
     ) -> None:
-        """Make a leaf over the transform to the frame ``child``, from ``parent`` or, if that is None, from any parent.
-        Times in seconds."""
-        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
-        self._child, self._parent, self._gap, self._most = child, parent, gap, most
+        """Make a leaf over the transform between two frames: from any parent, if the first is None. Times in
+        seconds."""
+        super().__init__(place, topic, hold_off)
+        self._parent, self._child = frames
+        self._gap, self._most = gap, most
 
     def said(self, content: Content, failed: bool) -> Finding | None:
         """Evaluate the message; None if the transform is not in it."""
@@ -127,43 +113,27 @@ class TransformLeaf(ContentLeaf):
         return super()._plain_reason(state)
 
 
-_EXAMPLE = "{parent: odom, child: base_link, gap: 500ms}"
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, TOPIC) if "topic" in value else TOPIC
+def _check(given: Given) -> None:
+    topic, child, parent = given["topic"], given["child"], given["parent"]
     if topic is not None and topic.rsplit("/", 1)[-1] == STATIC:
-        reader.problem(
-            f"{path}.topic", f"found {topic!r}: static transforms are published once, without a gap; give {TOPIC}"
-        )
-    if "child" not in value:
-        reader.problem(f"{path}.child", "missing; give the frame that the transform leads to, such as base_link")
-    child, parent = (reader.given(value, key, path, _frame) for key in ("child", "parent"))
+        given.problem("topic", f"found {topic!r}: static transforms are published once, without a gap; give {TOPIC}")
     if child is not None and child == parent:
-        reader.problem(
-            f"{path}.parent", f"found {parent!r}, which is the child too; give the frame above it, such as odom"
-        )
-    if "gap" not in value:
-        reader.problem(f"{path}.gap", "missing; give how long it may be missing, such as 500ms")
-    gap = reader.given(value, "gap", path, duration_of)
-    most = reader.given(value, "at_most", path, duration_of)
-    if "for" in value and "at_most" not in value:
-        reader.problem(
-            f"{path}.for",
+        given.problem("parent", f"found {parent!r}, which is the child too; give the frame above it, such as odom")
+    if "for" in given and "at_most" not in given:
+        given.problem(
+            "for",
             "it is only for at_most; give at_most, or leave for out: how long the transform may be missing is the gap",
         )
-    hold_off = hold_off_of(reader, value, path)
-    if topic is None or child is None or gap is None or len(reader.problems) > before:
-        return None
+
+
+def _plan(given: Given) -> LeafPlan:
+    topic, hold_off, frames = given["topic"], given.hold_off, (given["parent"], given["child"])
+    gap, most = given["gap"], given["at_most"]
+    prompt = most is not None and fails_on_arrival(hold_off)
     return LeafPlan(
-        f"{child}.transform",
-        WatchedTopic(
-            topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=most is not None and fails_on_arrival(hold_off)
-        ),
-        lambda place, evaluation, tasks: TransformLeaf(
-            place, topic, evaluation, child, parent, gap, most=most, hold_off=hold_off, tasks=tasks
-        ),
+        f"{given['child']}.transform",
+        WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=prompt),
+        lambda place: TransformLeaf(place, topic, hold_off, frames, gap, most),
     )
 
 
@@ -180,12 +150,20 @@ TRANSFORM = LeafKind(
     "while a transform between two frames is received",
     (
         topic_key("", "/tf, or another topic of its type", default=TOPIC),
-        Key("child", "the frame that the transform leads to, such as base_link"),
-        Key("parent", "the frame that it leads from, such as odom"),
-        time_key("gap", "how long it may be missing, such as 500ms"),
+        Key(
+            "child",
+            "the frame that the transform leads to, such as base_link",
+            read=_frame,
+            missing="give the frame that the transform leads to, such as base_link",
+        ),
+        Key("parent", "the frame that it leads from, such as odom", read=_frame),
+        time_key(
+            "gap", "how long it may be missing, such as 500ms", missing="give how long it may be missing, such as 500ms"
+        ),
         time_key("at_most", "the greatest age of the transform when it arrives, such as 300ms"),
         time_key("for", "how long it must be older before that is a failure, such as 1s"),
     ),
-    _EXAMPLE,
-    _read,
+    "{parent: odom, child: base_link, gap: 500ms}",
+    _plan,
+    _check,
 )

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
 
 from understudy.trees.core.evidence import Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.observations import Content, Evaluation, Unreadable
-from understudy.trees.core.task_activity import TaskActive
+from understudy.trees.core.leaf import LeafPlace
+from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.leaf_plan import (
     TYPE,
+    Given,
     Key,
     LeafKind,
     LeafPlan,
     fails_on_arrival,
-    hold_off_of,
     time_key,
     topic_key,
-    topic_of,
-    type_of,
 )
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expression_values import Undefined
-from understudy.trees.source.expressions import Expression, ExpressionError, Fields
-from understudy.trees.source.value_reader import Reader, found_text
+from understudy.trees.source.expressions import Expression, ExpressionError
+from understudy.trees.source.value_reader import found_text
 
 
 class ValueLeaf(ContentLeaf):
@@ -34,18 +31,10 @@ class ValueLeaf(ContentLeaf):
     """
 
     def __init__(
-        self,
-        path: str,
-        topic: str,
-        evaluation: Evaluation,
-        holds: Expression,
-        recovers: Expression | None = None,
-        *,
-        hold_off: float = 0.0,
-        tasks: Sequence[TaskActive] = (),
+        self, place: LeafPlace, topic: str, hold_off: float, holds: Expression, recovers: Expression | None
     ) -> None:
         """Make a leaf over a topic; ``hold_off`` in seconds."""
-        super().__init__(path, topic, evaluation, hold_off=hold_off, tasks=tasks)
+        super().__init__(place, topic, hold_off)
         self._holds, self._recovers = holds, recovers
 
     def said(self, content: Content, failed: bool) -> Finding:
@@ -69,37 +58,25 @@ class ValueLeaf(ContentLeaf):
         return f"{text if len(text) <= 80 else f'{text[:77]}...'} of {self.topic}"
 
 
-_EXAMPLE = '{topic: /battery_state, type: sensor_msgs/msg/BatteryState, holds: "percentage > 0.15"}'
-
-
-def _read(reader: Reader, value: Mapping[str, Any], path: str, fields: Fields | None) -> LeafPlan | None:
-    before = len(reader.problems)
-    topic = topic_of(reader, value, path, "/battery_state")
-    type_ = type_of(reader, value, path)
-    if "type" not in value:
-        reader.problem(f"{path}.type", "missing; give the messages' type, such as sensor_msgs/msg/BatteryState")
-    if "holds" not in value:
-        reader.problem(f"{path}.holds", "missing; give the condition that must hold, such as 'percentage > 0.15'")
-
+def _check(given: Given) -> None:
     def expression(found: object) -> Expression:
         if not isinstance(found, str):
             raise ValueError(f"found {found_text(found)}; write a condition in quotes, such as 'percentage > 0.15'")
         try:
-            return Expression.parse(found, type_ or "", fields)
+            return Expression.parse(found, given["type"] or "", given.fields)
         except ExpressionError as error:
             raise ValueError(f"found {found_text(found)}: {error}") from error
 
-    holds = reader.given(value, "holds", path, expression)
-    recovers = reader.given(value, "recovers", path, expression)
-    hold_off = hold_off_of(reader, value, path)
-    if topic is None or holds is None or len(reader.problems) > before:
-        return None
+    given.convert("holds", expression)
+    given.convert("recovers", expression)
+
+
+def _plan(given: Given) -> LeafPlan:
+    topic, hold_off, holds, recovers = given["topic"], given.hold_off, given["holds"], given["recovers"]
     return LeafPlan(
         f"{topic.lstrip('/')}.value",
-        WatchedTopic(topic, type_, 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
-        lambda place, evaluation, tasks: ValueLeaf(
-            place, topic, evaluation, holds, recovers, hold_off=hold_off, tasks=tasks
-        ),
+        WatchedTopic(topic, given["type"], 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
+        lambda place: ValueLeaf(place, topic, hold_off, holds, recovers),
     )
 
 
@@ -108,11 +85,16 @@ VALUE = LeafKind(
     "while a condition over the fields of the messages holds",
     (
         topic_key("/battery_state"),
-        TYPE,
-        Key("holds", "the condition that must hold, such as percentage > 0.15"),
+        replace(TYPE, missing="give the messages' type, such as sensor_msgs/msg/BatteryState"),
+        Key(
+            "holds",
+            "the condition that must hold, such as percentage > 0.15",
+            missing="give the condition that must hold, such as 'percentage > 0.15'",
+        ),
         Key("recovers", "the condition that must hold again after a failure"),
         time_key("for", "how long the condition must not hold before that is a failure, such as 500ms"),
     ),
-    _EXAMPLE,
-    _read,
+    '{topic: /battery_state, type: sensor_msgs/msg/BatteryState, holds: "percentage > 0.15"}',
+    _plan,
+    _check,
 )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeGuard
 
 from understudy.api.durations import seconds
+from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.source.problems import Problem, did_you_mean
 
 DEEPEST = 32
@@ -20,6 +22,9 @@ LONGEST = 24 * 3600
 
 JSON_PREFIX = "json:"
 """The prefix of a value that is JSON (basic_types.h of BehaviorTree.CPP 4.6), which may contain braces."""
+
+Read = Callable[[object], Any]
+"""Converts a value of a tree. Raises ValueError with what was found and what would be right."""
 
 _NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,63}")
 
@@ -81,21 +86,8 @@ class Reader:
             if key not in keys:
                 self.problem(f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), keys)}")
 
-    def matching(self, value: Mapping[str, Any], key: str, path: str, pattern: str, right: str) -> str | None:
-        """Return a text that matches a pattern; ``right`` describes how it is written."""
-        if key not in value:
-            return None
-        found = value[key]
-        if not isinstance(found, str) or not re.fullmatch(pattern, found):
-            message = f"found {found_text(found)}; give {right}"
-            if isinstance(found, str) and re.fullmatch(pattern, f"/{found}"):
-                message = f"found {found_text(found)}; did you mean '/{found}'?"
-            self.problem(f"{path}.{key}", message)
-            return None
-        return found
-
-    def given(self, value: Mapping[str, Any], key: str, path: str, read: Callable[[object], Any]) -> Any:
-        """Return a value as ``read`` converts it, which raises ValueError."""
+    def given(self, value: Mapping[str, Any], key: str, path: str, read: Read) -> Any:
+        """Return a value as ``read`` converts it."""
         if key not in value:
             return None
         try:
@@ -103,6 +95,51 @@ class Reader:
         except ValueError as error:
             self.problem(f"{path}.{key}", str(error))
             return None
+
+
+def name_of(what: str, example: str) -> Callable[[object], str]:
+    """Return a function that reads the fully qualified name of a topic, a node or another part of the ROS graph. It
+    raises ValueError."""
+    return _matching(ROS_NAME_PATTERN, f"a fully qualified {what} name such as {example}")
+
+
+def type_of(kind: str, right: str = "") -> Callable[[object], str]:
+    """Return a function that reads the type of an interface of a kind: ``msg``, ``srv`` or ``action``. It raises
+    ValueError."""
+    return _matching(ROS_TYPE_PATTERN.replace("(msg|srv|action)", kind), right or f"package/{kind}/Name")
+
+
+def _matching(pattern: str, right: str) -> Callable[[object], str]:
+    def read(found: object) -> str:
+        if isinstance(found, str) and re.fullmatch(pattern, found):
+            return found
+        if isinstance(found, str) and re.fullmatch(pattern, f"/{found}"):
+            raise ValueError(f"found {found_text(found)}; did you mean '/{found}'?")
+        raise ValueError(f"found {found_text(found)}; give {right}")
+
+    return read
+
+
+def word_of(known: Sequence[str]) -> Callable[[object], str]:
+    """Return a function that reads one of some words. It raises ValueError."""
+
+    def read(found: object) -> str:
+        if found in known:
+            return str(found)
+        hint = f"; known are {', '.join(known)}"
+        if isinstance(found, str):
+            hint = did_you_mean(found.upper() if known[0].isupper() else found, known)
+        raise ValueError(f"found {found_text(found)}{hint}")
+
+    return read
+
+
+def number_of(found: object) -> float:
+    """Return a number, also if it is written as text, as in XML; NaN if it is none."""
+    try:
+        return math.nan if isinstance(found, bool) or not isinstance(found, int | float | str) else float(found)
+    except (ValueError, OverflowError):
+        return math.nan
 
 
 def duration_of(value: object) -> float:

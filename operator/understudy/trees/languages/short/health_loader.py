@@ -11,16 +11,16 @@ from py_trees.common import ParallelPolicy
 from py_trees.composites import Parallel, Sequence
 from py_trees.decorators import Inverter
 
-from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.core.composites import AnyOf
 from understudy.trees.core.health_tree import Build, HealthTree, WatchedTopic
+from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Evaluation
 from understudy.trees.core.task_activity import SETTLE, STATUS_TYPE, TaskActive, While
 from understudy.trees.leaves.leaf_plan import LeafPlan
 from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.problems import Problem, TreeError, did_you_mean
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.source.value_reader import Reader, duration_of, found_text, name_of, type_of
 
 __all__ = ["Problem", "TreeError", "load"]
 
@@ -124,12 +124,8 @@ class _Loader(Reader):
         self.known(fields, TASK_KEYS, path)
         if "action" not in fields:
             self.problem(f"{path}.action", "missing; give the action's fully qualified name, such as /navigate_to_pose")
-        action = self.matching(
-            fields, "action", path, ROS_NAME_PATTERN, "a fully qualified action name such as /navigate_to_pose"
-        )
-        self.matching(
-            fields, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", "action"), "package/action/Name"
-        )
+        action = self.given(fields, "action", path, name_of("action", "/navigate_to_pose"))
+        self.given(fields, "type", path, type_of("action"))
         if action is None or settle is None or len(self.problems) > before:
             return None
         task = TaskActive(action, settle)
@@ -169,15 +165,12 @@ class _Loader(Reader):
 
     def _leaf(self, kind: str, value: object, path: str, above: list[str], name: str | None) -> Build | None:
         """Return the builder of a leaf that evaluates messages."""
-        before, known = len(self.problems), LEAVES[kind]
+        known = LEAVES[kind]
         if not isinstance(value, Mapping):
             self.problem(path, f"found {found_text(value)}; {kind} is a mapping such as {known.example}")
             return None
-        self.known(value, known.keys, path)
         plan = known.read(self, value, path, self._fields)
-        if plan is None or len(self.problems) > before:
-            return None
-        return self._placed(kind, plan, path, above, name)
+        return self._placed(kind, plan, path, above, name) if plan is not None else None
 
     def _placed(self, kind: str, plan: LeafPlan, path: str, above: list[str], name: str | None) -> Build | None:
         """Return the builder of a leaf at its place: below the nodes ``above``, and with its given name, if any."""
@@ -199,7 +192,7 @@ class _Loader(Reader):
         def build(left_out: Collection[str]) -> Behaviour | None:
             if not needed.isdisjoint(left_out):
                 return None
-            leaf = plan.make(leaf_path, self.evaluation, tasks)
+            leaf = plan.make(LeafPlace(leaf_path, self.evaluation, tasks))
             leaf.kind = kind
             return leaf
 

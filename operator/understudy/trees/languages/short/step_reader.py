@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from understudy.api.ros_names import ROS_NAME_PATTERN, ROS_TYPE_PATTERN
 from understudy.trees.core.answer_matching import mismatch
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
 from understudy.trees.core.procedure_steps import Actions, ProcedureFailed, Work
@@ -14,7 +13,7 @@ from understudy.trees.languages.short.health_loader import load
 from understudy.trees.leaves import procedure_steps
 from understudy.trees.leaves.lifecycle import STATES
 from understudy.trees.source.problems import TreeError
-from understudy.trees.source.value_reader import Reader, duration_of, found_text
+from understudy.trees.source.value_reader import Reader, duration_of, found_text, name_of, type_of
 
 SETTLE = 0.05
 """Seconds between two evaluations of a leaf that is still starting."""
@@ -205,15 +204,15 @@ class StepReader(Reader):
     def _ros(self, fields: Mapping[str, Any], key: str, path: str) -> str | None:
         if key not in fields:
             self.problem(f"{path}.{key}", f"missing; give the {key}'s fully qualified name, such as /{_EXAMPLES[key]}")
-        return self.matching(
-            fields, key, path, ROS_NAME_PATTERN, f"a fully qualified {key} name such as /{_EXAMPLES[key]}"
-        )
+        name: str | None = self.given(fields, key, path, name_of(key, f"/{_EXAMPLES[key]}"))
+        return name
 
     def _type(self, fields: Mapping[str, Any], path: str, kind: str) -> str | None:
         right = f"package/{kind}/Name, such as {_TYPES[kind]}"
         if "type" not in fields:
             self.problem(f"{path}.type", f"missing; give {right}")
-        return self.matching(fields, "type", path, ROS_TYPE_PATTERN.replace("(msg|srv|action)", kind), right)
+        type_: str | None = self.given(fields, "type", path, type_of(kind, right))
+        return type_
 
     def _state(self, fields: Mapping[str, Any], path: str) -> str | None:
         state = fields.get("state")
