@@ -65,7 +65,7 @@ class Borrowed(Reflector):
         await self.synced.wait()
         while True:
             try:
-                await self._drain.drain(self._of, self._in, self._selector, str(self._original._told))
+                await self._drain.drain(self._of, self._in, self._selector, str(self._original._reported))
             except (aiohttp.ClientError, TimeoutError, OSError):
                 await asyncio.sleep(RETRY_FIRST)
 

@@ -33,7 +33,7 @@ class MonitorSocket:
         """Listen at a path. Raises OSError, also if the file exists already."""
         return await asyncio.start_unix_server(self._connected, path, limit=MOST)
 
-    def tell(self) -> None:
+    def send_state(self) -> None:
         """Report the state of the tasks."""
         line = json.dumps({"report": self._report()}).encode() + b"\n"
         for writer in self._writers:
@@ -43,7 +43,7 @@ class MonitorSocket:
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._writers.add(writer)
         try:
-            self.tell()
+            self.send_state()
             while line := await reader.readline():
                 self._on_situation(ControlState.from_wire(json.loads(line)["situation"]))
         except (ValueError, KeyError, TypeError) as error:

@@ -51,17 +51,17 @@ def health(silent_for: float) -> tuple[int, str]:
 
 async def _run(workload: str, state: Path, socket: Path, port: int) -> None:
     loop = asyncio.get_running_loop()
-    told = asyncio.Event()
+    stop_requested = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, told.set)
+        loop.add_signal_handler(number, stop_requested.set)
     served = ServedNode("understudy_tasks_" + re.sub(r"[^a-zA-Z0-9_]", "_", workload))
     proxy = Proxy(served, GoalJournal(state / "goals.json"))
     talk = MonitorSocket(proxy.place, proxy.report)
-    proxy.on_report = talk.tell
+    proxy.on_report = talk.send_state
     server = await talk.listen(socket)
     page = await http_pages.serve({"/healthz": lambda: health(served.silent_for)}, port)
     _logger.info("task proxy of %s", workload)
-    await told.wait()
+    await stop_requested.wait()
     server.close()
     page.close()
     await proxy.close()

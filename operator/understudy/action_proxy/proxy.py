@@ -160,7 +160,7 @@ class Proxy:
         """Record why the instance cannot receive a goal of an action; empty once it has received one."""
         if (served := self._served.get(action)) is not None:
             served.troubles[uid] = problem
-            self._tell()
+            self._send_state()
 
     # -- what clients do --------------------------------------------------------------------------------------------
 
@@ -197,7 +197,7 @@ class Proxy:
             self._publish(served)
         for link in self._links.values():
             link.wake()
-        self._tell()
+        self._send_state()
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -226,7 +226,7 @@ class Proxy:
             served.statuses = statuses
             served.server.publish_status(statuses)
 
-    def _tell(self) -> None:
+    def _send_state(self) -> None:
         report = self.report()
         if report != self._reported:
             self._reported = report
@@ -255,7 +255,7 @@ class Proxy:
         except (TypeNotInstalled, ValueError) as error:
             _logger.error("%s: %s", action, error)
             served.problem = str(error)
-            self._tell()
+            self._send_state()
             return
         server = ActionServer(self._node, action, type_, self._asked(action))
         await server.open()

@@ -95,15 +95,15 @@ def unmet_requirements(order: Order) -> list[str]:
 
 def explain(order: Order) -> str:
     """Describe the order in a few sentences, for a condition."""
-    told = [f"{one_line(order)}. Required: {describe_requirements(order.requirements)}"]
-    told.append(
+    sentences = [f"{one_line(order)}. Required: {describe_requirements(order.requirements)}"]
+    sentences.append(
         f"{strategy_name(order.first.candidate)} is {describe_choice(order, order.first)} ({describe_time(order.first)})"
     )
     left_out = [f"{strategy_name(one.candidate)} {describe_choice(order, one)}" for one in order.left_out]
     if left_out:
-        told.append(f"Left out: {'; '.join(left_out)}")
-    told += [f"Not met: {one}" for one in unmet_requirements(order)]
-    return ". ".join(told) + "."
+        sentences.append(f"Left out: {'; '.join(left_out)}")
+    sentences += [f"Not met: {one}" for one in unmet_requirements(order)]
+    return ". ".join(sentences) + "."
 
 
 def _sooner(requirements: Requirements) -> str:

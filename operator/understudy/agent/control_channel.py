@@ -251,7 +251,7 @@ class ControlChannel:
         self._sessions.append(session)
         peer = session.peer
         _logger.info("session of %s (workload %r, claim %r)", peer.host, peer.workload, peer.claim)
-        working = {asyncio.create_task(self._tell(session)), asyncio.create_task(self._pass_on(session))}
+        working = {asyncio.create_task(self._send_statuses(session)), asyncio.create_task(self._pass_on(session))}
         standing = len(working)
         try:
             while True:
@@ -288,7 +288,7 @@ class ControlChannel:
             _logger.debug("session of %s: %r", session.peer.host, error)
             session.abort()
 
-    async def _tell(self, session: _Session) -> None:
+    async def _send_statuses(self, session: _Session) -> None:
         """Send the status on every change and once a second. A session that cannot receive it is ended."""
         try:
             while True:

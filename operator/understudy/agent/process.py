@@ -57,9 +57,9 @@ def main(argv: list[str]) -> int:
 
 async def _run(identity: PodIdentity, probes: ProbeSender) -> None:
     loop = asyncio.get_running_loop()
-    told = asyncio.Event()
+    stop_requested = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, told.set)
+        loop.add_signal_handler(number, stop_requested.set)
     agent = Agent(identity, probes)
     sessions = ControlChannel(agent)
     agent.publish = sessions.publish
@@ -81,7 +81,7 @@ async def _run(identity: PodIdentity, probes: ProbeSender) -> None:
     ]
     # A recovery may need these modules at any time, so they are imported now. Other requests do not wait for that.
     housekeeping.append(asyncio.create_task(_warm() if agent.held else _imported(_PROCEDURES)))
-    await told.wait()
+    await stop_requested.wait()
     for task in housekeeping:
         task.cancel()
     for server in (control, health):

@@ -22,11 +22,11 @@ def why(health: str, active: str, conditions: Iterable[Condition]) -> str:
     """Return why the health is what it is. ``active`` is the name of the active pod."""
     if health == "Healthy":
         return f"{active} is in control" if active else "healthy"
-    found = telling(health, active, conditions)
+    found = decisive(health, active, conditions)
     return found.message if found is not None else _PLAIN.get(health, health)
 
 
-def telling(health: str, active: str, conditions: Iterable[Condition]) -> Condition | None:
+def decisive(health: str, active: str, conditions: Iterable[Condition]) -> Condition | None:
     """Return the condition that explains why a workload is not healthy, or None."""
     found = {condition.type: condition for condition in conditions}
     degraded, recovering, judged = found.get("Degraded"), found.get("Recovering"), found.get("Healthy")

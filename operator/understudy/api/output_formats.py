@@ -8,6 +8,6 @@ from typing import Any
 import yaml
 
 
-def structured(told: Any, form: str) -> str:
+def structured(value: Any, form: str) -> str:
     """Return plain values as ``json`` or ``yaml``, without a newline at the end."""
-    return json.dumps(told, indent=2) if form == "json" else yaml.safe_dump(told, sort_keys=False).rstrip()
+    return json.dumps(value, indent=2) if form == "json" else yaml.safe_dump(value, sort_keys=False).rstrip()

@@ -83,10 +83,10 @@ def outage(before: Outage | None, seen: Seen, now: float) -> Outage | None:
     """The present outage of a workload upstream, or else the last one that is known; ``before`` is what was known until now."""
     lasting = before if before is not None and before.end is None else None
     if seen.failing:
-        told = seen.failing_since
+        onset = seen.failing_since
         if lasting is not None:
-            return lasting if told is None else Outage(min(lasting.onset, told))
-        return Outage(-math.inf if told is None else told)
+            return lasting if onset is None else Outage(min(lasting.onset, onset))
+        return Outage(-math.inf if onset is None else onset)
     last = seen.last
     if lasting is not None:
         recovered = last is not None and last.end is not None and last.end >= lasting.onset

@@ -255,17 +255,17 @@ def listed_recoveries(recoveries: Iterable[Recovery]) -> list[ListedRecovery]:
     return [(recovery.id, recovery.moments.detected) for recovery in recoveries]
 
 
-def under_way(committed: Committed | None, told: Iterable[ListedRecovery], now: float | None = None) -> bool:
+def under_way(committed: Committed | None, listed: Iterable[ListedRecovery], now: float | None = None) -> bool:
     """Return whether the recovery next to a gate is in progress. The gate changes before the status does.
 
-    ``told`` are the recoveries in the status. With ``now`` (unix seconds) a recovery counts for no longer than LASTS. The operator,
+    ``listed`` are the recoveries in the status. With ``now`` (unix seconds) a recovery counts for no longer than LASTS. The operator,
     dependent workloads and the command line use this.
     """
     if committed is None or not committed.running:
         return False
     if now is not None and now >= committed.began + LASTS:
         return False
-    for id_, detected in told:
+    for id_, detected in listed:
         # Of several failed recoveries the status has only the last; an older one may still be next to the gate.
         later = detected is not None and datetime.fromisoformat(detected).timestamp() >= committed.detected
         if id_ == committed.id or later:

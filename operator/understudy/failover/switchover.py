@@ -171,8 +171,8 @@ async def _give_back(target: Instance | None, progress: Progress, means: Means) 
     words = "is gone" if target is None else f"was not seen to drive within {SEEN_WITHIN:g} s"
     strategy, progress.strategy, progress.result = progress.strategy, "", "Failed"
     gone = former is None or not former.usable
-    told = f"{pod} {words}{', and the former instance is gone' if gone else ''}"
-    progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="NotVerified", message=told))
+    message = f"{pod} {words}{', and the former instance is gone' if gone else ''}"
+    progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="NotVerified", message=message))
     if former is None or gone:  # whoever watches sees a failure of the next one
         means.save(progress)
         return progress

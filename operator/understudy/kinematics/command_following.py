@@ -270,7 +270,7 @@ class CommandFollowing:
         return self._well
 
     @property
-    def told(self) -> bool:
+    def is_known(self) -> bool:
         """Whether both commands and the robot have been seen."""
         return self._known
 

@@ -281,7 +281,7 @@ class AgentLink:
                 self._status = AgentStatus.from_wire(message["status"])
                 self._notify()
             elif "event" in message and "id" not in message:
-                self._tell_event(message["event"])
+                self._notify_event(message["event"])
             elif isinstance(number := message.get("id"), int):
                 answer = self._answers.get(number)
                 if answer is not None and not answer.done():
@@ -297,7 +297,7 @@ class AgentLink:
             if not answer.done():
                 answer.set_exception(AgentGone(f"agent {self.pod or self.host}: the connection was lost"))
 
-    def _tell_event(self, event: object) -> None:
+    def _notify_event(self, event: object) -> None:
         if self._on_event is None or not isinstance(event, dict):
             return
         try:

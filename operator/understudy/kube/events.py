@@ -54,7 +54,7 @@ def reference(target: Mapping[str, Any]) -> Object:
 
 
 @dataclass
-class _Told:
+class _Reported:
     name: str = ""
     first: str = ""
     count: int = 0
@@ -81,19 +81,19 @@ class Recorder:
     ) -> None:
         """``component`` is for example ``understudy-operator``; ``instance`` is the pod that reports."""
         self._client, self._component, self._instance, self._clock = client, component, instance, clock
-        self._told: OrderedDict[tuple[str, ...], _Told] = OrderedDict()
+        self._reported: OrderedDict[tuple[str, ...], _Reported] = OrderedDict()
         self._similar: OrderedDict[tuple[str, ...], _Similar] = OrderedDict()
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
 
     async def warning(self, target: Mapping[str, Any], reason: str, message: str) -> None:
         """Report something that needs attention, about an object or an ObjectReference."""
-        await self._tell(reference(target), "Warning", reason, message)
+        await self._report(reference(target), "Warning", reason, message)
 
     async def normal(self, target: Mapping[str, Any], reason: str, message: str) -> None:
         """Report a normal event, about an object or an ObjectReference."""
-        await self._tell(reference(target), "Normal", reason, message)
+        await self._report(reference(target), "Normal", reason, message)
 
-    async def _tell(self, about: Object, kind: Literal["Warning", "Normal"], reason: str, message: str) -> None:
+    async def _report(self, about: Object, kind: Literal["Warning", "Normal"], reason: str, message: str) -> None:
         now = self._clock()
         message = message if len(message) <= MESSAGE_MOST else message[: MESSAGE_MOST - 1] + "…"
         subject = (about.get("uid", ""), about.get("namespace", ""), about.get("kind", ""), about.get("name", ""))
@@ -103,13 +103,13 @@ class Recorder:
             message = f"(combined from similar events) {message}"[:MESSAGE_MOST]
         else:
             key = (*common, message)
-        told = _remember(self._told, key, _Told)
-        told.count += 1
-        if now - told.written < COUNT_SECONDS or not self._allowed("/".join(subject), now):
+        last = _remember(self._reported, key, _Reported)
+        last.count += 1
+        if now - last.written < COUNT_SECONDS or not self._allowed("/".join(subject), now):
             return
-        told.written = now
+        last.written = now
         try:
-            await self._write(told, about, kind, reason, message)
+            await self._write(last, about, kind, reason, message)
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
             _logger.info("event %s about %s %s not written: %s", reason, subject[2], subject[3], error)
 
@@ -133,37 +133,37 @@ class Recorder:
         bucket.tokens -= 1
         return True
 
-    async def _write(self, told: _Told, about: Object, kind: str, reason: str, message: str) -> None:
+    async def _write(self, last: _Reported, about: Object, kind: str, reason: str, message: str) -> None:
         namespace = about.get("namespace") or "default"
         stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        if told.name:
-            change = {"count": told.count, "lastTimestamp": stamp, "message": message}
+        if last.name:
+            change = {"count": last.count, "lastTimestamp": stamp, "message": message}
             try:
-                await self._client.patch(EVENTS, namespace, told.name, change)
+                await self._client.patch(EVENTS, namespace, last.name, change)
                 return
             except ApiError as error:
                 if not error.not_found:
                     raise
-            told.count = 1  # the API server deletes events after an hour: this is a new one
-        told.name, told.first = f"{about['name']}.{time.time_ns():x}{secrets.token_hex(2)}", stamp
+            last.count = 1  # the API server deletes events after an hour: this is a new one
+        last.name, last.first = f"{about['name']}.{time.time_ns():x}{secrets.token_hex(2)}", stamp
         try:
-            await self._client.create(EVENTS, namespace, self._event(told, about, namespace, kind, reason, message))
+            await self._client.create(EVENTS, namespace, self._event(last, about, namespace, kind, reason, message))
         except BaseException:
-            told.name = ""
+            last.name = ""
             raise
 
-    def _event(self, told: _Told, about: Object, namespace: str, kind: str, reason: str, message: str) -> Object:
+    def _event(self, last: _Reported, about: Object, namespace: str, kind: str, reason: str, message: str) -> Object:
         return {
             "apiVersion": "v1",
             "kind": "Event",
-            "metadata": {"name": told.name, "namespace": namespace},
+            "metadata": {"name": last.name, "namespace": namespace},
             "involvedObject": about,
             "type": kind,
             "reason": reason,
             "message": message,
-            "count": told.count,
-            "firstTimestamp": told.first,
-            "lastTimestamp": told.first,
+            "count": last.count,
+            "firstTimestamp": last.first,
+            "lastTimestamp": last.first,
             "source": {"component": self._component},
             "reportingComponent": self._component,
             "reportingInstance": self._instance[:128],

@@ -40,8 +40,8 @@ async def apply_declared(
 
 def lacking(resource: Resource, fields: Iterable[str], writer: str) -> str:
     """Return the message for users about the fields that were left out."""
-    told = ", ".join(sorted(fields))
-    return f"the definition of {resource.plural} is older than this {writer} and lacks {told}: upgrade it (charts/understudy, or crds/)"
+    listed = ", ".join(sorted(fields))
+    return f"the definition of {resource.plural} is older than this {writer} and lacks {listed}: upgrade it (charts/understudy, or crds/)"
 
 
 def without(body: Object, fields: Sequence[str]) -> Object:

@@ -43,7 +43,7 @@ class Reflector:
         self._labels, self._fields, self._cached = labels, fields, cached
         self._on_change = on_change
         self._changed = asyncio.Event()
-        self._told = 0
+        self._reported = 0
         """The version up to which the last list and the watch have reported everything."""
         self.items: dict[str, Object] = {}
         self.revision = 0
@@ -73,10 +73,10 @@ class Reflector:
             self._resource, self._namespace, labels=self._labels, fields=self._fields, cached=self._cached
         )
         version: str = answer["metadata"]["resourceVersion"]
-        self._told = version_of(answer)
+        self._reported = version_of(answer)
         fresh = {item["metadata"]["name"]: item for item in answer.get("items") or []}
         # An object that was put while the list was in progress may be newer than the list.
-        newer = {n for n, i in self.items.items() if before.get(n) is not i and version_of(i) > self._told}
+        newer = {n for n, i in self.items.items() if before.get(n) is not i and version_of(i) > self._reported}
         for name in [n for n in self.items if n not in fresh and n not in newer]:
             self._set(name, None)
         for name, item in fresh.items():
@@ -94,7 +94,7 @@ class Reflector:
         async with contextlib.aclosing(events):  # type: ignore[type-var]
             async for kind, item in events:
                 version = item["metadata"]["resourceVersion"]
-                self._told = max(self._told, version_of(item))
+                self._reported = max(self._reported, version_of(item))
                 if kind == "BOOKMARK" or version_of(self.items.get(item["metadata"]["name"])) > version_of(item):
                     continue
                 self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
@@ -110,7 +110,7 @@ class Reflector:
         known = self.items.get(name)
         if known is not None and version_of(known) >= version_of(item):
             return
-        if 0 < version_of(item) <= self._told:
+        if 0 < version_of(item) <= self._reported:
             return
         self._set(name, item)
         self._notify()

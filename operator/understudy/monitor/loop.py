@@ -240,7 +240,7 @@ class MonitorLoop:
             self._journal.crash_points.step("before record")
             recovery = self._notices.record(outcome.progress)
             self.observe.dependencies.note(outcome.progress.follows)
-            self.act.keeping.tell(recovery)
+            self.act.keeping.report_restored(recovery)
             text = self.report.recovery.concluded(outcome, recovery)
             if outcome.kind in ("SwitchedOver", "NotSwitchedOver"):
                 self.act.switchovers.done(outcome.progress, f"{text}.")

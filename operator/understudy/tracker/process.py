@@ -59,9 +59,9 @@ def main(argv: list[str]) -> int:
         from understudy.tracker.tracker_node import Tracker
     except ModuleNotFoundError as error:
         return _missing(error)
-    told = threading.Event()
+    stop_requested = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: told.set())
+        signal.signal(number, lambda *_: stop_requested.set())
     import cv2
 
     cv2.setNumThreads(1)  # an image is small, so threads would cost more than they save
@@ -69,7 +69,7 @@ def main(argv: list[str]) -> int:
     names = ", ".join(f"{marker.name} on {marker.base}" for marker in configuration.markers)
     _logger.info("tracking %s by %s", names, configuration.camera.source)
     try:
-        while not told.is_set():
+        while not stop_requested.is_set():
             tracker.turn(TURN)
     finally:
         tracker.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from understudy.api.conditions import Condition, Status, condition
-from understudy.api.health_reasons import telling, why
+from understudy.api.health_reasons import decisive, why
 
 
 def said(type_: str, status: Status, reason: str) -> Condition:
@@ -37,4 +37,4 @@ def test_what_is_over_and_what_is_of_another_instance_explain_nothing() -> None:
     past = [said("Recovering", "False", "Recovered"), said("Healthy", "False", "Failed")]
     assert why("Failed", "a", past) == "Healthy: Failed"
     assert why("Failed", "", past) == "it has failed"
-    assert telling("Unknown", "a", ALL) is None
+    assert decisive("Unknown", "a", ALL) is None

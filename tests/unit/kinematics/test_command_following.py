@@ -180,7 +180,7 @@ def test_without_a_recent_command_any_motion_is_allowed():
     for tick in range(50):
         following.see(tick * IMAGE, forward(0.5), CERTAIN)
     assert following.discrepancy(5.0) is None
-    assert not following.told
+    assert not following.is_known
     following = turning(CommandFollowing(ALLOWED), forward(0.3), forward(0.3))
     for tick in range(40):
         # Nobody commands any more: it may go on, or stop, as its base does.

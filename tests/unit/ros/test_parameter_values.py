@@ -167,7 +167,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
             "parameter speed of /driver cannot be determined: of 2 nodes of that name, in different pods, some are 1.5 and some "
             "2.5, and the one of the active instance has reported no change since it has been watched"
         ]
-        assert not parameters.of(speed).told
+        assert not parameters.of(speed).is_known
         record.contents.append(Told(time.time(), 1.75))
         parameters.look()
         assert (parameters.of(speed).value, parameters.problems) == (1.75, [])

@@ -31,16 +31,16 @@ def samples(name: str) -> list[Sample]:
 
 def reader(name: str) -> Reader:
     (sample,) = samples(name)
-    assert isinstance(sample.tells, Reader)
-    return sample.tells
+    assert isinstance(sample.entity, Reader)
+    return sample.entity
 
 
 @pytest.mark.parametrize("name", ["server_participant", "multicast_participant"])
 def test_a_participant_says_where_it_listens(name: str) -> None:
     (sample,) = samples(name)
-    assert isinstance(sample.tells, Participant)
-    assert sample.tells.discovery == (Locator("10.9.0.2", 9160),)
-    assert sample.tells.default == (Locator("10.9.0.2", 9161),)
+    assert isinstance(sample.entity, Participant)
+    assert sample.entity.discovery == (Locator("10.9.0.2", 9160),)
+    assert sample.entity.default == (Locator("10.9.0.2", 9161),)
 
 
 def test_a_reader_without_a_profile_says_its_participants_port_and_one_with_it_its_own() -> None:
@@ -54,20 +54,20 @@ def test_a_server_speaks_for_others_and_a_participant_for_itself() -> None:
     (told,) = samples("server_gated")
     assert told.writer == SERVER + rtps.SUBSCRIPTIONS[0]
     for told in samples("multicast_two_readers"):
-        assert isinstance(told.tells, Reader)
-        assert told.writer[: rtps.PREFIX] == told.tells.guid[: rtps.PREFIX]
+        assert isinstance(told.entity, Reader)
+        assert told.writer[: rtps.PREFIX] == told.entity.guid[: rtps.PREFIX]
 
 
 def test_several_readers_may_come_in_one_datagram() -> None:
     first, second = samples("multicast_two_readers")
     assert second.number == first.number + 1
-    assert isinstance(second.tells, Reader)
-    assert second.tells.topic == "rt/chat"
+    assert isinstance(second.entity, Reader)
+    assert second.entity.topic == "rt/chat"
 
 
 def test_a_deleted_reader_announces_nothing() -> None:
     (told,) = samples("reader_gone")
-    assert (told.number, told.tells) == (15, None)
+    assert (told.number, told.entity) == (15, None)
 
 
 def test_what_a_writer_has_and_what_it_leaves_out() -> None:

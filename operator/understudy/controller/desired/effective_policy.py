@@ -42,7 +42,7 @@ def order(observed: Observed, name: str | None = None) -> Order | None:
     name = situation(observed) if name is None else name
     found = situation_strategies.find(policy_reader.spec(policy), name) if name else None
     # A pool that is no longer accepted keeps its pods, so a workload that already uses it may continue to do so.
-    before = {choice.name for choice in observed.told_pools}
+    before = {choice.name for choice in observed.written_pools}
     usable = {pool: item for pool, item in observed.serving.items() if observed.refused(pool) is None or pool in before}
     requirements = found.requirements if found is not None else None
     return strategy_selection.order(policy, observed.workload, usable, requirements=requirements)
@@ -58,9 +58,9 @@ def chosen(observed: Observed) -> list[Strategy] | None:
     policy = observed.policy
     if policy is not None and not strategy_selection.varies(policy):
         return None
-    settings = observed.told
+    settings = observed.written_settings
     present = settings.strategies if settings is not None else None
-    if policy is None or (present and observed.told_recovering):
+    if policy is None or (present and observed.written_recovering):
         return present
     found = _of_situation(observed, policy, situation(observed))
     return present if found is None else found
@@ -75,7 +75,7 @@ def counted_on(observed: Observed, chosen: Sequence[Strategy]) -> set[str]:
     found = set(named_pools(chosen))
     policy = observed.policy
     if policy is not None and situation_strategies.has_some(policy):
-        for name in {_told(observed, policy), situation_strategies.asked(observed.workload, policy)}:
+        for name in {_known_situation(observed, policy), situation_strategies.asked(observed.workload, policy)}:
             found |= set(named_pools(_of_situation(observed, policy, name) or []))
     return found
 
@@ -97,10 +97,10 @@ def situation(observed: Observed) -> str:
     policy = observed.policy
     if policy is None or not situation_strategies.has_some(policy):
         return ""
-    told, asked = _told(observed, policy), situation_strategies.asked(observed.workload, policy)
-    if told == asked or _lacking(observed, policy, asked) is None:
+    known, asked = _known_situation(observed, policy), situation_strategies.asked(observed.workload, policy)
+    if known == asked or _lacking(observed, policy, asked) is None:
         return asked
-    return told
+    return known
 
 
 def lacking(observed: Observed) -> str:
@@ -114,9 +114,9 @@ def lacking(observed: Observed) -> str:
     return _lacking(observed, policy, situation_strategies.asked(observed.workload, policy)) or ""
 
 
-def _told(observed: Observed, policy: Object) -> str:
+def _known_situation(observed: Observed, policy: Object) -> str:
     """Return the situation whose strategies the monitor was last given."""
-    settings = observed.told
+    settings = observed.written_settings
     return situation_strategies.known(policy, settings.situation if settings is not None else None)
 
 
@@ -137,7 +137,7 @@ def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
 
     Strategies that can never run are skipped.
     """
-    if observed.told_recovering:
+    if observed.written_recovering:
         return "a recovery is in progress"
     asked = _of_situation(observed, policy, name)
     if asked is None:

@@ -59,9 +59,9 @@ def choices(observed: Observed, workload_plan: WorkloadPlan) -> list[PoolChoice]
     """
     assert workload_plan.spec is not None
     if workload_plan.policy_problem is not None:
-        return observed.told_pools
+        return observed.written_pools
     served = observed.serving
-    present = {choice.name: choice for choice in observed.told_pools}
+    present = {choice.name: choice for choice in observed.written_pools}
     found = []
     chosen = effective_policy.strategies(observed)
     first = effective_policy.named_pools(chosen)
@@ -100,6 +100,6 @@ def source(observed: Observed, workload_plan: WorkloadPlan) -> tuple[str, str]:
 def _situation(observed: Observed) -> str | None:
     """Return the situation whose strategies the settings contain, or None."""
     if observed.policy is None:
-        settings = observed.told
+        settings = observed.written_settings
         return settings.situation if settings is not None else None
     return effective_policy.situation(observed) or None

@@ -29,8 +29,8 @@ def seen(observed: Observed) -> Drain | None:
     active, cordoned = observed.active, observed.cordoned
     if active is None or (node := leaving_nodes.of(active)) not in cordoned:
         return None
-    told, uid, now = observed.told, kube_objects.uid(active), round(observed.now, 3)
-    present = told.drain if told is not None else None
+    settings, uid, now = observed.written_settings, kube_objects.uid(active), round(observed.now, 3)
+    present = settings.drain if settings is not None else None
     since = min(present.since, now) if present is not None and (present.uid, present.node) == (uid, node) else now
     return Drain(uid=uid, node=node, since=since, cordoned=sorted(cordoned))
 
@@ -80,7 +80,7 @@ def hold(observed: Observed, workload_plan: WorkloadPlan) -> Hold:
 def _falls_back(observed: Observed, workload_plan: WorkloadPlan) -> bool:
     """Whether its policy has a pool that serves it. While the policy is missing or invalid, whether it had one."""
     if workload_plan.policy_problem is not None:
-        return bool(observed.told_pools)
+        return bool(observed.written_pools)
     served = observed.serving
     return any(name in served for name in effective_policy.named_pools(effective_policy.strategies(observed)))
 
@@ -101,10 +101,10 @@ def conditions(observed: Observed, workload_plan: WorkloadPlan) -> list[Conditio
     if workload_plan.spec is None or drain is None or active is None:
         return []
     found, generation = hold(observed, workload_plan), kube_objects.generation(observed.workload)
-    told = f"Node {drain.node}, where the active instance {kube_objects.name(active)} runs, is cordoned."
+    message = f"Node {drain.node}, where the active instance {kube_objects.name(active)} runs, is cordoned."
     if not found.holds:
         then = f"Evictions of this instance are not delayed: {found.message}."
-        return [condition(CONDITION, False, found.reason, f"{told} {then}", generation=generation)]
+        return [condition(CONDITION, False, found.reason, f"{message} {then}", generation=generation)]
     clock = datetime.fromtimestamp(found.until or 0.0, UTC).strftime("%H:%M:%S UTC")
     then = f"Evictions of this instance are refused until an understudy on another node takes over, at the latest until {clock}."
-    return [condition(CONDITION, True, found.reason, f"{told} {then}", generation=generation)]
+    return [condition(CONDITION, True, found.reason, f"{message} {then}", generation=generation)]

@@ -210,9 +210,9 @@ def awaited(observed: Observed, workload_plan: WorkloadPlan) -> str | None:
         for pod in observed.pods
     ):
         return None
-    told = f"ReplicaSet {kube_objects.name(observed.workload)} gets the new template after a standby of that template is ready"
+    message = f"ReplicaSet {kube_objects.name(observed.workload)} gets the new template after a standby of that template is ready"
     unmade = [name for name in sorted(pools_first) if observed.refused(name) is not None]
-    return f"{told}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else told
+    return f"{message}, and FallbackPool {unmade[0]}, which is not accepted, makes none" if unmade else message
 
 
 def sweep(made: Plan, observed: Observed) -> None:

@@ -23,9 +23,9 @@ def beside(gate: Object | None) -> Committed | None:
 
 def under_way(workload: Object, gate: Object | None, now: float) -> bool:
     """Whether the gate has a recovery in progress that the workload's status does not report yet."""
-    told = (workload.get("status") or {}).get("recoveries") or []
+    recorded = (workload.get("status") or {}).get("recoveries") or []
     return recoveries.under_way(
-        beside(gate), ((one.get("id", ""), (one.get("moments") or {}).get("detected")) for one in told), now
+        beside(gate), ((one.get("id", ""), (one.get("moments") or {}).get("detected")) for one in recorded), now
     )
 
 

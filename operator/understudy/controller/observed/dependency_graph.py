@@ -125,5 +125,5 @@ def resolved(known: Graph, workload: Object) -> list[Condition]:
     if found is not None:
         return [condition(RESOLVED, False, found.reason, f"{found.message}.", generation=generation)]
     order = ", ".join(one.name for one in upstream(known, name))
-    told = f"It depends on {order}. The procedures after a recovery of these workloads run in this order."
-    return [condition(RESOLVED, True, "Resolved", told, generation=generation)]
+    message = f"It depends on {order}. The procedures after a recovery of these workloads run in this order."
+    return [condition(RESOLVED, True, "Resolved", message, generation=generation)]

@@ -94,7 +94,7 @@ class Observed:
         return pool_reader.problem(self.pools[pool])
 
     @property
-    def told(self) -> WorkloadSettings | None:
+    def written_settings(self) -> WorkloadSettings | None:
         """The settings that the operator last wrote for the monitor; None if missing or unreadable."""
         present = self.owned.get((CONFIG_MAPS.plural, names.settings(kube_objects.name(self.workload))))
         text = ((present or {}).get("data") or {}).get("settings.json")
@@ -104,10 +104,10 @@ class Observed:
             return None
 
     @property
-    def told_pools(self) -> list[PoolChoice]:
+    def written_pools(self) -> list[PoolChoice]:
         """The pools in the monitor's last settings."""
-        told = self.told
-        return told.pools if told is not None else []
+        settings = self.written_settings
+        return settings.pools if settings is not None else []
 
     @property
     def gate(self) -> Object | None:
@@ -129,7 +129,7 @@ class Observed:
         return sorted(found.values(), key=kube_objects.sort_key)
 
     @property
-    def told_recovering(self) -> bool:
+    def written_recovering(self) -> bool:
         """Whether the monitor reports a recovery: first at the gate, and in the status if the recovery takes long."""
         health = (self.workload.get("status") or {}).get("health")
         return health == "Recovering" or committed_recovery.under_way(self.workload, self.gate, self.now)
@@ -138,7 +138,7 @@ class Observed:
     def recovering(self) -> bool:
         """Whether a recovery is in progress, as far as the operator can see."""
         epoch = kube_objects.notes(self.gate).get(names.EPOCH, "0") if self.gate else "0"
-        return self.told_recovering or (epoch != "0" and not kube_objects.active(self.gate)[0])
+        return self.written_recovering or (epoch != "0" and not kube_objects.active(self.gate)[0])
 
     @property
     def handing_over(self) -> bool:

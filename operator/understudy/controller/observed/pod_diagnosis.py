@@ -24,14 +24,14 @@ _SAME = {"ErrImagePull": "ImagePullBackOff", "ImageInspectError": "ImagePullBack
 
 
 @dataclass(frozen=True)
-class Trouble:
+class Diagnosis:
     """A problem that prevents a pod from running."""
 
     reason: str
     message: str
 
 
-def trouble(pod: Object) -> Trouble | None:
+def trouble(pod: Object) -> Diagnosis | None:
     """Return why a pod cannot start, or None if it runs or has merely not started yet."""
     if not kube_objects.alive(pod):
         return None
@@ -42,18 +42,18 @@ def trouble(pod: Object) -> Trouble | None:
         if reason not in _ADVICE and _crashing(pod, entry):
             reason, waiting = "CrashLoopBackOff", {}
         if reason in _ADVICE:
-            return _told(
+            return _diagnosis(
                 pod, reason, entry["name"], f"container {entry['name']} (image {entry.get('image', '')})", waiting
             )
     for condition in status.get("conditions") or []:
         if condition["type"] == "PodScheduled" and condition["status"] == "False":
             reason = condition.get("reason") or ""
             if reason in _ADVICE:
-                return _told(pod, reason, "", "it", condition)
+                return _diagnosis(pod, reason, "", "it", condition)
     return None
 
 
-def first(pods: Sequence[Object]) -> Trouble | None:
+def first(pods: Sequence[Object]) -> Diagnosis | None:
     """Return the problem of the oldest pod that cannot start, or None."""
     return next((found for pod in sorted(pods, key=kube_objects.sort_key) if (found := trouble(pod))), None)
 
@@ -68,12 +68,12 @@ def _crashing(pod: Object, entry: Object) -> bool:
     return again and not kube_objects.ready(pod)
 
 
-def _told(pod: Object, reason: str, container: str, what: str, found: Object) -> Trouble:
+def _diagnosis(pod: Object, reason: str, container: str, what: str, found: Object) -> Diagnosis:
     name, namespace = kube_objects.name(pod), pod["metadata"].get("namespace", "")
     words = _steady(found.get("message", ""), name)
     advice = _ADVICE[reason].format(namespace=namespace, pod=name, container=container)
     said = f": {words}" if words else ""
-    return Trouble(reason, f"pod {name}: {what} cannot start, {reason}{said}. {advice}.")
+    return Diagnosis(reason, f"pod {name}: {what} cannot start, {reason}{said}. {advice}.")
 
 
 def _steady(words: str, pod: str) -> str:

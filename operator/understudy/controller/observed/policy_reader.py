@@ -119,7 +119,7 @@ def tree_in_force(policy: Object, config_maps: Mapping[str, Object]) -> Object |
     try:
         found = health_tree_sources.find(spec(policy).monitoring, config_maps, policy["metadata"]["namespace"])
     except ValidationError:
-        found = Problem("SpecInvalid", "told elsewhere")
+        found = Problem("SpecInvalid", "reported elsewhere")
     if isinstance(found, Problem):
         last: Object | None = (policy.get("status") or {}).get("tree")
         return last

@@ -54,7 +54,7 @@ def pool_paths(policy: Object) -> list[tuple[str, str]]:
     ]
 
 
-def told(asked: str, in_force: str, order: str, lacking: str) -> tuple[str, str]:
+def description(asked: str, in_force: str, order: str, lacking: str) -> tuple[str, str]:
     """Return reason and message of the condition.
 
     ``order`` is the strategies in force, and ``lacking`` is why they belong to another situation.
@@ -66,8 +66,8 @@ def told(asked: str, in_force: str, order: str, lacking: str) -> tuple[str, str]
     what, whose = f"The robot is in situation {asked}", "its"
     if not asked:
         what, whose = f"Situation {in_force} ended", "the policy's own"
-    told = f"{what}. Until {whose} first strategy is available, the strategies stay {order}: {lacking}."
-    return "StandbyNotReady", told
+    message = f"{what}. Until {whose} first strategy is available, the strategies stay {order}: {lacking}."
+    return "StandbyNotReady", message
 
 
 def first_kept(strategies: Sequence[Strategy], kept: Mapping[str, Any]) -> Strategy | None:

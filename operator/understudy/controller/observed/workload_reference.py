@@ -26,7 +26,7 @@ class Referred:
 
 def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[str], namespace: str) -> Problem | None:
     """Return why a referred controller cannot be protected, or None."""
-    told = f"{reference.kind} {reference.name}"
+    target = f"{reference.kind} {reference.name}"
     controller = referred.controller
     if controller is None:
         return Problem(
@@ -38,18 +38,18 @@ def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[s
     if replicas != 1:
         return Problem(
             "ReplicasNotOne",
-            f"{told}: spec.replicas is {replicas}; exactly one pod controls a robot, so it must be 1. Standbys come from "
+            f"{target}: spec.replicas is {replicas}; exactly one pod controls a robot, so it must be 1. Standbys come from "
             f"a FallbackPool",
         )
     if rivals:
         return Problem(
             "ReferenceTaken",
-            f"{told} is already protected by RobotWorkload {rivals[0]}. Delete one of the two RobotWorkloads",
+            f"{target} is already protected by RobotWorkload {rivals[0]}. Delete one of the two RobotWorkloads",
         )
     selector = (controller.get("spec") or {}).get("selector") or {}
     if not selectors.requirements(selector):
         return Problem(
-            "ReferenceInvalid", f"{told}: spec.selector is empty, so its pods cannot be distinguished from others"
+            "ReferenceInvalid", f"{target}: spec.selector is empty, so its pods cannot be distinguished from others"
         )
     return None
 

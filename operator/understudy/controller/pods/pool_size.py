@@ -190,8 +190,8 @@ def judged(pool: Object, found: Sized) -> Condition:
     generation = kube_objects.generation(pool)
     decision, spec = found.decision, found.spec
     if found.short:
-        told = f"{_reason(found)} That takes {_pods(decision.needed)}, and spec.sizing.max is {spec.max}: raise it, or the risk."
-        return condition(CONDITION, False, SHORT, told, generation=generation)
+        message = f"{_reason(found)} That takes {_pods(decision.needed)}, and spec.sizing.max is {spec.max}: raise it, or the risk."
+        return condition(CONDITION, False, SHORT, message, generation=generation)
     return condition(CONDITION, True, CONDITION, f"{_reason(found)} {_outlook(found)}", generation=generation)
 
 
@@ -214,15 +214,15 @@ def _reason(found: Sized) -> str:
 
 def _outlook(found: Sized) -> str:
     decision, spec = found.decision, found.spec
-    told = f"So it keeps {_pods(decision.size)}"
+    size = f"So it keeps {_pods(decision.size)}"
     if decision.size > decision.needed and decision.size == spec.min:
-        return f"{told}, which is spec.sizing.min; {decision.needed} would be enough."
+        return f"{size}, which is spec.sizing.min; {decision.needed} would be enough."
     if decision.shrinks and decision.size > spec.min:
         fewer = max(decision.safe, spec.min)
-        return f"{told}; {fewer} would surely be enough, so it becomes one less every {REST / 60:g} minutes."
+        return f"{size}; {fewer} would surely be enough, so it becomes one less every {REST / 60:g} minutes."
     if decision.size > decision.needed:
-        return f"{told}; {decision.needed} may be enough, which is not certain yet ({SURE:.0%})."
-    return f"{told}."
+        return f"{size}; {decision.needed} may be enough, which is not certain yet ({SURE:.0%})."
+    return f"{size}."
 
 
 def change(found: Sized) -> str | None:

@@ -136,7 +136,7 @@ class Executor:
         if (
             contended and resource not in registry.FENCING_RESOURCES
         ):  # a gate or an isolation policy is always repaired at once
-            raise Contended(_told(wanted, apply.differences(live, wanted)))
+            raise Contended(_contention_message(wanted, apply.differences(live, wanted)))
         operator_metrics.WRITES.labels(resource.plural, "apply").inc()
         try:
             if live is None:
@@ -154,7 +154,7 @@ class Executor:
             self._contention.written(place, stamp)
         _logger.info("applied %s %s/%s", resource.plural, key.namespace, kube_objects.name(body))
         if contended:
-            raise Contended(_told(wanted, apply.differences(live, wanted)))
+            raise Contended(_contention_message(wanted, apply.differences(live, wanted)))
 
     def _is_so(self, place: tuple[str, str, str], live: Object, wanted: Object) -> bool:
         stamp = wanted["metadata"]["annotations"][apply.APPLIED]
@@ -203,7 +203,7 @@ class Executor:
         _logger.info("patched %s %s/%s", resource.plural, metadata["namespace"], metadata["name"])
 
 
-def _told(wanted: Object, found: Sequence[str]) -> str:
+def _contention_message(wanted: Object, found: Sequence[str]) -> str:
     places = f" ({', '.join(path.lstrip('.') for path in found[:_MOST_NAMED])})" if found else ""
     return (
         f"{wanted['kind']} {kube_objects.name(wanted)} is changed repeatedly by another client{places}, "

@@ -74,21 +74,21 @@ def _outcome(pod: Object, index: int, resize: Resize) -> Outcome:
         known = kube_objects.hint(name, (one["name"] for one in containers))
         words = f'FailurePolicy: {field}: pod {kube_objects.name(pod)} has no container "{name}" ({known})'
         return Outcome("ContainerNotFound", words)
-    told = f"container {name} of pod {kube_objects.name(pod)}"
+    subject = f"container {name} of pod {kube_objects.name(pod)}"
     amounts = ", ".join(f"{resource} {given}" for resource, given in resize.amounts.items())
     more = raised(container.get("resources") or {}, resize.amounts)
     if not more:
-        return _progress(pod, name, resize, f"{told} has {amounts}", f"{told} is to have {amounts}")
+        return _progress(pod, name, resize, f"{subject} has {amounts}", f"{subject} is to have {amounts}")
     restarting = _restarting(container) & {resource for given in more.values() for resource in given}
     if restarting:
         words = (
-            f"{told} is not resized to {amounts}, because that would restart it: its resizePolicy for {', '.join(sorted(restarting))} is "
-            f"RestartContainer. Make it NotRequired in the template"
+            f"{subject} is not resized to {amounts}, because that would restart it: its resizePolicy for "
+            f"{', '.join(sorted(restarting))} is RestartContainer. Make it NotRequired in the template"
         )
         return Outcome("WouldRestart", words)
     metadata = {"uid": kube_objects.uid(pod)}
     body = {"metadata": metadata, "spec": {"containers": [{"name": name, "resources": more}]}}
-    return Outcome("InProgress", f"{told} is given {amounts}", Patch(PODS, pod, body, RESIZE, STRATEGIC))
+    return Outcome("InProgress", f"{subject} is given {amounts}", Patch(PODS, pod, body, RESIZE, STRATEGIC))
 
 
 def raised(present: Mapping[str, Mapping[str, str]], amounts: Mapping[str, str]) -> dict[str, dict[str, str]]:

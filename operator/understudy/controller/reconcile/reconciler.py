@@ -146,7 +146,9 @@ class Reconciler:
         except ApiError as error:
             if (problem := _unanswered(error)) is not None:
                 resized = in_place_resize.judged(observed, in_place_resize.outcomes(observed, workload_plan))
-                await self._tell(WORKLOADS, item, workload_status.status(observed, workload_plan, [problem], resized))
+                await self._write_status(
+                    WORKLOADS, item, workload_status.status(observed, workload_plan, [problem], resized)
+                )
             raise
 
     async def _build(self, key: Key, observed: Observed, workload_plan: WorkloadPlan) -> float | None:
@@ -165,7 +167,7 @@ class Reconciler:
             again = FORGET_REFUSAL
         observed = self._seen(observed)
         status = workload_status.status(observed, workload_plan, problems, in_place_resize.judged(observed, raised))
-        return _earliest(plan.again_after, again, turn, await self._tell(WORKLOADS, observed.workload, status))
+        return _earliest(plan.again_after, again, turn, await self._write_status(WORKLOADS, observed.workload, status))
 
     async def _resize(self, key: Key, observed: Observed, workload_plan: WorkloadPlan) -> list[in_place_resize.Outcome]:
         """Resize the active pod as requested. A refusal of the API server does not affect the other writes."""
@@ -209,8 +211,8 @@ class Reconciler:
         )
         later = await self._count(key, item, pool_status.status(seen, pool_plan, problems))
         self._measure(key, pool_plan.sized)
-        if pool_plan.sized is not None and (told := pool_size.change(pool_plan.sized)) is not None:
-            await self._recorder.normal(item, "Resized", told)
+        if pool_plan.sized is not None and (change := pool_size.change(pool_plan.sized)) is not None:
+            await self._recorder.normal(item, "Resized", change)
         return _earliest(plan.again_after, again, later)
 
     async def _without_pool(self, key: Key, item: Object | None) -> None:
@@ -252,7 +254,7 @@ class Reconciler:
         config_maps = self._store.in_namespace(CONFIG_MAPS, namespace)
         storm, again = self._storm(item, users)
         status = policy_status.status(item, pools=found, config_maps=config_maps, users=users, storm=storm)
-        return _earliest(again, await self._tell(POLICIES, item, status))
+        return _earliest(again, await self._write_status(POLICIES, item, status))
 
     def _storm(self, policy: Object, users: Sequence[str]) -> tuple[Condition | None, float | None]:
         """Return the condition for storms, and the seconds until the next check; None if the policy has no storm guard."""
@@ -275,11 +277,11 @@ class Reconciler:
             return None
         if wait > 0 and stored.get("observedGeneration") == status["observedGeneration"]:
             return wait
-        later = await self._tell(POOLS, pool, status)
+        later = await self._write_status(POOLS, pool, status)
         self._counted[key] = now
         return later
 
-    async def _tell(self, resource: Resource, item: Object, status: Object) -> float | None:
+    async def _write_status(self, resource: Resource, item: Object, status: Object) -> float | None:
         """Write the status if it differs from the stored one, and report transitions as Events.
 
         Returns the seconds until the next attempt if it is too early to report something.
@@ -306,9 +308,9 @@ class Reconciler:
             if error.not_found or error.conflict:  # it was deleted meanwhile
                 return None
             raise
-        if told := set(unknown) - self._unknown:
-            self._unknown |= told
-            _logger.warning("%s", lacking(resource, told, "operator"))
+        if new := set(unknown) - self._unknown:
+            self._unknown |= new
+            _logger.warning("%s", lacking(resource, new, "operator"))
         self._store.put(resource, made)
         await self._announce(item, workload_status.transitions(item, status))
         return None

@@ -144,25 +144,27 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
     for pod in sorted([*observed.pods, *observed.stand_ins], key=kube_objects.sort_key):
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
-    told = f"{counts.ready} of {counts.desired} are ready"
+    state = f"{counts.ready} of {counts.desired} are ready"
     if pool_reader.readiness(pool) == "Uninitialized":
-        return no("PodsNotReady", f"{told}.")
+        return no("PodsNotReady", f"{state}.")
     served = sorted(name for name, workload in observed.workloads.items() if pool_reader.serves(pool, workload))
-    return no("PodsNotReady", f"{told}; see the condition BroughtUp of {_named(served)}.")
+    return no("PodsNotReady", f"{state}; see the condition BroughtUp of {_named(served)}.")
 
 
 def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts) -> Condition:
     """Return the condition Available: whether a robot that fails now would receive a pod, and which workloads wait for one."""
     found = [f"{one.workload} (poolPriority {one.priority}, since {_moment(one.since)})" for one in observed.waiting]
-    told = f"{counts.ready} of {counts.desired} can be claimed now"
+    message = f"{counts.ready} of {counts.desired} can be claimed now"
     if spec.reserve is not None:
-        told = f"{told}, the last {spec.reserve.pods} only with poolPriority {spec.reserve.pool_priority} or higher"
+        message = (
+            f"{message}, the last {spec.reserve.pods} only with poolPriority {spec.reserve.pool_priority} or higher"
+        )
     if found:
         more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
-        told = f"{told}; workloads that wait, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
+        message = f"{message}; workloads that wait, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
     free = counts.ready > len(found)
     generation = kube_objects.generation(observed.pool)
-    return condition("Available", free, "Available" if free else "Dry", f"{told}.", generation=generation)
+    return condition("Available", free, "Available" if free else "Dry", f"{message}.", generation=generation)
 
 
 def _moving(observed: pool_pods.Observed) -> list[Condition]:
@@ -176,12 +178,12 @@ def _moving(observed: pool_pods.Observed) -> list[Condition]:
         return []
     places = sorted({leaving_nodes.of(pod) for pod in found})
     more = f" and {len(places) - _MOST_NAMED} more" if len(places) > _MOST_NAMED else ""
-    told = (
+    message = (
         f"{len(found)} of {len(waiting)} waiting pods {'is' if len(found) == 1 else 'are'} on a node that is being drained or was lost "
         f"({', '.join(places[:_MOST_NAMED])}{more}), and {'is' if len(found) == 1 else 'are'} deleted after replacements on "
         "other nodes are ready."
     )
-    return [condition(pool_pods.MOVING, True, "NodeLeaves", told, generation=kube_objects.generation(observed.pool))]
+    return [condition(pool_pods.MOVING, True, "NodeLeaves", message, generation=kube_objects.generation(observed.pool))]
 
 
 def _updated(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
@@ -189,15 +191,15 @@ def _updated(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Count
     generation = kube_objects.generation(observed.pool)
     old = counts.replicas - updated
     if not old:
-        told = "Every unclaimed pod has the current template."
-        return condition("Updated", True, "Updated", told, generation=generation)
+        message = "Every unclaimed pod has the current template."
+        return condition("Updated", True, "Updated", message, generation=generation)
     are = "has an earlier template and stays" if old == 1 else "have earlier templates and stay"
-    told = f"{old} of {counts.replicas} unclaimed pods {are}"
+    message = f"{old} of {counts.replicas} unclaimed pods {are}"
     if spec.update_strategy is not None and spec.update_strategy.type == "OnReplenish":
-        told = f"{told} until they are claimed (spec.updateStrategy)."
-        return condition("Updated", True, "OnReplenish", told, generation=generation)
-    told = f"{told} until enough pods of the current template are ready."
-    return condition("Updated", False, "RollingOut", told, generation=generation)
+        message = f"{message} until they are claimed (spec.updateStrategy)."
+        return condition("Updated", True, "OnReplenish", message, generation=generation)
+    message = f"{message} until enough pods of the current template are ready."
+    return condition("Updated", False, "RollingOut", message, generation=generation)
 
 
 def _moment(seconds: float) -> str:

@@ -158,12 +158,12 @@ def _chosen(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
     order = effective_policy.order(observed)
     if order is None:
         return []
-    told, present = order_explanation.explain(order), _order(observed, workload_plan)["strategies"]
+    message, present = order_explanation.explain(order), _order(observed, workload_plan)["strategies"]
     if present != order_explanation.one_line(order):
-        told += f" Until the recovery in progress ends, the order stays {present}."
+        message += f" Until the recovery in progress ends, the order stays {present}."
     met = not order_explanation.unmet_requirements(order)
     why = "Chosen" if met else "RequirementsNotMet"
-    return [condition(CHOSEN, met, why, told, generation=kube_objects.generation(observed.workload))]
+    return [condition(CHOSEN, met, why, message, generation=kube_objects.generation(observed.workload))]
 
 
 def _situation(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
@@ -179,6 +179,6 @@ def _situation(observed: Observed, workload_plan: WorkloadPlan) -> list[Conditio
         return []
     asked, in_force = situation_strategies.asked(observed.workload, policy), effective_policy.situation(observed)
     order, lacking = _order(observed, workload_plan)["strategies"], effective_policy.lacking(observed)
-    reason, told = situation_strategies.told(asked, in_force, order, lacking)
+    reason, message = situation_strategies.description(asked, in_force, order, lacking)
     generation = kube_objects.generation(observed.workload)
-    return [condition(situation_strategies.CONDITION, asked == in_force, reason, told, generation=generation)]
+    return [condition(situation_strategies.CONDITION, asked == in_force, reason, message, generation=generation)]

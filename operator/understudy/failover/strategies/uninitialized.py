@@ -104,15 +104,15 @@ class UninitializedFallback(Strategy):
             served = False
         if served:
             return
-        told = [self.available(means, progress) or f"pool {self.pool} could not be claimed from"]
+        reasons = [self.available(means, progress) or f"pool {self.pool} could not be claimed from"]
         if (restarted := self._restarted(progress, means)) is not None and self._wait_for:
-            told.append(f"{restarted.name} is up already")
+            reasons.append(f"{restarted.name} is up already")
         elif progress.waiting is not None:
-            told.append(f"it got none in {self._wait_for:g} s")
+            reasons.append(f"it got none in {self._wait_for:g} s")
         if progress.waiting is not None:
             means.queue.gave_up(me)
         progress.waiting = None
-        raise NotAvailable("; ".join(told))
+        raise NotAvailable("; ".join(reasons))
 
     def _restarted(self, progress: Progress, means: Means) -> Instance | None:
         """Return an instance that the workload's own controller created meanwhile and that can drive: then no pod is waited for."""

@@ -75,9 +75,9 @@ class ActionProxyLink:
                 continue
             try:
                 async with asyncio.TaskGroup() as group:
-                    telling = group.create_task(self._tell(writer))
+                    sending = group.create_task(self._send_states(writer))
                     await self._listen(reader)
-                    telling.cancel()
+                    sending.cancel()
             except* OSError as group_error:
                 _logger.info("the task proxy is gone: %s", group_error.exceptions[0])
             except* (ValueError, KeyError, TypeError) as group_error:
@@ -90,14 +90,14 @@ class ActionProxyLink:
             away_since = time.monotonic()
             await asyncio.sleep(RETRY)
 
-    async def _tell(self, writer: asyncio.StreamWriter) -> None:
-        told: dict[str, Any] | None = None
+    async def _send_states(self, writer: asyncio.StreamWriter) -> None:
+        sent: dict[str, Any] | None = None
         while True:
             changes = [asyncio.ensure_future(source.changed()) for source in (self._view.gates, self._view.pods)]
             try:
                 spec = self._view.spec
-                if spec is not None and (present := await self._situation(spec)) != told:
-                    told = present
+                if spec is not None and (present := await self._situation(spec)) != sent:
+                    sent = present
                     writer.write(json.dumps({"situation": present}).encode() + b"\n")
                     await writer.drain()
                 await asyncio.wait(changes, timeout=LOOK, return_when=asyncio.FIRST_COMPLETED)

@@ -82,7 +82,7 @@ class BudgetSpending:
             _logger.warning("%s", text)
             self._notices.event("Warning", "BudgetSpent", text)
 
-    def tell_held(self, progress: Progress) -> None:
+    def report_held(self, progress: Progress) -> None:
         """Report that a failure is not recovered because the budget is spent."""
         found = self._notices.status.find(CONDITION)
         pods = ", ".join(pod.name for pod in progress.failed[:1]) or "no pod"

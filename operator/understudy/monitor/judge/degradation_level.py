@@ -41,7 +41,7 @@ class DegradationLevel:
         self._level = Level()
         self._uid = ""
         self._next = 0.0
-        self._told = 0.0
+        self._reported_at = 0.0
         self._said = ("", "")
         self._words = ""
         self._idle_since: float | None = None
@@ -97,7 +97,7 @@ class DegradationLevel:
         if said is not None and said.status == "True":
             if not self._uid and self._notices.status.adopted == active.name:
                 length = time.time() - datetime.fromisoformat(said.last_transition_time).timestamp()
-                self._level, self._told = Level(clock - max(0.0, length)), clock
+                self._level, self._reported_at = Level(clock - max(0.0, length)), clock
                 self._words = said.message.partition(_WAITS)[0].removesuffix(".")
             else:
                 self._notices.condition(CONDITION, "Unknown", "Starting", f"{active.name} has just taken control.")
@@ -184,9 +184,9 @@ class DegradationLevel:
             self._notices.event("Warning", "Degraded", self._words)
         before = self._said[0]
         said = (leaf or before, self._waits.kind if self._waits is not None else "")
-        if not self._words or (not entered and said == self._said and clock - self._told < AGAIN):
+        if not self._words or (not entered and said == self._said and clock - self._reported_at < AGAIN):
             return
-        self._told, self._said = clock, said
+        self._reported_at, self._said = clock, said
         waits = f"{_WAITS}{self._waits.words}." if self._waits is not None else ""
         self._notices.condition(CONDITION, "True", "NotWell", f"{self._words}.{waits}")
 

@@ -162,7 +162,7 @@ class AgentConnections:
 
         async def configure() -> None:
             try:
-                await self._tell(link, wanted)
+                await self._send_settings(link, wanted)
             except (AgentGone, AgentRefused) as error:
                 _logger.warning("agent of %s not configured: %s", link.pod, error)
                 self._configured.pop(uid, None)
@@ -185,7 +185,7 @@ class AgentConnections:
             standby = None
         return policy.monitoring, spec.outputs, standby, managed
 
-    async def _tell(self, link: AgentLink, wanted: tuple[Any, ...]) -> None:
+    async def _send_settings(self, link: AgentLink, wanted: tuple[Any, ...]) -> None:
         monitoring, outputs, standby, managed = wanted
         await link.configure(
             monitoring.tree,
@@ -205,7 +205,7 @@ class AgentConnections:
         if wanted is not None and self._configured.get(instance.uid) != wanted:
             self._configured[instance.uid] = wanted
             try:
-                await self._tell(link, wanted)
+                await self._send_settings(link, wanted)
             except (AgentGone, AgentRefused):
                 self._configured.pop(instance.uid, None)
                 raise

@@ -74,7 +74,7 @@ class BlackBox:
         self._next_trace = 0.0
         self._last = 0
         """Number of the recovery that was recorded last."""
-        self._told = ""
+        self._problem = ""
         self.pages: dict[str, Page] = {}
         """The recordings, and what there is of them, by path."""
         self._offer()
@@ -148,8 +148,8 @@ class BlackBox:
         track, now, said = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._notices.status
         if track.wanted:
             tree = self._observer.snapshot()
-            told = {"health": said.health, "active": said.active, "epoch": said.gate.epoch, "tree": tree}
-            track.add(now, now, 0, mcap_writer.text(json.dumps({"time": round(now, 6), **told})))
+            status = {"health": said.health, "active": said.active, "epoch": said.gate.epoch, "tree": tree}
+            track.add(now, now, 0, mcap_writer.text(json.dumps({"time": round(now, 6), **status})))
 
     async def _write(self, progress: Progress) -> None:
         ring, settings = self._ring, self._settings
@@ -194,11 +194,11 @@ class BlackBox:
                 most_bytes=settings.most_bytes,
             )
         except (OSError, TooBig) as error:
-            self._tell(f"recovery {recovery.number} is not recorded: {error}")
+            self._report_problem(f"recovery {recovery.number} is not recorded: {error}")
             return
         finally:
             self._offer()
-        self._told, self._last = "", kept.number
+        self._problem, self._last = "", kept.number
         _logger.info("recovery %d is recorded: %d messages, %d bytes", kept.number, kept.messages, kept.size)
 
     async def _events(self, progress: Progress) -> tuple[list[Object], str]:
@@ -219,11 +219,11 @@ class BlackBox:
             return found, f"not all could be read: {error}"
         return found, ""
 
-    def _tell(self, text: str) -> None:
+    def _report_problem(self, text: str) -> None:
         """Log a problem, and report it in one Event until it is corrected."""
         _logger.error("%s", text)
-        if not self._told:
-            self._told = text
+        if not self._problem:
+            self._problem = text
             self._notices.event("Warning", "NotRecorded", text)
 
     # -- for those who ask ------------------------------------------------------------------------------------------
@@ -237,13 +237,13 @@ class BlackBox:
 
     def _listed(self) -> Answer:
         left_out = self._ring.left_out if self._ring is not None else {}
-        told = Recordings(
+        listed = Recordings(
             workload=self._view.workload,
             on=self._settings is not None,
             left_out=dict(left_out),
             recordings=list(self._archive.recordings),
         )
-        return 200, json.dumps(told.to_wire()) + "\n", JSON
+        return 200, json.dumps(listed.to_wire()) + "\n", JSON
 
 
 def _file(path: Path) -> Answer:

@@ -1,6 +1,6 @@
 """Tells ROS tools how the workload is: on ``/diagnostics``, and as snapshots of its health tree (docs/ros-tools.md).
 
-Only where the workload asks for it, and beside the supervisor's loop: a change is noted when it happens and told a moment
+Only where the workload asks for it, and beside the supervisor's loop: a change is noted when it happens and published a moment
 later, so that nothing is published in the midst of a switch. What nobody reads is not made.
 """
 
@@ -63,7 +63,7 @@ class DiagnosticsPublisher:
         self._stream = notices.subscribe()
         self._next = 0.0
         self.problems: list[str] = []
-        """What is not told and why, with what to do."""
+        """What is not published and why, with what to do."""
 
     def _read(self) -> None:
         """Remember how the status changed since the last call."""
@@ -85,14 +85,14 @@ class DiagnosticsPublisher:
         try:
             while True:
                 try:
-                    await self._tell()
+                    await self._publish_status()
                 except Exception:
                     _logger.exception("telling ROS tools")
                     await asyncio.sleep(PERIOD)
         finally:
             self._follow(MonitorSettings())
 
-    async def _tell(self) -> None:
+    async def _publish_status(self) -> None:
         self._read()
         spec = self._view.spec
         if spec is not None and spec.monitor != self._settings:
@@ -147,12 +147,12 @@ class DiagnosticsPublisher:
         if not self._pending and now < self._next:
             return
         self._next = now + PERIOD
-        told = list(self._pending) or [said(self._notices.status, time.time())]
+        statuses = list(self._pending) or [said(self._notices.status, time.time())]
         self._pending.clear()
         if not self._diagnostics.readers:
             return
         more = self._more()
-        for each in told:
+        for each in statuses:
             found = status(self._view.namespace, self._view.workload, each, self._notices.status, more)
             self._diagnostics.publish(found, each.at)
 

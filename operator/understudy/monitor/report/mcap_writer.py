@@ -93,7 +93,7 @@ def write(file: IO[bytes], content: Content) -> int:
     writer.start(profile="ros2", library=f"understudy {__version__}")
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
-    tracks = [*content.tracks, Taken(EVENTS, EVENTS_TYPE, list(_told(content)))]
+    tracks = [*content.tracks, Taken(EVENTS, EVENTS_TYPE, list(_event_log(content)))]
     for track in tracks:
         if track.type not in schemas:
             try:
@@ -111,8 +111,8 @@ def write(file: IO[bytes], content: Content) -> int:
         if not count % BATCH:
             time.sleep(REST)
     moment = _nanoseconds(_unix(content.recovery.moments.detected) or content.since)
-    for name, told in _attachments(content).items():
-        writer.add_attachment(moment, moment, name, "application/json", json.dumps(told, indent=2).encode())
+    for name, attachment in _attachments(content).items():
+        writer.add_attachment(moment, moment, name, "application/json", json.dumps(attachment, indent=2).encode())
     writer.add_metadata("understudy", _metadata(content))
     writer.finish()  # type: ignore[no-untyped-call]
     return count
@@ -148,7 +148,7 @@ def _metadata(content: Content) -> dict[str, str]:
     }
 
 
-def _told(content: Content) -> Iterator[Message]:
+def _event_log(content: Content) -> Iterator[Message]:
     """What happened, as messages of EVENTS, the oldest first."""
     found = [*_moments(content.recovery), *_events(content)]
     for number, (at, level, name, text) in enumerate(sorted(found, key=lambda one: one[0]), 1):

@@ -61,18 +61,18 @@ class RecordingArchive:
             if size > most_bytes:
                 raise TooBig(f"it has {size} bytes, and blackBox.maxSize is {most_bytes}")
             said = {"messages": messages, "size": size, "sha256": hashing.digest}
-            told = recording.model_copy(update=said)
-            self._replace(path.with_suffix(".json"), told.model_dump_json().encode())
+            described = recording.model_copy(update=said)
+            self._replace(path.with_suffix(".json"), described.model_dump_json().encode())
             os.replace(fresh, path)
         except BaseException:
             with contextlib.suppress(OSError):
                 fresh.unlink(missing_ok=True)
             raise
-        self._kept = kept = [told, *(one for one in self.recordings if one.id != told.id)]
+        self._kept = kept = [described, *(one for one in self.recordings if one.id != described.id)]
         while len(kept) > most or sum(one.size for one in kept) > most_bytes:
             self._remove(self.path(kept[-1]))
             self._kept = kept = kept[:-1]
-        return told
+        return described
 
     def _replace(self, path: Path, data: bytes) -> None:
         fresh = path.with_suffix(f"{path.suffix}{_NEW}")
@@ -100,10 +100,10 @@ class RecordingArchive:
 
     def _read(self, path: Path) -> Recording | None:
         try:
-            told = Recording.model_validate_json(path.read_text())
+            recording = Recording.model_validate_json(path.read_text())
         except (ValidationError, UnicodeDecodeError):
             return None
-        return told if path.with_suffix(".mcap").exists() else None
+        return recording if path.with_suffix(".mcap").exists() else None
 
 
 class _Hashing:

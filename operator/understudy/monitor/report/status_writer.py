@@ -87,7 +87,7 @@ class StatusWriter:
             case StatusChanged():
                 self._changed.set()
             case EventRaised():
-                self._tell(notice)
+                self._write_event(notice)
             case RecoveryStarted():
                 self._free.clear()
             case RecoveryStopped():
@@ -96,10 +96,10 @@ class StatusWriter:
                 self._urgent.set()
                 self._free.set()
 
-    def _tell(self, event: EventRaised) -> None:
+    def _write_event(self, event: EventRaised) -> None:
         if self._reference:
-            tell = self._recorder.warning if event.kind == "Warning" else self._recorder.normal
-            task = asyncio.ensure_future(tell(self._reference, event.reason, event.message))
+            record = self._recorder.warning if event.kind == "Warning" else self._recorder.normal
+            task = asyncio.ensure_future(record(self._reference, event.reason, event.message))
             self._background.add(task)
             task.add_done_callback(self._background.discard)
 

@@ -343,7 +343,7 @@ class ActionClient:
         ):
             if name == "status" and self._on_status is None:
                 continue
-            subscription = node.create_subscription(type_, f"{hidden}/{name}", _never_told, qos, raw=True)
+            subscription = node.create_subscription(type_, f"{hidden}/{name}", _ignore_message, qos, raw=True)
             self._subscriptions.append(subscription)
             self._served.add("subscription", subscription, self._received(subscription, taken))
 
@@ -381,5 +381,5 @@ class ActionClient:
             self._served.tell(self._on_status, goals)
 
 
-def _never_told(message: object) -> None:
+def _ignore_message(message: object) -> None:
     """Satisfy rclpy, which requires a callback."""

@@ -153,8 +153,8 @@ class _Visit(asyncio.DatagramProtocol):
 
     def datagram_received(self, data: bytes, addr: tuple[str, int]) -> None:
         try:
-            for told in rtps.parse(data):
-                self._take(told)
+            for submessage in rtps.parse(data):
+                self._take(submessage)
         except ValueError as error:
             _logger.debug("from %s: %s", addr[0], error)
 
@@ -163,19 +163,19 @@ class _Visit(asyncio.DatagramProtocol):
 
     # -- received ----------------------------------------------------------------------------------------------------------
 
-    def _take(self, told: Sample | Heartbeat | Gap) -> None:
-        if isinstance(told, Gap):
-            self._had.setdefault(told.writer, set()).update(told.numbers)
-        elif isinstance(told, Heartbeat):
-            if told.writer[rtps.PREFIX :] in rtps.ANSWERED and told.writer not in self._heard:
-                asyncio.get_running_loop().call_later(RESPONSE, self._answer, told.writer)
-            self._heard[told.writer] = told
+    def _take(self, submessage: Sample | Heartbeat | Gap) -> None:
+        if isinstance(submessage, Gap):
+            self._had.setdefault(submessage.writer, set()).update(submessage.numbers)
+        elif isinstance(submessage, Heartbeat):
+            if submessage.writer[rtps.PREFIX :] in rtps.ANSWERED and submessage.writer not in self._heard:
+                asyncio.get_running_loop().call_later(RESPONSE, self._answer, submessage.writer)
+            self._heard[submessage.writer] = submessage
         else:
-            self._had.setdefault(told.writer, set()).add(told.number)
-            if isinstance(told.tells, Reader):
-                self._readers[told.tells.guid] = told.tells.locators
-            elif isinstance(told.tells, Participant):
-                self._participants[told.tells.prefix] = told.tells
+            self._had.setdefault(submessage.writer, set()).add(submessage.number)
+            if isinstance(submessage.entity, Reader):
+                self._readers[submessage.entity.guid] = submessage.entity.locators
+            elif isinstance(submessage.entity, Participant):
+                self._participants[submessage.entity.prefix] = submessage.entity
             if len(self.found) == len(self._wanted):
                 self.over.set()
 

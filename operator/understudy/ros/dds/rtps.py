@@ -79,7 +79,7 @@ class Sample:
 
     writer: bytes
     number: int
-    tells: Participant | Reader | None
+    entity: Participant | Reader | None
     """None if it reports that something is gone, or something that is not needed."""
 
 
@@ -166,7 +166,7 @@ def _sample(flags: int, order: str, body: bytes, prefix: bytes) -> Sample:
         return Sample(writer, number, None)
     order = "<" if rest[1] & _LITTLE else ">"
     parameters, _ = _parameters(rest[4:], order)
-    return Sample(writer, number, _told(parameters, order))
+    return Sample(writer, number, _entity(parameters, order))
 
 
 def _parameters(data: bytes, order: str) -> tuple[list[tuple[int, bytes]], int]:
@@ -183,7 +183,7 @@ def _parameters(data: bytes, order: str) -> tuple[list[tuple[int, bytes]], int]:
     return found, at
 
 
-def _told(parameters: _Parameters, order: str) -> Participant | Reader | None:
+def _entity(parameters: _Parameters, order: str) -> Participant | Reader | None:
     values = dict(parameters)
 
     def locators(*pids: int) -> tuple[Locator, ...]:
@@ -218,7 +218,7 @@ def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: byt
     all that receive the announcement.
     """
     where = struct.pack("<iI12x", _UDPV4, at.port) + ipaddress.IPv4Address(at.address).packed
-    told = [
+    parameters = [
         (_VERSION, bytes([2, 2, 0, 0])),
         (_VENDOR, VENDOR + bytes(2)),
         (_PARTICIPANT_GUID, prefix + PARTICIPANT),
@@ -228,7 +228,7 @@ def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: byt
         (_BUILTIN, struct.pack("<I", ANNOUNCER | DETECTOR | SUBSCRIPTIONS_DETECTOR)),
         (_PROPERTIES, _properties({"PARTICIPANT_TYPE": kind, "DS_VERSION": "2.0"})),
     ]
-    return _message(prefix, to, _data(prefix, 1, told))
+    return _message(prefix, to, _data(prefix, 1, parameters))
 
 
 def farewell(prefix: bytes, *, to: bytes = b"") -> bytes:
@@ -263,20 +263,20 @@ def _framed(kind: int, flags: int, body: bytes) -> bytes:
     return struct.pack("<BBH", kind, flags | _LITTLE, len(body)) + body
 
 
-def _data(prefix: bytes, number: int, told: _Parameters = (), *, inline: _Parameters = ()) -> bytes:
+def _data(prefix: bytes, number: int, parameters: _Parameters = (), *, inline: _Parameters = ()) -> bytes:
     writer, reader = PARTICIPANTS
     # A discovery server passes the announcement on as its own. This field identifies the original writer.
     identity = prefix + writer + struct.pack("<iI", 0, number)
     body = struct.pack("<HH", 0, 16) + reader + writer + struct.pack("<iI", 0, number)
     body += _listed([(_RELATED, identity), (_RELATED_OF_EPROSIMA, identity), *inline])
-    if told:
-        body += _PL_CDR_LE + _listed(told)
-    return _framed(_DATA, _INLINE_QOS | (_HAS_DATA if told else 0), body)
+    if parameters:
+        body += _PL_CDR_LE + _listed(parameters)
+    return _framed(_DATA, _INLINE_QOS | (_HAS_DATA if parameters else 0), body)
 
 
 def _listed(parameters: _Parameters) -> bytes:
-    told = (struct.pack("<HH", pid, len(value)) + value for pid, value in parameters)
-    return b"".join(told) + struct.pack("<HH", _SENTINEL, 0)
+    encoded = (struct.pack("<HH", pid, len(value)) + value for pid, value in parameters)
+    return b"".join(encoded) + struct.pack("<HH", _SENTINEL, 0)
 
 
 def _properties(values: dict[str, str]) -> bytes:

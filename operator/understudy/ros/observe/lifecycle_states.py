@@ -20,7 +20,7 @@ class LifecycleStates(Inquiries[str, str, NodeState]):
         """Return the topic on which a node reports its transitions."""
         return f"{subject}{EVENTS}"
 
-    def told(self, subject: str, content: Content) -> str | None:
+    def from_message(self, subject: str, content: Content) -> str | None:
         """Return the state after a transition."""
         message: Any = content.message()
         return str(message.goal_state.label)
@@ -33,7 +33,7 @@ class LifecycleStates(Inquiries[str, str, NodeState]):
         """Return an empty request."""
         return type_.Request()
 
-    def answered(self, answer: Any) -> str:
+    def from_answer(self, answer: Any) -> str:
         """Return the state in an answer."""
         return str(answer.current_state.label)
 

@@ -99,7 +99,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         """Return the topic on which a node reports changes."""
 
     @abstractmethod
-    def told(self, subject: Subject, content: Content) -> Fact | None:
+    def from_message(self, subject: Subject, content: Content) -> Fact | None:
         """Return the fact in a message of that topic; None if it has no fact about the subject. Raises Unreadable."""
 
     @abstractmethod
@@ -111,7 +111,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         """Return the request to that service."""
 
     @abstractmethod
-    def answered(self, answer: Any) -> Fact:
+    def from_answer(self, answer: Any) -> Fact:
         """Return the fact in an answer."""
 
     @abstractmethod
@@ -184,7 +184,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
             if content is last:
                 return
             try:
-                fact = self.told(subject, content)
+                fact = self.from_message(subject, content)
             except Unreadable:
                 continue
             if fact is not None:
@@ -224,7 +224,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
                 return
             if info.request_id.sequence_number != question.number:
                 continue  # a late answer to an earlier request
-            question.answers.append(self.answered(answer))
+            question.answers.append(self.from_answer(answer))
             if len(question.answers) == question.servers:
                 self._conclude(subject, inquiry, question)
 

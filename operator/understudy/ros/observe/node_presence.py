@@ -60,13 +60,13 @@ class NodePresenceWatch:
         # The name of a node arrives a moment after its first endpoint.
         settled = len(ends) == count and all(end.node for end in ends)
         self._count, self._again = count if settled else -1, now + AT_LEAST
-        told: dict[str, bool] = {}
+        present: dict[str, bool] = {}
         for end in ends:
-            told[end.node] = told.get(end.node, False) or self._counts(end.gid)
+            present[end.node] = present.get(end.node, False) or self._counts(end.gid)
         for name in self._seen:
-            if name not in told and (found := self._graph.endpoints_of(name)):
-                told[name] = any(self._counts(end.gid) for end in found)
-            self._seen[name] = NodePresence(looked, name, told.get(name, False), name in told)
+            if name not in present and (found := self._graph.endpoints_of(name)):
+                present[name] = any(self._counts(end.gid) for end in found)
+            self._seen[name] = NodePresence(looked, name, present.get(name, False), name in present)
 
     def shift(self, seconds: float) -> None:
         """Move all times, after the clock was set."""

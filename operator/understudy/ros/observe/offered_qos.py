@@ -21,13 +21,13 @@ def offers(profiles: Iterable[QoSProfile]) -> str:
     """Return profiles in the form of a recording, each different one once."""
     found: list[dict[str, Any]] = []
     for profile in profiles:
-        told = _told(profile)
-        if told not in found:
-            found.append(told)
+        values = _qos_values(profile)
+        if values not in found:
+            found.append(values)
     return str(yaml.safe_dump(found, sort_keys=False))
 
 
-def _told(profile: QoSProfile) -> dict[str, Any]:
+def _qos_values(profile: QoSProfile) -> dict[str, Any]:
     return {
         "history": profile.history.name.lower(),
         "depth": profile.depth,

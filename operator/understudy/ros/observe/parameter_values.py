@@ -28,7 +28,7 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         """Return the topic on which all nodes report their parameters."""
         return EVENTS
 
-    def told(self, subject: tuple[str, str], content: Content) -> Setting | None:
+    def from_message(self, subject: tuple[str, str], content: Content) -> Setting | None:
         """Return the parameter in a node's event.
 
         A message without its name, or without the node's, is not deserialized.
@@ -56,7 +56,7 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         """
         return type_.Request(names=[subject[1]])
 
-    def answered(self, answer: Any) -> Setting:
+    def from_answer(self, answer: Any) -> Setting:
         """Return the value in an answer."""
         return setting(answer.values[0]) if answer.values else Setting(None, "it is not set")
 
@@ -75,7 +75,7 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
     def evidence(self, received: float, fact: Setting | None) -> ParameterState:
         """Return the parameter as evidence."""
         if fact is None:
-            return ParameterState(received, None, "", told=False)
+            return ParameterState(received, None, "", is_known=False)
         return ParameterState(received, fact.value, fact.lacks)
 
 

@@ -206,7 +206,7 @@ class TopicWatch:
     def _change(self, topic: _Topic, want: WatchedTopic) -> None:
         looks_into = (want.contents, want.whole) != (topic.want.contents, topic.want.whole)
         again = topic.subscription is None or want.type != topic.want.type or depth(want) > depth(topic.want)
-        told = want.prompt != topic.want.prompt
+        prompt_changed = want.prompt != topic.want.prompt
         again = again or want.reliable != topic.want.reliable
         topic.want = want
         for source in topic.sources.values():
@@ -217,8 +217,8 @@ class TopicWatch:
         if again:
             self._end(topic)
             self._subscribe(topic)
-        elif told:
-            self._be_told(topic)
+        elif prompt_changed:
+            self._set_wakeup(topic)
 
     def _subscribe(self, topic: _Topic) -> None:
         want = topic.want
@@ -251,14 +251,14 @@ class TopicWatch:
         topic.mixed = type_name == diagnostics.TYPE
         self._record(topic)
         if want.prompt:
-            self._be_told(topic)
+            self._set_wakeup(topic)
 
-    def _be_told(self, topic: _Topic) -> None:
+    def _set_wakeup(self, topic: _Topic) -> None:
         """Start or stop waking this process for messages of a topic on arrival."""
         if self._arrivals is None or topic.subscription is None:
             return
-        tell = self._arrivals.tell_of if topic.want.prompt else self._arrivals.forget
-        tell(topic.subscription.handle)
+        switch = self._arrivals.add if topic.want.prompt else self._arrivals.forget
+        switch(topic.subscription.handle)
 
     def _end(self, topic: _Topic) -> None:
         if topic.subscription is not None:
@@ -330,8 +330,8 @@ class TopicWatch:
         if self._own is not None:
             return MIDDLEWARE.host_of(gid) == self._own
         candidates = self._sources.candidates(gid)
-        told = self._active in self._sources.instances and self._active not in self._sources.unknown
-        return self._active in candidates if told else not candidates
+        identified = self._active in self._sources.instances and self._active not in self._sources.unknown
+        return self._active in candidates if identified else not candidates
 
     def _count_again(self, topic: _Topic) -> None:
         """Combine the records that count. If only one source counts, its record is used as it is."""

@@ -30,7 +30,7 @@ class ArrivalWakeups:
         self._set.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
         self._reset_error = loaded("librcutils").rcutils_reset_error
 
-    def tell_of(self, handle: Any) -> None:
+    def add(self, handle: Any) -> None:
         """Report messages that arrive on the subscription with this rclpy handle, and those that already wait there."""
         with handle:
             result = self._set(handle.pointer, self._write, self.descriptor)

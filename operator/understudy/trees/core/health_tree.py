@@ -121,7 +121,7 @@ class HealthTree:
         self._build = build
         self._evaluation = evaluation
         self._left_out: frozenset[str] | None = None
-        self._foretold: tuple[Observations, float, float, dict[str, float]] | None = None
+        self._forecast: tuple[Observations, float, float, dict[str, float]] | None = None
         """Result of the last evaluation if all leaves were healthy: observations, time, since when, and by leaf path
         the end of health."""
         self.root: Behaviour | None = None
@@ -132,7 +132,7 @@ class HealthTree:
         """Start to judge by this tree at ``now`` (Unix seconds). Topics that it newly names have the grace to
         arrive, although the instance is not new."""
         self._evaluation.begun = now
-        self._foretold = None
+        self._forecast = None
 
     def leave_out(self, topics: Collection[str]) -> None:
         """Judge without the leaves of these topics, because they cannot be watched: a topic that cannot be watched is
@@ -144,7 +144,7 @@ class HealthTree:
         if topics == self._left_out:
             return
         self._left_out = frozenset(topics)
-        self._foretold = None
+        self._forecast = None
         self.root = self._build(self._left_out)
         nodes = list(self.root.iterate()) if self.root is not None else []
         self._leaves = [node for node in nodes if isinstance(node, Leaf)]
@@ -188,12 +188,12 @@ class HealthTree:
             return Verdict(
                 "Starting", f"none of {', '.join(topic.name for topic in self.topics)} can be watched", "", None
             )
-        self._foretold = None
+        self._forecast = None
         shown = all(leaf.status == Status.SUCCESS for leaf in self._leaves)
         if shown and (until := self._healthy_until(observations, now, since)) is not None:
             for leaf in self._leaves:
                 leaf.remember()
-            self._foretold = observations, now, since, until
+            self._forecast = observations, now, since, until
             return _HEALTHY
         state = self._tick(observations, now, since)
         if state == "Healthy":
@@ -211,9 +211,9 @@ class HealthTree:
         """
         if self.root is None:
             return None
-        told, self._foretold = self._foretold, None
-        if told is not None and told[0] is observations and told[1:3] == (now, since):
-            until: dict[str, float] | None = told[3]
+        forecast, self._forecast = self._forecast, None
+        if forecast is not None and forecast[0] is observations and forecast[1:3] == (now, since):
+            until: dict[str, float] | None = forecast[3]
         else:
             until = self._healthy_until(observations, now, since)
         if until is not None:

@@ -134,7 +134,7 @@ class ParameterState:
     """Its value; None if it has none, or if it cannot be determined."""
     lacks: str = ""
     """Why it has no value, in words."""
-    told: bool = True
+    is_known: bool = True
     """Whether its value can be determined."""
 
 

@@ -61,8 +61,8 @@ class _Read:
         return self._problem_at(nearest(self._places, inner) or _Place(1, 1), inner, problem.message)
 
     def _problem_at(self, place: _Place, inner: str, message: str) -> Problem:
-        told = f"{inner.removeprefix('.')}: {message}" if inner else message
-        return Problem(f"{self._path}, line {place.line}, column {place.column}", told)
+        text = f"{inner.removeprefix('.')}: {message}" if inner else message
+        return Problem(f"{self._path}, line {place.line}, column {place.column}", text)
 
     def _document(self, text: str) -> Node:
         try:

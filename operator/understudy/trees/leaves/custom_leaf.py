@@ -85,7 +85,7 @@ class CustomLeaf(ContentLeaf):
             if why is not None and not isinstance(why, str):
                 raise TypeError(f"judge() returned {found_text(why)}, which is neither a text nor None")
         except Exception as error:  # a class of another package may raise anything
-            self._note(f"{self.kind} cannot judge {self.topic}, {_told(error)}")
+            self._note(f"{self.kind} cannot judge {self.topic}, {_error_text(error)}")
             return Finding(True, "")  # being unable to judge is not a failure
         self.blind = ""
         return Finding(False, why[:LONGEST]) if why else Finding(True, "")
@@ -115,7 +115,7 @@ def _settings(name: str, judge: type) -> list[Key]:
     try:
         parameters = inspect.signature(judge, eval_str=True).parameters.values()
     except Exception as error:  # annotations are evaluated, which may raise anything
-        raise ValueError(f"the parameters of {judge.__name__}() cannot be determined, {_told(error)}") from error
+        raise ValueError(f"the parameters of {judge.__name__}() cannot be determined, {_error_text(error)}") from error
     found = []
     for one in parameters:
         if one.kind not in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY):
@@ -142,7 +142,7 @@ def _plan(name: str, judge: Callable[..., Judge], settings: Sequence[Key], given
     except ValueError:  # it refuses a value
         raise
     except Exception as error:  # its own mistake
-        raise ValueError(f"{name} cannot be made, {_told(error)}") from error
+        raise ValueError(f"{name} cannot be made, {_error_text(error)}") from error
     return LeafPlan(
         f"{topic.lstrip('/')}.{name}",
         WatchedTopic(topic, given["type"], 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
@@ -150,7 +150,7 @@ def _plan(name: str, judge: Callable[..., Judge], settings: Sequence[Key], given
     )
 
 
-def _told(error: Exception) -> str:
+def _error_text(error: Exception) -> str:
     return f"{type(error).__name__}: {error!s:.{LONGEST}}"
 
 

@@ -94,7 +94,7 @@ class DiagnosticsLeaf(ContentLeaf):
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
         # Nodes start one after the other: the grace of the others does not end when the first are well.
         starting = content.received < self._evaluation.in_time and not any(said.well for said in bad.values())
-        return Finding(False, _told(name, bad[name].level, bad[name].text) + more, starting)
+        return Finding(False, _status_text(name, bad[name].level, bad[name].text) + more, starting)
 
     def _asked(self, name: str) -> bool:
         if name.startswith(OWN) or f"/{OWN}" in name:  # the latter as diagnostic_aggregator repeats it
@@ -124,7 +124,7 @@ def _level(level: bytes | int) -> int:
     return level[0] if isinstance(level, bytes) else level
 
 
-def _told(name: str, level: int, text: str) -> str:
+def _status_text(name: str, level: int, text: str) -> str:
     said = LEVELS[level] if level < len(LEVELS) else f"level {level}"
     text = " ".join(text.split())
     text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -182,7 +182,7 @@ class LogLeaf(Leaf):
         if heard.first is not None or len(heard.times) < self._count:
             return
         if self._count == 1 or heard.times[-1] - heard.times[0] < self._window:
-            heard.first, heard.why = heard.times[0], _told(message)
+            heard.first, heard.why = heard.times[0], _message_text(message)
 
     # -- the state --------------------------------------------------------------------------------------------------
 
@@ -231,7 +231,7 @@ class LogLeaf(Leaf):
         return f"{what}{self._pattern}{still} ({self._followed().why})"
 
 
-def _told(message: Any) -> str:
+def _message_text(message: Any) -> str:
     level = next((name for name, number in LEVELS.items() if number == message.level), f"level {message.level}")
     text = " ".join(message.msg.split())
     text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

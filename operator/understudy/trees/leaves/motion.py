@@ -135,7 +135,7 @@ class MotionLeaf(Leaf):
             return f"the robot does not move as {self._commands} says by {self.topic}: {found}"
         if self._unreadable:
             return f"it cannot be determined whether the robot moves as commanded: {self._unreadable}"
-        if not following.told or following.until is None or self._evaluation.now >= following.until:
+        if not following.is_known or following.until is None or self._evaluation.now >= following.until:
             return f"it cannot be determined whether the robot moves as {self._commands} says: {self.topic} does not see it"
         return f"the robot moves as {self._commands} says"
 

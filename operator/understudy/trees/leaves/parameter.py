@@ -114,7 +114,7 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
 
     def said(self, content: ParameterState, failed: bool) -> Finding | None:
         """Evaluate the value."""
-        if not content.told:
+        if not content.is_known:
             return None
         if content.value is not None and self._expected.holds(content.value):
             return Finding(True, "")
@@ -125,7 +125,7 @@ class ParameterLeaf(EvidenceLeaf[ParameterState]):
 
     def _limits(self, track: EvidenceTrack[ParameterState]) -> tuple[float, float]:
         found = self._found()
-        if found is not None and not found.told:
+        if found is not None and not found.is_known:
             return math.inf, math.inf  # being unable to judge is not a failure
         return super()._limits(track)
 

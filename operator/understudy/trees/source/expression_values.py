@@ -167,15 +167,15 @@ def all_of(parts: Sequence[Evaluate], conjunction: bool) -> Evaluate:
     is."""
 
     def evaluate(message: Any, element: Any) -> bool:
-        untold: Undefined | None = None
+        undefined: Undefined | None = None
         for part in parts:
             try:
                 if as_truth(part(message, element), "a part of it") != conjunction:
                     return not conjunction
             except Undefined as error:
-                untold = untold or error
-        if untold is not None:
-            raise untold
+                undefined = undefined or error
+        if undefined is not None:
+            raise undefined
         return conjunction
 
     return evaluate
@@ -188,15 +188,15 @@ def negation_of(truth: Evaluate) -> Evaluate:
 
 def any_holds(message: Any, values: Iterable[Any], truth: Evaluate) -> bool:
     """Return whether a condition holds for any element."""
-    untold: Undefined | None = None
+    undefined: Undefined | None = None
     for value in values:
         try:
             if truth(message, plain_value(value)):
                 return True
         except Undefined as error:
-            untold = untold or error
-    if untold is not None:
-        raise untold
+            undefined = undefined or error
+    if undefined is not None:
+        raise undefined
     return False
 
 

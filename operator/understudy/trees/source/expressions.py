@@ -128,15 +128,15 @@ class Expression:
     def values(self, message: object) -> str:
         """Return the first few values that it reads, such as ``percentage is 0.12``; empty if there are none to
         show."""
-        told = []
+        described = []
         for name, evaluate in self._shown:
             try:
                 value = evaluate(message, None)
             except Undefined:
                 continue
             if isinstance(value, bool | int | float | str):
-                told.append(f"{name} is {shown_value(value)}")
-        return ", ".join(told)
+                described.append(f"{name} is {shown_value(value)}")
+        return ", ".join(described)
 
 
 class Quantity:
@@ -373,16 +373,16 @@ class _Compiler:
             return comparison_of(*steps[0], values, texts)
 
         def evaluate(message: Any, element: Any) -> bool:
-            untold: Undefined | None = None
+            undefined: Undefined | None = None
             found = [value_or_undefined(value, message, element) for value in values]
             for index, (compare, ordered) in enumerate(steps):
                 try:
                     if not compared(compare, ordered, found[index : index + 2], texts[index : index + 2]):
                         return False
                 except Undefined as error:
-                    untold = untold or error
-            if untold is not None:
-                raise untold
+                    undefined = undefined or error
+            if undefined is not None:
+                raise undefined
             return True
 
         return evaluate

@@ -38,9 +38,9 @@ class TreeError(ValueError):
 
     def in_short(self) -> str:
         """Return the first problems, short enough for a condition that may contain other texts."""
-        told = [f"{problem!s:.{_LONGEST_TOLD}}" for problem in self.problems]
-        more = f"; and {len(told) - MOST_LISTED} more" if len(told) > MOST_LISTED else ""
-        return "; ".join(told[:MOST_LISTED]) + more
+        messages = [f"{problem!s:.{_LONGEST_TOLD}}" for problem in self.problems]
+        more = f"; and {len(messages) - MOST_LISTED} more" if len(messages) > MOST_LISTED else ""
+        return "; ".join(messages[:MOST_LISTED]) + more
 
 
 def did_you_mean(found: str, known: Iterable[str]) -> str:

@@ -123,7 +123,7 @@ async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_l
     world.state = GateState(epoch=4, active="w-2", active_uid="2")
     await eventually(lambda: heard[-1].active == "2" and heard[-1].epoch == 4)
     tasks[0]["message"] = "robots_msgs/action/Dock is not installed"
-    talk.tell()
+    talk.send_state()
     await eventually(lambda: world.notices.conditions[CONDITION][:2] == ("False", "TypeNotInstalled"))
     assert [event[1] for event in world.notices.events] == ["TypeNotInstalled"]
     server.close()

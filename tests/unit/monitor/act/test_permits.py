@@ -308,15 +308,15 @@ async def test_what_is_known_of_pods_that_were_replaced_does_not_grow_without_en
     world = monitored(agents, Cluster(), [])
     world.cluster.pods.of_workload = lambda: [ACTIVE, gone]
     permits, spec = world.permits, world.cluster.view.spec
-    permits._say(gone, 1700000000.0, "Stay")
+    permits._report(gone, 1700000000.0, "Stay")
     for number in range(module.REMEMBERED + 10):
         done = recovery(Instance(f"p-{number}", f"uid-{number}"))
         world.commit(replace(AFTER, recovery=done))
-        permits._tell(spec)
+        permits._renew(spec)
     assert len(permits._replaced) == module.REMEMBERED
     assert f"uid-{module.REMEMBERED + 9}" in permits._replaced
     assert "uid-9" not in permits._replaced
-    assert len(permits._told) == 1
+    assert len(permits._reported) == 1
     world.cluster.pods.of_workload = lambda: [ACTIVE]
-    permits._tell(spec)
-    assert not permits._told
+    permits._renew(spec)
+    assert not permits._reported

@@ -200,7 +200,7 @@ async def test_a_standby_is_kept_up_with_what_is_carried(monitor: Monitor, robot
 async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None:
     given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75, carried_metres=0.4321)
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
-    monitor.keeping.tell(recovery)
+    monitor.keeping.report_restored(recovery)
     assert monitor.told.conditions["StateRestored"] == (
         "True",
         "Restored",
@@ -209,7 +209,7 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     uncertain = given.model_copy(
         update={"message": "/odom was not watched for 4.0 s of the time over which it was propagated"}
     )
-    monitor.keeping.tell(recovery.model_copy(update={"state": [uncertain]}))
+    monitor.keeping.report_restored(recovery.model_copy(update={"state": [uncertain]}))
     assert monitor.told.conditions["StateRestored"] == (
         "True",
         "Restored",
@@ -220,7 +220,7 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     missing = RestoredState(
         name="/amcl_pose", restored=True, age_seconds=0.75, message="it cannot be propagated by /odom"
     )
-    monitor.keeping.tell(recovery.model_copy(update={"state": [missing]}))
+    monitor.keeping.report_restored(recovery.model_copy(update={"state": [missing]}))
     text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: it cannot be propagated by /odom."
     assert monitor.told.conditions["StateRestored"] == ("False", "NotCarried", text)
     assert monitor.told.events == [("Warning", "StateNotCarried", text)]

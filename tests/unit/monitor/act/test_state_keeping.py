@@ -264,14 +264,14 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
     missing = RestoredState(name="/map", restored=False, message="what is kept is 61.0 s old, more than maxAge (1m)")
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
-    monitor.keeping.tell(recovery)
+    monitor.keeping.report_restored(recovery)
     assert monitor.told.conditions["StateRestored"] == (
         "True",
         "Restored",
         "w-2 was given /amcl_pose (0.8 s old).",
     )
     assert not monitor.told.events
-    monitor.keeping.tell(recovery.model_copy(update={"state": [given, missing]}))
+    monitor.keeping.report_restored(recovery.model_copy(update={"state": [given, missing]}))
     assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
     ((_, reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
@@ -284,9 +284,9 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
 
 async def test_a_recovery_in_which_nothing_is_given_takes_back_what_is_said_of_the_last(monitor: Monitor) -> None:
     monitor.told.condition("StateRestored", "False", "NotRestored", "w-2 was not given ...")
-    monitor.keeping.tell(Recovery(id="2", reason="x", result="Failed"))
+    monitor.keeping.report_restored(Recovery(id="2", reason="x", result="Failed"))
     assert "StateRestored" in monitor.told.conditions
-    monitor.keeping.tell(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))
+    monitor.keeping.report_restored(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))
     assert "StateRestored" not in monitor.told.conditions
 
 

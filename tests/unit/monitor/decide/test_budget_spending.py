@@ -152,7 +152,7 @@ def test_what_is_held_is_told_in_recovering(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     failed = [PodIdentity(name="w-1", uid="uid-1")]
-    world.spending.tell_held(Progress.begin("no /cmd_vel", last_healthy=1099.5, detected=1100.0, failed=failed))
+    world.spending.report_held(Progress.begin("no /cmd_vel", last_healthy=1099.5, detected=1100.0, failed=failed))
     found = world.notices.status.find("Recovering")
     assert found is not None
     assert (found.status, found.reason) == ("False", "BudgetSpent")

@@ -150,7 +150,9 @@ class GateControl:
         if id_ == progress.id:
             # A commit without an answer may have been carried out. The record that was sent is also there if another writer has closed the
             # gate since and left the rest as it was.
-            carried_out = begun.recovery == sent and (tells := beside(sent)) is not None and begun.epoch == tells.epoch
+            carried_out = (
+                begun.recovery == sent and (committed := beside(sent)) is not None and begun.epoch == committed.epoch
+            )
             if begun.epoch != epoch and not carried_out:
                 raise Superseded(f"the gate is at epoch {begun.epoch} by another writer, this recovery knew {epoch}")
             return

@@ -141,8 +141,8 @@ class Permits:
         self._back: dict[str, float] = {}
         """When each instance that is held after a cut-off was first heard again, by UID."""
         self._sent: dict[str, tuple[Any, float]] = {}
-        self._telling: dict[str, asyncio.Task[None]] = {}
-        self._told: set[tuple[str, float, Word]] = set()
+        self._requests: dict[str, asyncio.Task[None]] = {}
+        self._reported: set[tuple[str, float, Word]] = set()
 
     async def run(self) -> None:
         """Keep the permits until cancelled."""
@@ -151,7 +151,7 @@ class Permits:
             spec = self._cluster.view.spec
             if spec is not None and spec.gate.reflex is not None and self._cluster.gate.exists:
                 self._refresh(spec)
-                self._tell(spec)
+                self._renew(spec)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(SAY_AGAIN if self._back else PERIOD):
                     await self._wake.wait()
@@ -176,7 +176,7 @@ class Permits:
 
         self._refreshing = asyncio.create_task(refresh())
 
-    def _tell(self, spec: RobotWorkloadSpec) -> None:
+    def _renew(self, spec: RobotWorkloadSpec) -> None:
         state, recovering = self._cluster.gate.state, self._current.progress
         committed = state.recovery
         # A recovery that is stopped before its commit has replaced no pod.
@@ -192,25 +192,25 @@ class Permits:
         instances = {i.uid: i for i in self._cluster.pods.of_workload() if i.has_agent and not i.held}
         self._sent = {uid: sent for uid, sent in self._sent.items() if uid in instances}
         self._back = {uid: since for uid, since in self._back.items() if uid in instances}
-        self._told = {told for told in self._told if told[0] in instances}
+        self._reported = {reported for reported in self._reported if reported[0] in instances}
         for uid, instance in instances.items():
             if (status := self._agents.status(instance)) is None:
                 self._back.pop(uid, None)
                 continue
-            if uid in self._telling:
+            if uid in self._requests:
                 continue
             body: dict[str, Any] = {"witnesses": self._witnesses_of(instance, spec)}
             if status.cut_off is None:
                 self._back.pop(uid, None)
             elif (said := self._word_for(instance, state, recovering)) is not None:
                 body["word"] = said
-                self._say(instance, status.cut_off, said)
+                self._report(instance, status.cut_off, said)
             wanted = (self._agents.session(instance), body)
             sent, at = self._sent.get(uid, (None, 0.0))
             if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):
                 self._sent[uid] = (wanted, time.monotonic())
                 # Each by itself: an agent that does not answer must not delay the others.
-                self._telling[uid] = task = asyncio.create_task(self._request(instance, body))
+                self._requests[uid] = task = asyncio.create_task(self._request(instance, body))
                 task.add_done_callback(partial(self._done, uid))
 
     def _word_for(self, instance: Instance, state: GateState, recovering: Progress | None) -> Word | None:
@@ -221,7 +221,7 @@ class Permits:
         return found if found == "Stay" or caught_up or instance.uid == state.active_uid else None
 
     def _done(self, uid: str, task: asyncio.Task[None]) -> None:
-        self._telling.pop(uid, None)
+        self._requests.pop(uid, None)
         self._wake.set()
 
     def _witnesses_of(self, instance: Instance, spec: RobotWorkloadSpec) -> list[str]:
@@ -244,10 +244,10 @@ class Permits:
         except AgentRefused as error:
             _logger.warning("%s", error)
 
-    def _say(self, instance: Instance, since: float, word: Word) -> None:
-        if (instance.uid, since, word) in self._told:
+    def _report(self, instance: Instance, since: float, word: Word) -> None:
+        if (instance.uid, since, word) in self._reported:
             return
-        self._told.add((instance.uid, since, word))
+        self._reported.add((instance.uid, since, word))
         when = datetime.fromtimestamp(since, UTC).strftime("%H:%M:%S UTC")
         then = "it goes on" if word == "Go" else "it stays held, since it was replaced"
         self._notices.event(

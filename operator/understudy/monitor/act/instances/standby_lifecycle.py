@@ -61,7 +61,7 @@ class Bringing:
     roles: InstanceRoles
     notices: Notices
     _cared: dict[str, _Care] = field(default_factory=dict)
-    _told: bool = False
+    _was_managed: bool = False
     _replacing: set[asyncio.Task[None]] = field(default_factory=set)
 
     def housekeeping(
@@ -187,11 +187,11 @@ class Bringing:
         outdated: Sequence[str],
     ) -> None:
         if not managed(spec, settings, policy):
-            if self._told:
-                self._told = False
+            if self._was_managed:
+                self._was_managed = False
                 self.notices.condition("BroughtUp", "True", "NothingToDo", "There is no procedure to run on instances.")
             return
-        self._told = True
+        self._was_managed = True
         without = [i.name for i in instances if i.usable and not i.held and not i.has_agent]
         problems = [text for care in self._cared.values() if (text := care.problem)]
         if without:

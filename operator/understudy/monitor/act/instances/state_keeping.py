@@ -53,7 +53,7 @@ INSPECT = 2.0
 INSPECT_WITHIN = 3.0
 """Seconds that an answer may take."""
 
-TELL = 30.0
+REPORT_PERIOD = 30.0
 """Seconds between two updates of the status if only ages have changed."""
 
 CLOCK_STEP = 0.05
@@ -89,8 +89,8 @@ class StateKeeping:
         self._unanswered: dict[Key, str] = {}
         self.taken: dict[str, float] = {}
         """When each part of the state that would be restored now was captured, in Unix seconds."""
-        self._told: tuple[object, ...] = ()
-        self._next_told = 0.0
+        self._reported: tuple[object, ...] = ()
+        self._next_report = 0.0
         self._upkeep: dict[str, _Upkeep] = {}
 
     # -- each look --------------------------------------------------------------------------------------------------
@@ -192,7 +192,7 @@ class StateKeeping:
             self._take_odometry(time.monotonic())
         return self._carrier.carry(self._keeper.select(onset), time.time())
 
-    def tell(self, recovery: Recovery) -> None:
+    def report_restored(self, recovery: Recovery) -> None:
         """Report what happened to the state in a recovery."""
         if not recovery.state:
             if recovery.result == "Recovered":
@@ -214,9 +214,9 @@ class StateKeeping:
             return
         reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
         text = f"{recovery.to_pod or 'No pod'} did not receive all of the kept state: {reasons}."
-        told = text + (f" It was given {given}." if given else "") + (f" {notes}." if notes else "")
+        message = text + (f" It was given {given}." if given else "") + (f" {notes}." if notes else "")
         way_out = " It took over nevertheless. To prevent that, use a restore_state step in the strategy's recovery."
-        self._notices.condition("StateRestored", "False", "NotRestored", told + way_out)
+        self._notices.condition("StateRestored", "False", "NotRestored", message + way_out)
         self._notices.event("Warning", "StateNotRestored", text + way_out)
 
     def _place(self, label: str) -> str:
@@ -241,7 +241,7 @@ class StateKeeping:
         if self._state is None:
             return
         self._persist(now)
-        if self._keeper.keys or self._told:
+        if self._keeper.keys or self._reported:
             self._inspect(now, active)
             self._note()
             self._say(now)
@@ -336,9 +336,9 @@ class StateKeeping:
         self._notices.add(StateKept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries}))
         self.taken = {entry.key.label: entry.taken_at for entry in entries if entry.taken_at is not None}
         shape = tuple((entry.key, entry.trouble, entry.taken_at is None) for entry in entries)
-        if shape == self._told and now < self._next_told:
+        if shape == self._reported and now < self._next_report:
             return
-        self._told, self._next_told = shape, now + TELL
+        self._reported, self._next_report = shape, now + REPORT_PERIOD
         self._notices.set_kept_state([_status(entry) for entry in entries])
         if not entries:
             self._notices.condition("StateKept", "True", "NothingToKeep", "The policy keeps no state (any more).")

@@ -66,7 +66,7 @@ class DeferredRecovery:
         self._notices.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
         self._notices.condition("Healthy", "False", "Failed", progress.reason)
         self._limits.spending.say(time.time())
-        self._limits.spending.tell_held(progress)
+        self._limits.spending.report_held(progress)
         return epoch
 
     def _must_wait(self, now: float) -> bool:

@@ -47,7 +47,7 @@ as long as the drain lasts."""
 LOOK = 1.0
 """Seconds between two looks whether a waiting request can begin."""
 
-TELL = 5.0
+REPORT_PERIOD = 5.0
 """Seconds between two updates of why a request waits. Figures in that message may change at every look."""
 
 AGAIN = 30.0
@@ -98,7 +98,7 @@ class PlannedSwitchovers:
         self._touched: PodIdentity | None = None
         """The understudy that was changed for a switchover: it has no other use."""
         self._next = 0.0
-        self._told_at = 0.0
+        self._reported_at = 0.0
         self._waits_since: tuple[tuple[str, str, str], float] = (("", "", ""), 0.0)
 
     @property
@@ -301,9 +301,9 @@ class PlannedSwitchovers:
             kind = "Warning" if wanted.drain is not None else "Normal"
             self._notices.event(kind, "SwitchoverWaits", f"{wanted.reason}: {reason}")
         said = self._notices.status.switchover
-        if new or (said is not None and said.phase != "Waiting") or now - self._told_at >= TELL:
-            self._told_at = now
-            self._tell(
+        if new or (said is not None and said.phase != "Waiting") or now - self._reported_at >= REPORT_PERIOD:
+            self._reported_at = now
+            self._report(
                 SwitchoverStatus(
                     kind=wanted.kind, request=wanted.request, phase="Waiting", message=f"{reason}.", since=moment()
                 )
@@ -322,7 +322,7 @@ class PlannedSwitchovers:
         said = self._notices.status.switchover
         if said is not None and said.phase not in ENDED:
             message = "Nothing was changed: the request was withdrawn."
-            self._tell(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
+            self._report(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
 
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
         """An understudy that something was done to is not needed. A pod of the workload's own controller is that one's business."""
@@ -349,7 +349,7 @@ class PlannedSwitchovers:
         target = progress.target.name if progress.target is not None else ""
         kind = progress.switchover
         assert kind is not None, "it is a switchover"
-        self._tell(
+        self._report(
             SwitchoverStatus(
                 kind=kind,
                 request=progress.request,
@@ -365,14 +365,14 @@ class PlannedSwitchovers:
         """End the request without a change of the gate."""
         _logger.info("switchover (%s): %s", wanted.kind, message)
         known = self._notices.status.switchover
-        self._tell(
+        self._report(
             SwitchoverStatus(kind=wanted.kind, request=wanted.request, phase=phase, message=message, since=moment())
         )
         if known is None or known.message != message:
             kind, reason = ("Normal", "SwitchoverDone") if phase == "Done" else ("Warning", "SwitchoverNotDone")
             self._notices.event(kind, reason, message)
 
-    def _tell(self, status: SwitchoverStatus) -> None:
+    def _report(self, status: SwitchoverStatus) -> None:
         before = self._notices.status.switchover
         handled = status.request if status.request and status.phase in ENDED else before.handled if before else ""
         if before is not None and before.phase == status.phase:

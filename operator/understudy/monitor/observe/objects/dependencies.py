@@ -127,7 +127,7 @@ class Dependencies:
                 self._watched[name].begin()
         if not wanted:
             followed.clear()
-            self._tell()
+            self._report()
             self._notices.withdraw(CONDITION)
 
     def look(self, now: float) -> None:
@@ -151,7 +151,7 @@ class Dependencies:
                 last = self._watched[name].seen.last
                 followed[name] = last.id if last is not None else ""
         if followed != before:
-            self._tell()
+            self._report()
 
     def _known(self) -> dict[str, str]:
         """Return by name the recoveries that this workload has reacted to. At first they are those that an earlier monitor recorded."""
@@ -248,9 +248,9 @@ class Dependencies:
         """What is done after these recoveries was done."""
         if found:
             self._known().update({one.name: one.recovery for one in found})
-            self._tell()
+            self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         followed = self._known()
         self._notices.set_followed(
             [DependencyRecovery(name=name, recovery=followed[name]) for name in sorted(followed)]

@@ -44,12 +44,12 @@ def judge(
     workload: str,
     topics: Sequence[str],
     readings: Sequence[Reading],
-    untold: Collection[str],
+    unreported: Collection[str],
     robots: Sequence[str],
 ) -> Judgement:
     """Status, reason and message of the condition OutputsRead.
 
-    ``untold`` are the topics with readers of which DDS has not told where they listen; ``robots`` the addresses of robots outside the
+    ``unreported`` are the topics with readers whose locators DDS has not reported; ``robots`` the addresses of robots outside the
     cluster, as CIDRs.
 
     A reader outside the gate counts as the robot, unless it is a tool, or the robot also reads that output at a gated port: then the
@@ -64,15 +64,15 @@ def judge(
         harmful = [one for one in here if not (one.gated or one.is_tool or _is_read(gated, one, robots))]
         ungated += harmful
         harmless += [one for one in here if not one.gated and one not in harmful]
-        if not gated and not harmful and topic not in untold:
+        if not gated and not harmful and topic not in unreported:
             unread.append(topic)
     past = [_past(harmless)] if harmless else []
     if ungated:
         return "False", UNGATED, " ".join([_without_profile(workload, ungated), *past])
     if unread:
         return "Unknown", "NobodyReads", " ".join([_unread(unread), *past])
-    if untold:
-        listed = ", ".join(topic for topic in topics if topic in untold)
+    if unreported:
+        listed = ", ".join(topic for topic in topics if topic in unreported)
         return (
             "Unknown",
             "NotTold",

@@ -28,7 +28,7 @@ WITHIN = 5.0
 """Most seconds that an answer is waited for."""
 
 AGAIN = 30.0
-"""Seconds before it is asked again for those of which it has told nothing."""
+"""Seconds before it is asked again for readers that it has not reported."""
 
 SETTLE = 10.0
 """Seconds for which a finding must last before it is reported: the address of an instance arrives a moment after its readers, and
@@ -78,20 +78,20 @@ class RobotReaders:
         readers = {topic: self._observer.graph.subscribers(topic) for topic in topics}
         await self._ask({end.gid for ends in readers.values() for end in ends})
         readings: list[Reading] = []
-        untold: set[str] = set()
+        unreported: set[str] = set()
         ours = {self._address, *self._observer.addresses.values()}
         for topic, ends in readers.items():
             for end in ends:
                 places = self._places.get(end.gid)
                 if places is None:
-                    untold.add(topic)
+                    unreported.add(topic)
                 elif places and not any(place.address in ours for place in places):
                     readings.append(Reading(topic, end.node, places))
-        judged = judge(self._view.workload, topics, sorted(readings, key=str), untold, spec.gate.robots)
+        judged = judge(self._view.workload, topics, sorted(readings, key=str), unreported, spec.gate.robots)
         self._settle(judged, time.monotonic())
 
     async def _ask(self, there: set[bytes]) -> None:
-        """Ask DDS for the readers that are new, and now and then for those of which it has not told."""
+        """Ask DDS for the readers that are new, and now and then for those that it has not reported."""
         self._places = {gid: places for gid, places in self._places.items() if gid in there}
         self._asked &= there
         unknown, now = there - self._places.keys(), time.monotonic()

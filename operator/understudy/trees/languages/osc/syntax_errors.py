@@ -73,12 +73,12 @@ def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
 
 def _expected(message: str, found: str) -> str:
     """Return what could be there instead, limited to what a health tree can have."""
-    told = _EXPECTED.search(message)
+    match = _EXPECTED.search(message)
     if found == "=":
         return "; write ':' between the name of an argument and its value"
-    if told is None:
+    if match is None:
         return ", which cannot be here; check the brackets, and for a ':' in front of it"
-    listed = [part.strip() for part in re.split(r", (?=['\w<])", told[1].strip("{}"))]
+    listed = [part.strip() for part in re.split(r", (?=['\w<])", match[1].strip("{}"))]
     known = list(dict.fromkeys(_NAMES.get(part, part) for part in listed if part not in _UNTOLD))
     if not known:
         return "; leave it out"

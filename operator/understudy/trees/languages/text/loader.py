@@ -61,7 +61,7 @@ def load_translated(
         try:
             tree = loaded(node, source)
         except TreeError as error:
-            found += [source.problem(problem) for problem in error.problems if not source.told(problem)]
+            found += [source.problem(problem) for problem in error.problems if not source.is_reported(problem)]
         else:
             if not found:
                 return tree

@@ -98,7 +98,7 @@ class SourceMap:
         origin, port = self._find(found.path)
         return origin.problem(self._path, found.message, port)
 
-    def told(self, found: Problem) -> bool:
+    def is_reported(self, found: Problem) -> bool:
         """Return whether a problem concerns a value that could not be read, which was reported already."""
         return found.path in self._unread
 
