@@ -248,8 +248,8 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _labels(workload: Manifest) -> str:
-    told = ", ".join(f"{key}={value}" for key, value in list(workload.labels.items())[:_MOST_SHOWN])
-    return f"labels {told}" if told else "no labels"
+    listed = ", ".join(f"{key}={value}" for key, value in list(workload.labels.items())[:_MOST_SHOWN])
+    return f"labels {listed}" if listed else "no labels"
 
 
 def _field(data: Any, path: str) -> Any:

@@ -68,6 +68,6 @@ def under_way(status: RobotWorkloadStatus, gate: Object | None, now: float) -> U
     if said and status.failing_since is not None:
         # The recovery in the status may not have committed yet, and the gate may record an earlier one that was abandoned.
         said = found.moments.get("last_healthy", 0.0) >= unix(status.failing_since) - _ROUNDING
-    told = recoveries.listed_recoveries(status.recoveries or [])
-    under_way = recoveries.under_way(Committed.of(found), told, None if said else now)
+    listed_ones = recoveries.listed_recoveries(status.recoveries or [])
+    under_way = recoveries.under_way(Committed.of(found), listed_ones, None if said else now)
     return UnderWay.of(found) if under_way else None

@@ -156,9 +156,9 @@ def summary(robots: Sequence[Robot]) -> str:
     """Summarize all robots in one line."""
     unprotected = sum(not robot.protected for robot in robots)
     healths = Counter(robot.health for robot in robots)
-    told = listed(f"{healths[health]} {health.lower()}" for health in sorted(healths))
+    counts = listed(f"{healths[health]} {health.lower()}" for health in sorted(healths))
     protected = f"{unprotected} not protected" if unprotected else "all protected"
-    return f"{counted(len(robots), 'robot')}: {protected}; {told}"
+    return f"{counted(len(robots), 'robot')}: {protected}; {counts}"
 
 
 def status_of(item: Object) -> RobotWorkloadStatus:

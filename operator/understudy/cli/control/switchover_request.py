@@ -54,7 +54,7 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
     _refuse(item)
     columns = terminal.columns(sys.stdout)
     asked, begun = request(verb, time.time()), time.monotonic()
-    told: tuple[str, str] = ("", "")
+    reported: tuple[str, str] = ("", "")
     try:
         with kubectl.changes(WORKLOADS, name) as changed:
             kubectl.annotate(WORKLOADS, name, names.SWITCHOVER, asked)
@@ -66,8 +66,8 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
                     if found.phase in ENDED:
                         print("\n".join(_end(found, status, columns)))
                         return DONE if found.phase == "Done" else NOT_DONE
-                    if (found.phase, found.message) != told:
-                        told = (found.phase, found.message)
+                    if (found.phase, found.message) != reported:
+                        reported = (found.phase, found.message)
                         print(
                             "\n".join(wrapped(f"{found.phase.lower()}: {found.message}", columns, indent=0, hanging=2)),
                             flush=True,
@@ -79,7 +79,7 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
                 changed(LOOK)
     except KeyboardInterrupt:
         print("", file=sys.stderr)
-    how_far = told[0].lower() or "its monitor has not started it"
+    how_far = reported[0].lower() or "its monitor has not started it"
     raise CommandError(
         f"the switchover has not ended ({how_far}) and continues without this command. To withdraw the request: "
         f"kubectl annotate robotworkload {name} {names.SWITCHOVER}-"

@@ -57,9 +57,9 @@ def of_session(talk: Session) -> Clock:
     found = []
     for _ in range(ASKED):
         asked = time.time()
-        told = talk.ask("clock")
+        answer = talk.ask("clock")
         answered = time.time()
-        found.append(Clock(told - (asked + answered) / 2, (answered - asked) / 2))
+        found.append(Clock(answer - (asked + answered) / 2, (answered - asked) / 2))
     return min(found, key=lambda clock: clock.give)
 
 

@@ -55,8 +55,8 @@ def main(arguments: list[str]) -> int:
         if given.output == "text":
             print("\n".join(findings.lines(found, columns=terminal.columns(out), colours=terminal.colours(out))))
         else:
-            told = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
-            print(structured(told | examination.measured, given.output))
+            document = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
+            print(structured(document | examination.measured, given.output))
         return WELL if findings.is_well(found) else NOT_WELL
     except CommandError as error:
         print(f"understudy doctor: {error}", file=sys.stderr)
@@ -150,9 +150,9 @@ class _Examination:
             self.measured["gate"] = packet_check.to_wire(seen)
             self.found += packet_check.judge(seen)
             self.found += discovery_check.joined(pods, workloads, self._progress)
-        told = {**nodes.clocks, **seen.clocks}
-        self.measured["clocks"] = clock_check.to_wire(told)
-        self.found.append(clock_check.judge(told, clock_check.of_api_server(self._api)))
+        clocks = {**nodes.clocks, **seen.clocks}
+        self.measured["clocks"] = clock_check.to_wire(clocks)
+        self.found.append(clock_check.judge(clocks, clock_check.of_api_server(self._api)))
 
 
 def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
@@ -165,13 +165,13 @@ def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
             cure = "an image of your own is built again on that of each version (docs/how-to/custom-messages.md); else its turn comes yet"
             yield Finding(f"monitor of {name}", "WARN", f"{found}, and this command of {__version__}", cure)
         for said in status.get("conditions") or []:
-            told = said["message"]
+            message = said["message"]
             if (said["type"], said["status"]) == (_ENFORCED, "False"):
                 page = "robot-outside-the-cluster" if said["reason"] == "ReaderWithoutProfile" else "network-policies"
-                yield Finding(f"gate of {name}", "FAIL", told, f"docs/how-to/{page}.md")
+                yield Finding(f"gate of {name}", "FAIL", message, f"docs/how-to/{page}.md")
             elif said["type"] == _READ and said["status"] != "False" and said["reason"] != "AtGatedPorts":
                 page = "docs/explanation/network-policies.md#who-reads-the-outputs"
-                yield Finding(f"outputs of {name}", "WARN", told, page)
+                yield Finding(f"outputs of {name}", "WARN", message, page)
 
 
 def _parser() -> argparse.ArgumentParser:

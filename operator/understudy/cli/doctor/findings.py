@@ -50,8 +50,8 @@ def lines(findings: Sequence[Finding], *, columns: int | None, colours: bool) ->
 def summary(findings: Sequence[Finding]) -> str:
     """Return how many findings there are of each state."""
     fail, warn = (sum(finding.level == level for finding in findings) for level in ("FAIL", "WARN"))
-    told = listed((f"{fail} failed" if fail else "", counted(warn, "warning") if warn else ""))
-    return f"{counted(len(findings), 'check')}: {told or 'all is well'}"
+    problems = listed((f"{fail} failed" if fail else "", counted(warn, "warning") if warn else ""))
+    return f"{counted(len(findings), 'check')}: {problems or 'all is well'}"
 
 
 def to_wire(findings: Sequence[Finding]) -> dict[str, Any]:

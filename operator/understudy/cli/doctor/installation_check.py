@@ -56,11 +56,11 @@ class Installed:
         """The images from which it creates monitors; None if it does not state them."""
         (container, *_) = self.item["spec"]["template"]["spec"]["containers"]
         given = {entry["name"]: entry.get("value", "") for entry in container.get("env") or []}
-        told = {key: given.get(name, "") for key, name in _ENVIRONMENT.items()}
-        if not told["monitor"]:
+        settings = {key: given.get(name, "") for key, name in _ENVIRONMENT.items()}
+        if not settings["monitor"]:
             return None
-        secrets = tuple(name for name in told["pull_secrets"].split(",") if name)
-        return Images(told["monitor"], told["pull_policy"] or "IfNotPresent", secrets)
+        secrets = tuple(name for name in settings["pull_secrets"].split(",") if name)
+        return Images(settings["monitor"], settings["pull_policy"] or "IfNotPresent", secrets)
 
 
 def find(api: Api) -> Installed | None:
@@ -76,9 +76,9 @@ def find(api: Api) -> Installed | None:
 
 def kubernetes(api: Api) -> Finding:
     """Check whether the API server is new enough."""
-    told = api.get("/version")
-    found = tuple(int(re.match(r"\d*", told.get(key, ""))[0] or 0) for key in ("major", "minor"))  # type: ignore[index]
-    version = told.get("gitVersion", "")
+    answer = api.get("/version")
+    found = tuple(int(re.match(r"\d*", answer.get(key, ""))[0] or 0) for key in ("major", "minor"))  # type: ignore[index]
+    version = answer.get("gitVersion", "")
     if found < OLDEST:
         return Finding("Kubernetes", "FAIL", version, f"use {'.'.join(map(str, OLDEST))} or newer")
     return Finding("Kubernetes", "OK", version)
@@ -95,16 +95,16 @@ def operator(found: Installed | None) -> Finding:
         )
     spec, status = found.item["spec"], found.item.get("status") or {}
     ready, wanted = status.get("readyReplicas", 0), spec.get("replicas", 1)
-    told = f"{found.where} version {found.version or 'unknown'}, {ready} of {wanted} ready"
+    text = f"{found.where} version {found.version or 'unknown'}, {ready} of {wanted} ready"
     if not ready:
         namespace, _, name = found.where.partition("/")
         cure = f"kubectl describe deployment -n {namespace} {name}; failovers go on meanwhile, nothing new is set up"
-        return Finding("operator", "FAIL", told, cure)
+        return Finding("operator", "FAIL", text, cure)
     if found.version != __version__:
-        return Finding("operator", "WARN", f"{told}, and this command is of version {__version__}", _UPGRADE)
+        return Finding("operator", "WARN", f"{text}, and this command is of version {__version__}", _UPGRADE)
     if ready < wanted:
-        return Finding("operator", "WARN", told, "kubectl get pods -A -l " + SELECTOR)
-    return Finding("operator", "OK", told)
+        return Finding("operator", "WARN", text, "kubectl get pods -A -l " + SELECTOR)
+    return Finding("operator", "OK", text)
 
 
 def definitions_served(api: Api) -> Iterator[Finding]:

@@ -215,8 +215,8 @@ def _times(seen: Seen, where: str) -> Iterator[Finding]:
             f"packets still came {rough(WITHIN)} after an open gate was closed",
             f"the network keeps established flows open, and a failed pod drives the robot until it is deleted: {_POLICIES}",
         )
-    told = {"closed": seen.established, "opened": seen.opened, "closed again": seen.closed, "lifted": seen.lifted}
-    known = {word: took for word, took in told.items() if took is not None}
+    moments = {"closed": seen.established, "opened": seen.opened, "closed again": seen.closed, "lifted": seen.lifted}
+    known = {word: took for word, took in moments.items() if took is not None}
     if not known:
         return
     slow = max(known.values()) > SLOW

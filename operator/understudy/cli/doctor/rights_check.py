@@ -112,11 +112,11 @@ def of_this_user(api: Api, namespace: str) -> Finding:
     ]
     if not missing:
         return Finding(check, "OK", f"you have all rights that the verbs of this command need in {namespace}")
-    told = ", ".join(f"{right.words} (for {right.use})" for right in missing)
+    listed = ", ".join(f"{right.words} (for {right.use})" for right in missing)
     return Finding(
         check,
         "WARN",
-        f"you lack rights in {namespace}: {told}",
+        f"you lack rights in {namespace}: {listed}",
         "if you need these verbs, ask an administrator for the ClusterRole edit (the chart's *-edit adds to it) in this namespace; "
         "pods/ephemeralcontainers is not in it and needs a Role",
     )

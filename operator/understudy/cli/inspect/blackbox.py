@@ -103,8 +103,8 @@ def lines(found: Recordings, now: float, *, colours: bool, columns: int | None) 
 
 
 def _row(one: Recording, now: float) -> tuple[str, ...]:
-    told = (str(one.number), one.id, clock(one.failed), age(one.failed, now), one.result, one.strategy or "none")
-    return (*told, str(one.messages), _size(one.size), one.reason)
+    cells = (str(one.number), one.id, clock(one.failed), age(one.failed, now), one.result, one.strategy or "none")
+    return (*cells, str(one.messages), _size(one.size), one.reason)
 
 
 def _left_out(topics: Mapping[str, str]) -> Iterator[str]:

@@ -50,8 +50,8 @@ def around(kubectl: Kubectl, name: str) -> Around:
     used = [i for i in items if i["kind"] == "FailurePolicy" and i["metadata"]["name"] == policy]
     if any(situation_strategies.has_some(i) for i in used):
         # Which policy is effective depends on the one before, which the monitor received in this ConfigMap.
-        told = kubectl.find(CONFIG_MAPS.qualified, names.settings(name))
-        items += [told] if told is not None else []
+        config_map = kubectl.find(CONFIG_MAPS.qualified, names.settings(name))
+        items += [config_map] if config_map is not None else []
     if any(health_tree_sources.reference(i) for i in used):
         items += kubectl.get(CONFIG_MAPS.qualified, "-l", f"{names.HEALTH_TREE}=true")["items"]
     selector = f"involvedObject.kind=RobotWorkload,involvedObject.name={name}"

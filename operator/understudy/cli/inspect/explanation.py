@@ -12,7 +12,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.conditions import Condition
-from understudy.api.health_reasons import telling, why
+from understudy.api.health_reasons import decisive, why
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Strategy, in_force
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.cli.common.recovery_under_way import under_way
@@ -229,7 +229,7 @@ def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:
 def _for(known: Known) -> str:
     if known.is_watched and known.said.recovering is not None:
         return f" for {age(known.said.recovering.since, known.observed.now)}"
-    found = telling(known.health, known.said.active, known.status.conditions or [])
+    found = decisive(known.health, known.said.active, known.status.conditions or [])
     return f" for {age(found.last_transition_time, known.observed.now)}" if found is not None else ""
 
 
@@ -252,12 +252,12 @@ def _state(known: Known) -> Iterator[_Entry]:
     referred = observed.reference.pods if observed.reference is not None else ()
     pod = next((p for p in (*observed.pods, *referred) if kube_objects.uid(p) == uid), None)
     since = next((r for r in status.recoveries or [] if r.to_pod == name and r.result == "Recovered"), None)
-    told = [
+    lines = [
         f"In control: {name} {_where(pod)}" if pod is not None else f"In control: {name}, which is gone",
         f"gate epoch {epoch}",
         f"since recovery #{since.number}" if since is not None else "",
     ]
-    yield _Entry(f"{listed(told)}.")
+    yield _Entry(f"{listed(lines)}.")
     if pod is not None and (found := trouble(pod)) is not None:
         yield _Entry(found.message, "Failed")
     yield from _situation(known)
@@ -272,9 +272,9 @@ def _situation(known: Known) -> Iterator[_Entry]:
     if known.policy is None or not known.policy.situations or said is None:
         return
     present = known.status.situation
-    told = f"Situation: {present.name} for {age(present.since, known.observed.now)}" if present else "Situation: none"
+    line = f"Situation: {present.name} for {age(present.since, known.observed.now)}" if present else "Situation: none"
     why_ = f" ({present.reason})" if present is not None and present.reason else ""
-    yield _Entry(f"{told}{why_}. {said.message}")
+    yield _Entry(f"{line}{why_}. {said.message}")
 
 
 def _where(pod: Object) -> str:
@@ -307,10 +307,10 @@ def _failing(known: Known) -> Iterator[_Entry]:
             continue
         ready = f": {found.message}" if found.message else ""
         if before is None:
-            told = f"{head} would run{ready}"
+            line = f"{head} would run{ready}"
         else:
-            told = f"{head} is next, if that is not verified within {before.verify_within}{ready}"
-        yield _Entry(f"{told}. {_experience(strategy, known)}", "Healthy")
+            line = f"{head} is next, if that is not verified within {before.verify_within}{ready}"
+        yield _Entry(f"{line}. {_experience(strategy, known)}", "Healthy")
         before = strategy
     if considered and before is None:
         yield _Entry("No strategy of its policy could run: the robot would be left without commands.", "Failed")
@@ -400,8 +400,8 @@ def _dependencies(known: Known) -> Iterator[_Entry]:
         yield _Entry(f"on {one.name} ({health}); {after}", state)
     found = [name for name, one in known.workloads.items() if known.said.name in dependency_graph.named(one)]
     if found:
-        told = f"On this one: {listed(sorted(found))}. While it is not healthy, a failure of theirs that may follow from that is held."
-        yield _Entry(told)
+        line = f"On this one: {listed(sorted(found))}. While it is not healthy, a failure of theirs that may follow from that is held."
+        yield _Entry(line)
 
 
 # -- pools --------------------------------------------------------------------------------------------------------------
@@ -466,13 +466,13 @@ def _missing(known: Known) -> Iterator[_Entry]:
         )
         since = f", {age(problem.since, observed.now)}" if problem.since else ""
         yield _Entry(f"{problem.about} ({problem.reason}{since}): {problem.message}", state)
-    told = [problem.message for problem in found]
-    told += [one.availability.message for one in known.considered]
+    messages = [problem.message for problem in found]
+    messages += [one.availability.message for one in known.considered]
     for name in known.pools:
         if name not in observed.pools:
             continue
         for problem in pool(observed.pools[name]).problems:
-            if not is_reported(problem, told):
+            if not is_reported(problem, messages):
                 yield _Entry(f"pool {name} {problem.about} ({problem.reason}): {problem.message}", "Failed")
                 found.append(problem)
     if known.protected.status == "True" and all(problem.type == "Degraded" for problem in found):

@@ -45,14 +45,14 @@ def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterato
 
 def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Look, rows: int) -> list[str]:
     """Format what fits into so many rows. If not everything fits, robots with problems come first."""
-    told = list(lines(robots, pools, look))
-    if len(told) <= rows:
-        return told
+    shown = list(lines(robots, pools, look))
+    if len(shown) <= rows:
+        return shown
     ordered = sorted(robots, key=lambda robot: robot.is_well)
     head = [*wrapped(summary(robots), look.columns, indent=0, hanging=2), ""]
-    told = [*head, *_body(ordered, pools, look)]
-    hidden = len(told) - (rows - 1)
-    return [*told[: rows - 1], f"… {counted(hidden, 'more line')}: enlarge the window, or name robots"]
+    shown = [*head, *_body(ordered, pools, look)]
+    hidden = len(shown) - (rows - 1)
+    return [*shown[: rows - 1], f"… {counted(hidden, 'more line')}: enlarge the window, or name robots"]
 
 
 def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
@@ -65,7 +65,7 @@ def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterato
 
 def in_a_line(robot: Robot) -> str:
     """Format one robot with all of its problems as one line."""
-    told = [
+    parts = [
         f"{robot.namespace}/{robot.name}",
         robot.health,
         "protected" if robot.protected else "NOT PROTECTED",
@@ -73,9 +73,9 @@ def in_a_line(robot: Robot) -> str:
         f"standby {robot.standby}",
     ]
     if robot.last_recovery is not None:
-        told.append(f"last recovery #{robot.last_recovery.number} {_how(robot.last_recovery)}")
-    told += [f"{problem.about} ({problem.reason}): {problem.message}" for problem in robot.problems]
-    return plain("; ".join(told))
+        parts.append(f"last recovery #{robot.last_recovery.number} {_how(robot.last_recovery)}")
+    parts += [f"{problem.about} ({problem.reason}): {problem.message}" for problem in robot.problems]
+    return plain("; ".join(parts))
 
 
 def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
@@ -92,9 +92,9 @@ def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
                 for name, row in zip(["NAMESPACE", *(r.namespace for r in robots)], rows, strict=True)
             ]
         if look.wide or look.columns is None or text_tables.width(rows) <= look.columns:
-            head, *told = text_tables.format_table(rows, colours=look.colours)
+            head, *body = text_tables.format_table(rows, colours=look.colours)
             yield head
-            for robot, line in zip(robots, told, strict=True):
+            for robot, line in zip(robots, body, strict=True):
                 yield line
                 yield from _problem_lines(robot.problems, look)
             return
@@ -106,13 +106,13 @@ def _stacked(robot: Robot, look: Look) -> Iterator[str]:
     """Format a robot for a narrow terminal."""
     name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
     yield f"{plain(name)}  {_health(robot, look).format(0, colours=look.colours).rstrip()}"
-    told = [
+    parts = [
         "protected" if robot.protected else "NOT PROTECTED",
         f"active {_active(robot, in_short=True)}",
         f"standby {robot.standby}",
         f"last recovery {_last(robot, look.now, _time)}" if robot.last_recovery else "",
     ]
-    yield from wrapped(listed(told), look.columns, indent=2)
+    yield from wrapped(listed(parts), look.columns, indent=2)
     yield from _problem_lines(robot.problems, look)
 
 
@@ -120,14 +120,14 @@ def _problem_lines(problems: Sequence[Problem], look: Look) -> Iterator[str]:
     for problem in problems:
         since = f", {age(problem.since, look.now)}" if problem.since else ""
         head = f"{problem.about} ({problem.reason}{since}):"
-        told = wrapped(f"{head} {problem.message}", look.columns, indent=2, hanging=4)
-        if look.columns is not None and len(told) > MOST_LINES:
-            last = f"{told[MOST_LINES - 1]} "[: look.columns - 2]
-            told = [*told[: MOST_LINES - 1], f"{last.rpartition(' ')[0]} …"]
+        shown = wrapped(f"{head} {problem.message}", look.columns, indent=2, hanging=4)
+        if look.columns is not None and len(shown) > MOST_LINES:
+            last = f"{shown[MOST_LINES - 1]} "[: look.columns - 2]
+            shown = [*shown[: MOST_LINES - 1], f"{last.rpartition(' ')[0]} …"]
         state = "Degraded" if problem.type == "Degraded" else "Failed"
         yield from (
             line.replace(head, coloured(head, state, colours=look.colours), 1) if index == 0 else line
-            for index, line in enumerate(told)
+            for index, line in enumerate(shown)
         )
 
 
@@ -146,12 +146,12 @@ def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[
             for name, pool in zip(names, pools, strict=True)
         ),
     ]
-    head, *told = text_tables.format_table(rows, colours=look.colours)
+    head, *body = text_tables.format_table(rows, colours=look.colours)
     if look.columns is not None and text_tables.width(rows) > look.columns:
-        told = [f"pool {name}: {pool.ready} of {pool.desired} ready" for name, pool in zip(names, pools, strict=True)]
+        body = [f"pool {name}: {pool.ready} of {pool.desired} ready" for name, pool in zip(names, pools, strict=True)]
     else:
         yield head
-    for pool, line in zip(pools, told, strict=True):
+    for pool, line in zip(pools, body, strict=True):
         yield line
         yield from _problem_lines([problem for problem in pool.problems if not is_reported(problem, known)], look)
 

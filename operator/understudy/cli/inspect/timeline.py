@@ -35,11 +35,11 @@ def main(arguments: list[str]) -> int:
         return ERROR
     found, count = status.recoveries or [], status.recovery_count or 0
     if given.output != "text":
-        told = {"recoveryCount": count, "recoveries": [recovery.to_wire() for recovery in found]}
+        document = {"recoveryCount": count, "recoveries": [recovery.to_wire() for recovery in found]}
         metadata = {key: item["metadata"][key] for key in ("namespace", "name")}
-        print(structured({**metadata, **told}, given.output))
+        print(structured({**metadata, **document}, given.output))
         return SUCCESS
-    told_lines = recovery_text.lines(
+    text_lines = recovery_text.lines(
         f"{item['metadata']['namespace']}/{item['metadata']['name']}",
         count,
         found,
@@ -48,7 +48,7 @@ def main(arguments: list[str]) -> int:
         columns=terminal.columns(sys.stdout),
         colours=terminal.colours(sys.stdout),
     )
-    print("\n".join(told_lines))
+    print("\n".join(text_lines))
     return SUCCESS
 
 

@@ -45,8 +45,8 @@ class Finding:
     def __str__(self) -> str:
         where = f"{self.file}:{self.place.line}:{self.place.column}"
         message = self.message if len(self.message) <= LONGEST else f"{self.message[:LONGEST]}…"
-        told = ": ".join(part for part in (where, self.severity, self.subject, self.field, message) if part)
-        return "".join(_shown(character) for character in told)
+        text = ": ".join(part for part in (where, self.severity, self.subject, self.field, message) if part)
+        return "".join(_shown(character) for character in text)
 
 
 def _shown(character: str) -> str:

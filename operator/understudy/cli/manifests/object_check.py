@@ -221,18 +221,18 @@ def _operator_rules(kind: Kind, spec: Mapping[str, Any]) -> Iterator[Problem]:
             path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in one["loc"])
             yield Problem(f"spec{path}", one["msg"])
         return
-    told: list[str | None] = []
+    messages: list[str | None] = []
     if isinstance(parsed, RobotWorkloadSpec):
         if parsed.template is not None:
-            told.append(
+            messages.append(
                 instance_pod.problem(
                     parsed.template, held=False, path="spec.template", gate=registry.KINDS[parsed.gate.kind]
                 )
             )
-        told.append(reflex_validation.problem(parsed, parsed.template or {}))
+        messages.append(reflex_validation.problem(parsed, parsed.template or {}))
     elif isinstance(parsed, FallbackPoolSpec) and parsed.template is not None:
-        told.append(instance_pod.problem(parsed.template, held=True, path="spec.template"))
-    for words in told:
+        messages.append(instance_pod.problem(parsed.template, held=True, path="spec.template"))
+    for words in messages:
         if words is not None:  # begins with the field
             field, _, message = words.partition(" ")
             yield Problem(field.rstrip(":"), message)

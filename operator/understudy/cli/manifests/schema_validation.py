@@ -166,8 +166,8 @@ def _known(name: str, missing: list[str], properties: Mapping[str, Schema]) -> s
 
 def _how_to_add(name: str, schema: Schema) -> str:
     choices = [json.dumps(choice) for choice in schema.get("enum", ())]
-    told = schema.get("description", "").rstrip(".") or f"one of {', '.join(choices)}"
-    return f", and required; add {name} ({told})"
+    description = schema.get("description", "").rstrip(".") or f"one of {', '.join(choices)}"
+    return f", and required; add {name} ({description})"
 
 
 def _rules(value: Any, schema: Schema, path: str) -> Iterator[Problem]:

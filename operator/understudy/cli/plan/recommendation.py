@@ -89,9 +89,9 @@ def _recommended(
     wanted = workload.data["spec"]["failurePolicyRef"]["name"]
     given = {one.name: one for one in near if one.kind == "FailurePolicy"}
     if wanted not in given:
-        told = f" ({hint(wanted, given)})" if given else ""
+        suggestion = f" ({hint(wanted, given)})" if given else ""
         raise CommandError(
-            f"RobotWorkload {workload.name}: its FailurePolicy {wanted} is not in the files{told}; give its file too"
+            f"RobotWorkload {workload.name}: its FailurePolicy {wanted} is not in the files{suggestion}; give its file too"
         )
     policy = given[wanted]
     stated = FailurePolicySpec.model_validate(policy.data["spec"]).requirements

@@ -122,13 +122,13 @@ def _write(path: Path, text: str) -> None:
 
 def _summary(found: Findings, given: argparse.Namespace) -> str:
     entries, lost = found.entries, len(found.incomplete)
-    told = (
+    text = (
         f"{given.output}: {counted(len(found.robot_periods), 'robot')}, {counted(len(entries), 'recovery', 'recoveries')} from "
         f"{clock(found.period.begin)} to {clock(found.period.end)}"
     )
     if lost:
-        told += f"; the data on {counted(lost, 'robot')} is incomplete, because a status records only the last ten recoveries"
-    return told
+        text += f"; the data on {counted(lost, 'robot')} is incomplete, because a status records only the last ten recoveries"
+    return text
 
 
 def _parser() -> argparse.ArgumentParser:

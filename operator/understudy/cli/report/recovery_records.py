@@ -93,8 +93,8 @@ class Entry:
     @property
     def down(self) -> float:
         """Seconds from the last healthy output until an understudy could reach the robot; for a failed recovery, as far as recorded."""
-        told = self.recovery.recovery_seconds
-        return (told if told is not None else sum(parts_of(self.recovery).values())) + self.held
+        duration = self.recovery.recovery_seconds
+        return (duration if duration is not None else sum(parts_of(self.recovery).values())) + self.held
 
     @property
     def gap(self) -> float | None:
@@ -280,19 +280,19 @@ def robot_period(item: Mapping[str, Any], period: Span) -> RobotPeriod:
 def _outages(records: Sequence[Entry], status: RobotWorkloadStatus, end: float) -> Iterator[Outage]:
     """Yield the outages of the records, newest first, and of the failure that continues at ``end``."""
     for index, entry in enumerate(records):
-        told = Span(entry.began, entry.began + entry.down)
+        outage = Span(entry.began, entry.began + entry.down)
         if (
             not entry.failed or entry.recovery.switchover is not None
         ):  # after a failed switchover the former instance keeps control
-            yield Outage(told)
+            yield Outage(outage)
         elif index:  # the next record continues it
-            yield Outage(told, at_least=records[index - 1].began > told.end)
+            yield Outage(outage, at_least=records[index - 1].began > outage.end)
         elif status.failing_since is not None:
-            yield Outage(told)
+            yield Outage(outage)
         else:
             healthy = _healthy_since(status)
             over = healthy is not None and healthy >= entry.began
-            yield Outage(Span(entry.began, healthy) if over and healthy is not None else told, at_least=not over)
+            yield Outage(Span(entry.began, healthy) if over and healthy is not None else outage, at_least=not over)
     if status.failing_since is not None and (since := unix(status.failing_since)) < end:
         yield Outage(Span(since, end))
 

@@ -35,13 +35,13 @@ def known(findings: Findings) -> Iterator[Markup]:
         yield element("p", "These robots have had no recovery since they were created.", class_="card")
         return
     had = counted(ever, "recovery", "recoveries")
-    told = (
+    text = (
         f"A RobotWorkload keeps the records of its last ten recoveries. Of all {had} of these robots, {kept} "
         f"{'is' if kept == 1 else 'are'} recorded; {len(findings.entries)} of those began in this period."
     )
     if not findings.incomplete:
         why = " No record of this period is missing." if ever > kept else ""
-        yield element("section", element("p", told + why), class_="card")
+        yield element("section", element("p", text + why), class_="card")
         return
     lost = [element("li", _lost(robot_period, findings)) for robot_period in findings.incomplete]
     yield element(
@@ -49,7 +49,7 @@ def known(findings: Findings) -> Iterator[Markup]:
         element(
             "p",
             element("strong", "The data on this period is incomplete. "),
-            told,
+            text,
             " Older records of these robots were replaced by newer ones, so recoveries of this period may be missing:",
         ),
         element("ul", *lost),
@@ -125,9 +125,9 @@ def robots(findings: Findings) -> Iterator[Markup]:
     )
     for robot_period in findings.robot_periods:
         if robot_period.robot.problems:
-            told = [element("li", f"{p.about} ({p.reason}): {p.message}") for p in robot_period.robot.problems]
+            items = [element("li", f"{p.about} ({p.reason}): {p.message}") for p in robot_period.robot.problems]
             name = findings.named(robot_period.robot)
-            yield element("section", element("h3", f"{name} now"), element("ul", *told), class_="card warn")
+            yield element("section", element("h3", f"{name} now"), element("ul", *items), class_="card warn")
     yield element(
         "details",
         element("summary", "How downtime and availability are computed"),
@@ -307,7 +307,7 @@ def recoveries(findings: Findings) -> Iterator[Markup]:
         yield element("p", f"No recovery that began in this period is recorded.{before}", class_="card")
         return
     results = Counter(entry.recovery.result.lower() for entry in findings.entries)
-    told = listed(f"{count} {result}" for result, count in sorted(results.items()))
+    counts = listed(f"{count} {result}" for result, count in sorted(results.items()))
     head = (
         "Robot",
         "#",
@@ -322,7 +322,7 @@ def recoveries(findings: Findings) -> Iterator[Markup]:
         "Reason",
     )
     yield html_tables.table(
-        f"Recoveries that began in the period, newest first: {told}",
+        f"Recoveries that began in the period, newest first: {counts}",
         head,
         [_recovery(entry, findings) for entry in findings.entries],
         sortable=True,

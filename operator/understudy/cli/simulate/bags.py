@@ -107,9 +107,9 @@ class Bag:
             reader = Reader(path)
             reader.open()
         except Exception as error:  # the errors for a file that is not a bag are not documented
-            told = str(error) or type(error).__name__
-            remedy = next((text for found, text in _REMEDIES.items() if found in told), _FORMS)
-            raise CommandError(f"{path}: this cannot be read as a bag: {told.rstrip('.')}; {remedy}") from error
+            reason = str(error) or type(error).__name__
+            remedy = next((text for found, text in _REMEDIES.items() if found in reason), _FORMS)
+            raise CommandError(f"{path}: this cannot be read as a bag: {reason.rstrip('.')}; {remedy}") from error
         if not reader.message_count:
             reader.close()
             raise CommandError(f"{path}: the bag contains no message; give another bag")
@@ -135,7 +135,7 @@ class Bag:
                 latest = max(latest, stamp * _NS)
                 yield Taken(connection.topic, latest, data)
         except Exception as error:
-            told = str(error) or type(error).__name__
+            reason = str(error) or type(error).__name__
             raise CommandError(
-                f"{self.path}: the bag is damaged: {told}; record it again, or repair an MCAP file with `mcap recover`"
+                f"{self.path}: the bag is damaged: {reason}; record it again, or repair an MCAP file with `mcap recover`"
             ) from error

@@ -7,5 +7,5 @@ from datetime import UTC, datetime
 
 def wall(moment: float, *, zone: bool = True) -> str:
     """Format a time (unix seconds) in UTC with milliseconds."""
-    told = datetime.fromtimestamp(round(moment, 3), UTC).isoformat(sep="T" if zone else " ", timespec="milliseconds")
-    return told.replace("+00:00", "Z" if zone else "")
+    text = datetime.fromtimestamp(round(moment, 3), UTC).isoformat(sep="T" if zone else " ", timespec="milliseconds")
+    return text.replace("+00:00", "Z" if zone else "")

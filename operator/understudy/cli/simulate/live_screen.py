@@ -36,7 +36,7 @@ class Lines:
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
-        self._told: dict[str, int] = {}
+        self._shown: dict[str, int] = {}
         self._notes: set[str] = set()
         self._detected = 0
 
@@ -47,10 +47,10 @@ class Lines:
                 self._line(now, note)
         self._notes = set(notes)
         for path, spans in sorted(evaluation.spans.items()):
-            for span in spans[self._told.get(path, 0) :]:
+            for span in spans[self._shown.get(path, 0) :]:
                 why = f": {span.reason}" if span.reason else ""
                 self._line(span.begun, f"{path or 'the tree'} is {WORDS[span.state]}{why}")
-            self._told[path] = len(spans)
+            self._shown[path] = len(spans)
         for failure in evaluation.detections[self._detected :]:
             self._line(failure.detected or now, f"DETECTED {failure.leaf}: {failure.reason}")
         self._detected = len(evaluation.detections)

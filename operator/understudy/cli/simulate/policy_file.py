@@ -54,8 +54,8 @@ class Policy:
         try:
             return load_monitoring(self.spec.monitoring, fields=fields)
         except TreeError as error:
-            told = (str(self.manifest.finding(problem.path, problem.message)) for problem in error.problems)
-            raise CommandError("the policy's health tree is invalid\n" + "\n".join(told)) from error
+            problems = (str(self.manifest.finding(problem.path, problem.message)) for problem in error.problems)
+            raise CommandError("the policy's health tree is invalid\n" + "\n".join(problems)) from error
 
 
 def read(file: str, name: str | None = None, grace: str | None = None) -> Policy:

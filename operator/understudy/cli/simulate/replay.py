@@ -51,8 +51,8 @@ def replay(tree: HealthTree, debounce: float, bag: Bag) -> Replay:
     """Evaluate a bag with a policy's tree and its debounce (seconds). Raises CommandError."""
     left_out = _leave_out(tree, bag)
     if tree.root is None:
-        told = "\n".join(f"{', '.join(one.leaves)}: {one.why}" for one in left_out)
-        raise CommandError(f"{bag.path}: this bag contains nothing that the policy's tree can evaluate\n{told}")
+        reasons = "\n".join(f"{', '.join(one.leaves)}: {one.why}" for one in left_out)
+        raise CommandError(f"{bag.path}: this bag contains nothing that the policy's tree can evaluate\n{reasons}")
     # Topics that only skipped leaves need are not read.
     out = {path for one in left_out for path in one.leaves}
     heard = [topic for topic in tree.topics if topic.heard and topic.name in bag.topics]

@@ -50,12 +50,12 @@ def _simulated(given: argparse.Namespace) -> tuple[str, bool]:
             raise CommandError(f"--onset: {error}") from error
         found = replay(policy.tree(bag.definitions.fields), policy.debounce, bag)
         report = Report(policy, bag, found, times)
-        told = report.text() if given.output == "text" else structured(report.data(), given.output)
+        written = report.text() if given.output == "text" else structured(report.data(), given.output)
         if given.plot is not None:
             from understudy.cli.simulate import plots
 
             plots.draw(given.plot, f"Policy {policy.name} over {Path(bag.path).name}", found, bag.start, bag.end, times)
-        return told, bool(found.evaluation.detections)
+        return written, bool(found.evaluation.detections)
 
 
 def _parser() -> argparse.ArgumentParser:

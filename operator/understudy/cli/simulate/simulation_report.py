@@ -87,8 +87,8 @@ class Report:
                     f"{one.leaf}: {one.reason}"
                 )
         for onset in onsets:
-            told = f"detected {_length(onset.delay)} later" if onset.delay is not None else "NOT DETECTED"
-            yield f"Onset at {self._at(onset.at)}: {told}"
+            result = f"detected {_length(onset.delay)} later" if onset.delay is not None else "NOT DETECTED"
+            yield f"Onset at {self._at(onset.at)}: {result}"
         if onsets:
             yield from (f"Detected at {self._at(one.detected)}: matches no given onset" for one in others)
         yield ""

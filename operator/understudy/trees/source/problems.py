@@ -10,7 +10,7 @@ from dataclasses import dataclass
 MOST_LISTED = 10
 """Most problems of one tree that are listed if there is no room for all of them."""
 
-_LONGEST_TOLD = 1000
+_LONGEST_SHOWN = 1000
 _LONGEST_WORD = 64
 _MOST_WORDS = 50
 # The time to compare words grows with the square of their length, and the tree's author chooses many of them.
@@ -38,7 +38,7 @@ class TreeError(ValueError):
 
     def in_short(self) -> str:
         """Return the first problems, short enough for a condition that may contain other texts."""
-        messages = [f"{problem!s:.{_LONGEST_TOLD}}" for problem in self.problems]
+        messages = [f"{problem!s:.{_LONGEST_SHOWN}}" for problem in self.problems]
         more = f"; and {len(messages) - MOST_LISTED} more" if len(messages) > MOST_LISTED else ""
         return "; ".join(messages[:MOST_LISTED]) + more
 

@@ -134,11 +134,11 @@ def _control(recovery: Recovery) -> str:
     if recovery.result != "Recovered":
         return ""
     pods, moments = short([recovery.from_pod, recovery.to_pod]), recovery.moments
-    told = f"{pods[recovery.from_pod] or 'none'} → {pods[recovery.to_pod] or 'none'}, gate epoch {recovery.epoch}"
+    text = f"{pods[recovery.from_pod] or 'none'} → {pods[recovery.to_pod] or 'none'}, gate epoch {recovery.epoch}"
     if moments.first_output is None or moments.routed is None:
-        return told
+        return text
     after = unix(moments.first_output) - unix(moments.routed)
-    return f"{told}, first command {length(abs(after))} {'after' if after >= 0 else 'before'} the switch was confirmed"
+    return f"{text}, first command {length(abs(after))} {'after' if after >= 0 else 'before'} the switch was confirmed"
 
 
 def _state(recovery: Recovery) -> Iterator[str]:

@@ -46,9 +46,9 @@ def screen(out: TextIO) -> Iterator[None]:
             out.flush()
 
 
-def draw(out: TextIO, told: Sequence[str]) -> None:
+def draw(out: TextIO, screen: Sequence[str]) -> None:
     """Write as many of these lines as fit. A line that fills its row loses its last character."""
     # DECAWM is off meanwhile, so that the terminal cuts long lines.
-    body = "".join(f"{line}\x1b[K\r\n" for line in told[: rows()])
+    body = "".join(f"{line}\x1b[K\r\n" for line in screen[: rows()])
     out.write(f"\x1b[?7l\x1b[H{body}\x1b[J\x1b[?7h\r\nPress Ctrl-C to exit. This view is read-only.\x1b[K")
     out.flush()

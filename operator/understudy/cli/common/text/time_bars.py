@@ -62,5 +62,5 @@ def stacked(parts: Mapping[str, float], scale: float) -> str:
 def short(pods: Sequence[str]) -> dict[str, str]:
     """Shorten pod names to their suffixes, such as ``…-7k2xq``; keep them whole if the suffixes are not distinct."""
     endings = {pod: pod.rpartition("-")[2] for pod in pods}
-    told = len(set(endings.values())) == len(endings) and all(len(ending) >= 5 for ending in endings.values())
-    return {pod: f"…-{ending}" if told and ending != pod else pod for pod, ending in endings.items()}
+    distinct = len(set(endings.values())) == len(endings) and all(len(ending) >= 5 for ending in endings.values())
+    return {pod: f"…-{ending}" if distinct and ending != pod else pod for pod, ending in endings.items()}

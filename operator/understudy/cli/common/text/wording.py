@@ -19,12 +19,12 @@ def unix(moment: str) -> float:
 def age(moment: str, now: float) -> str:
     """Return how long ago a time was, in its two largest units as kubectl writes it: 12s, 4m12s, 2d3h."""
     left = max(0, int(now - unix(moment)))
-    told: list[str] = []
+    parts: list[str] = []
     for size, unit in _UNITS:
         count, left = divmod(left, size)
-        if count or told:
-            told.append(f"{count}{unit}" if count else "")
-    return "".join(told[:2]) or "0s"
+        if count or parts:
+            parts.append(f"{count}{unit}" if count else "")
+    return "".join(parts[:2]) or "0s"
 
 
 def clock(moment: str | float) -> str:

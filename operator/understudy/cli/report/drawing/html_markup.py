@@ -21,13 +21,13 @@ def element(tag: str, *children: str | None, **attributes: str | float | None) -
 
     In names of attributes, a trailing underscore is dropped (``class_``), and others become dashes.
     """
-    told = "".join(
+    written = "".join(
         f' {name.rstrip("_").replace("_", "-")}="{_escaped(_figure(value))}"'
         for name, value in attributes.items()
         if value is not None
     )
     inside = joined(*children)
-    return Markup(f"<{tag}{told}>" if tag in _VOID else f"<{tag}{told}>{inside}</{tag}>")
+    return Markup(f"<{tag}{written}>" if tag in _VOID else f"<{tag}{written}>{inside}</{tag}>")
 
 
 def joined(*children: str | None) -> Markup:
