@@ -1,10 +1,10 @@
-"""An API server in memory, with the functions that leader election, events and writes of single objects need."""
+"""An API server in memory: single objects, lists and watches."""
 
 from __future__ import annotations
 
+import asyncio
 import copy
-import itertools
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
 from tests.support.answers import json_patched
@@ -12,18 +12,38 @@ from understudy.kube.client import ApiError, Client, Object, Resource
 
 
 class MemoryClient(Client):
-    """A client whose server is a dictionary: versions, conflicts, merge patches."""
+    """A client whose server is a dictionary: versions, conflicts, merge patches, watches."""
 
     def __init__(self) -> None:
         self.items: dict[tuple[str, str, str], Object] = {}
         self.requests: list[tuple[str, str, Any]] = []
         self.failing: Callable[[str, str], Exception | None] = lambda method, name: None
-        self._versions = itertools.count(1)
+        self._version = 0
+        self._log: list[tuple[int, str, tuple[str, str, str], Object]] = []
+        """Every change: its version, the type of its event, the object's place and the object then."""
+        self._logged = asyncio.Event()
+
+    def _next_version(self) -> str:
+        self._version += 1
+        return str(self._version)
+
+    def _changed(self, place: tuple[str, str, str], event: str = "MODIFIED") -> None:
+        self._log.append((self._version, event, place, copy.deepcopy(self.items[place])))
+        self._logged.set()
+        self._logged = asyncio.Event()
 
     def _note(self, method: str, name: str, body: Any = None) -> None:
         self.requests.append((method, name, body))
         if error := self.failing(method, name):
             raise error
+
+    def store(self, resource: Resource, namespace: str, item: Object) -> Object:
+        """Have an object as others wrote it, at the next version. Returns it as a watch reports it."""
+        name, version = item["metadata"]["name"], self._next_version()
+        metadata = {"uid": f"uid-{version}", **item["metadata"], "namespace": namespace, "resourceVersion": version}
+        self.items[resource.plural, namespace, name] = stored = copy.deepcopy({**item, "metadata": metadata})
+        self._changed((resource.plural, namespace, name))
+        return copy.deepcopy(stored)
 
     async def get(self, resource: Resource, namespace: str | None, name: str) -> Object:
         self._note("GET", name)
@@ -39,9 +59,10 @@ class MemoryClient(Client):
         if place in self.items:
             raise ApiError(409, "AlreadyExists", f"{name} exists")
         made = copy.deepcopy(body)
-        version = str(next(self._versions))
+        version = self._next_version()
         made["metadata"] |= {"resourceVersion": version, "uid": f"uid-{version}", "namespace": namespace}
         self.items[place] = made
+        self._changed(place, "ADDED")
         return copy.deepcopy(made)
 
     async def patch(
@@ -66,17 +87,78 @@ class MemoryClient(Client):
             if key in metadata and metadata[key] != found["metadata"][key]:
                 raise ApiError(409, "Conflict", f"{name} has changed")
         merge(found, body)
-        found["metadata"]["resourceVersion"] = str(next(self._versions))
+        found["metadata"]["resourceVersion"] = self._next_version()
+        self._changed(place)
         return copy.deepcopy(found)
 
     def _patched(self, place: tuple[str, str, str], operations: list[Object]) -> Object:
         self.items[place] = found = json_patched(self.items[place], operations)
-        found["metadata"]["resourceVersion"] = str(next(self._versions))
+        found["metadata"]["resourceVersion"] = self._next_version()
+        self._changed(place)
         return copy.deepcopy(found)
 
     async def delete(self, resource: Resource, namespace: str | None, name: str, **_: Any) -> None:
         self._note("DELETE", name)
-        self.items.pop((resource.plural, namespace or "", name), None)
+        place = (resource.plural, namespace or "", name)
+        if place in self.items:
+            self.items[place]["metadata"]["resourceVersion"] = self._next_version()
+            self._changed(place, "DELETED")
+            del self.items[place]
+
+    async def list(
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        labels: str | None = None,
+        fields: str | None = None,
+        cached: bool = False,
+    ) -> Object:
+        self._note("LIST", resource.plural)
+        found = [
+            item for place, item in self.items.items() if _selected(place, item, resource, namespace, labels, fields)
+        ]
+        return {"metadata": {"resourceVersion": str(self._version)}, "items": copy.deepcopy(found)}
+
+    async def watch(
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        version: str,
+        labels: str | None = None,
+        fields: str | None = None,
+        lifetime: int | None = None,
+        silence: float | None = None,
+    ) -> AsyncIterator[tuple[str, Object]]:
+        told = 0
+        while True:
+            while told < len(self._log):
+                at, event, place, item = self._log[told]
+                told += 1
+                if at > int(version) and _selected(place, item, resource, namespace, labels, fields):
+                    yield event, copy.deepcopy(item)
+            await self._logged.wait()
+
+
+def _selected(
+    place: tuple[str, str, str],
+    item: Object,
+    resource: Resource,
+    namespace: str | None,
+    labels: str | None,
+    fields: str | None,
+) -> bool:
+    """Whether an object is in a collection: by one name, or by labels and their values."""
+    if place[:2] != (resource.plural, namespace or ""):
+        return False
+    if fields is not None and fields != f"metadata.name={place[2]}":
+        return False
+    present = item["metadata"].get("labels") or {}
+    return all(
+        present.get(key) == value if equal else key in present
+        for key, equal, value in (term.partition("=") for term in (labels or "").split(",") if term)
+    )
 
 
 def merge(target: Object, patch: Object) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Mapping
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
@@ -13,6 +12,7 @@ from understudy.failover.interfaces import Instance
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates.base import Proof
 from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.instances.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -27,6 +27,11 @@ class Packets(Proof):
     def last(self, uid: str) -> float | None:
         return self._last.get(uid)
 
+    async def wait(self, uid: str, after: float) -> float:
+        while (last := self._last.get(uid, 0.0)) < after:
+            await asyncio.sleep(0.005)
+        return last
+
 
 async def gate(client: MemoryClient, found: ClusterView, tmp_path: Path, active: Instance | None = None) -> GateControl:
     """One at epoch 4, which says that it is open for a pod where one is given."""
@@ -39,9 +44,6 @@ async def gate(client: MemoryClient, found: ClusterView, tmp_path: Path, active:
     }
     found.gates.put(await client.create(NETWORK_POLICIES, "fleet", body))
 
-    async def label(instance: Instance) -> None:
-        return
-
-    fleet: Any = SimpleNamespace(label=label)
-    nobody: Any = None
-    return GateControl(client, found, fleet, nobody, CrashPoints(tmp_path), Notices())
+    crash_points, notices = CrashPoints(tmp_path), Notices()
+    pods = PodControl(client, found, crash_points, notices)
+    return GateControl(client, found, pods, Packets({}), crash_points, notices)

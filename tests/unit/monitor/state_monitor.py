@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -84,3 +85,13 @@ class Monitor:
             if samples
             else None
         )
+
+
+@contextlib.contextmanager
+def next_monitor(folder: Path) -> Iterator[Monitor]:
+    """The monitor in the next container, with a node of its own."""
+    graph = Graph("later")
+    try:
+        yield Monitor(graph, folder)
+    finally:
+        graph.close()

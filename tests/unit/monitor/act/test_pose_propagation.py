@@ -18,7 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 
 from tests.unit.dds import keep_to_itself
-from tests.unit.monitor.state_monitor import POSE, STANDBY, Monitor
+from tests.unit.monitor.state_monitor import POSE, STANDBY, Monitor, next_monitor
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import RestoredState, State
 from understudy.api.protocol.kept_state import Motion
@@ -49,19 +49,30 @@ class Robot:
     """A robot that drives at 1 m/s along x, as the clock says; map and odometry are the same."""
 
     def __init__(self, graph: Graph) -> None:
-        self._graph = graph
-        self._begun = time.time()
-        self._publishers: dict[type, Any] = {Odometry: None}
+        self._node = graph.node
+        self.begun = time.time()
+        """When it was at 0."""
+        self._publishers: dict[type, Any] = {}
         self.begin_anew()
-        self._publishers[PoseWithCovarianceStamped] = graph.node.create_publisher(
-            PoseWithCovarianceStamped, "/amcl_pose", 1
-        )
+        self.publish_poses(QoSProfile(depth=1))
 
     def begin_anew(self) -> None:
-        """Its odometry is published by another publisher, from 0."""
-        if self._publishers[Odometry] is not None:
-            self._graph.node.destroy_publisher(self._publishers[Odometry])
-        self._publishers[Odometry] = self._graph.node.create_publisher(Odometry, "/odom", 10)
+        """Have another publisher publish its odometry, from 0."""
+        self.begun = time.time()
+        self._publish(Odometry, "/odom", QoSProfile(depth=10))
+
+    def publish_poses(self, qos: QoSProfile) -> None:
+        """Have another publisher publish its poses."""
+        self._publish(PoseWithCovarianceStamped, "/amcl_pose", qos)
+
+    def _publish(self, type_: type, topic: str, qos: QoSProfile) -> None:
+        if (before := self._publishers.get(type_)) is not None:
+            self._node.destroy_publisher(before)
+        self._publishers[type_] = self._node.create_publisher(type_, topic, qos)
+
+    def heard(self, type_: type) -> bool:
+        """Whether somebody receives its messages of a type."""
+        return self._publishers[type_].get_subscription_count() > 0
 
     def say(self, *types: type) -> None:
         """Say where it is, in messages of these types."""
@@ -69,7 +80,7 @@ class Robot:
         for type_ in types or (Odometry, PoseWithCovarianceStamped):
             message = type_()
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(now, 1_000_000_000)
-            message.pose.pose.position.x = now * 1e-9 - self._begun
+            message.pose.pose.position.x = now * 1e-9 - self.begun
             message.pose.pose.orientation.w = 1.0
             self._publishers[type_].publish(message)
 
@@ -108,30 +119,26 @@ async def test_a_pose_is_kept_with_where_odometry_was_then(monitor: Monitor, rob
     assert found is not None
     kept = deserialize_message(sample.data, PoseWithCovarianceStamped).pose.pose.position.x
     assert found.then.x == pytest.approx(kept, abs=0.02), "where odometry had it when the pose was so"
-    assert robot._begun + kept <= onset - 0.1, "from before the margin"
+    assert robot.begun + kept <= onset - 0.1, "from before the margin"
     assert found.last.x - found.then.x >= 0.9, "it has driven on since"
     assert found.driven == pytest.approx(found.last.x - found.then.x, abs=0.05)
     assert (found.missing, len(found.writer)) == ("", 16)
 
 
-async def test_a_pose_from_before_it_is_healthy_is_carried_once_it_is(
-    monitor: Monitor, robot: Robot, graph: Graph
-) -> None:
+async def test_a_pose_from_before_it_is_healthy_is_carried_once_it_is(monitor: Monitor, robot: Robot) -> None:
     """Said once, and held for late joiners: it counts from when the health tree first holds."""
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    robot._graph.node.destroy_publisher(robot._publishers[PoseWithCovarianceStamped])
-    robot._publishers[PoseWithCovarianceStamped] = graph.node.create_publisher(
-        PoseWithCovarianceStamped, "/amcl_pose", latched
-    )
+    robot.publish_poses(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     monitor.health = "Starting"
-    carrier = monitor.keeping._carrier
-    await monitor.until(
-        lambda: "/odom" in carrier._odometry and carrier._odometry["/odom"].track.last, each=lambda: robot.say(Odometry)
-    )
+
+    async def drive(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        await monitor.until(lambda: time.monotonic() > end, each=lambda: robot.say(Odometry))
+
+    await monitor.until(lambda: robot.heard(Odometry) and robot.heard(PoseWithCovarianceStamped))
+    await drive(0.5)
     robot.say()
-    await monitor.until(lambda: carrier._poses["/amcl_pose"].moments, each=lambda: robot.say(Odometry))
-    end = time.monotonic() + 3.0  # several times over what is not needed any more is forgotten
-    await monitor.until(lambda: time.monotonic() > end, each=lambda: robot.say(Odometry))
+    await drive(4.0)  # several times over what is not needed any more is forgotten
+    assert motion(monitor) is None, "nothing was healthy yet"
     monitor.health = "Healthy"
     await monitor.until(lambda: carried(monitor), each=lambda: robot.say(Odometry))
 
@@ -143,12 +150,14 @@ async def test_odometry_is_watched_during_a_recovery(monitor: Monitor, robot: Ro
     assert before is not None
     async with monitor.keeping.recovering():
         end = time.monotonic() + 20
-        while monitor.keeping._carrier._odometry["/odom"].track.last.pose.x < before.last.x + 0.5:
-            assert time.monotonic() < end
+        while time.time() < onset + 2.5:  # nobody asks for the state meanwhile
             robot.say(Odometry)
-            await asyncio.sleep(0.05)
+            await asyncio.sleep(0.02)
+        after = motion(monitor, onset)
+        assert after is not None
+        assert after.last.x >= before.last.x + 2.0
+        assert after.blind < before.blind + 2.0, "all came of it, not only what waits in a queue at the end"
         robot.begin_anew()
-        robot._begun = time.time()
         while not (found := motion(monitor, onset)) or not found.missing:
             assert time.monotonic() < end
             robot.say(Odometry)
@@ -158,19 +167,17 @@ async def test_odometry_is_watched_during_a_recovery(monitor: Monitor, robot: Ro
     )
 
 
-async def test_it_outlasts_the_monitor(monitor: Monitor, robot: Robot, graph: Graph, tmp_path: Path) -> None:
+async def test_it_outlasts_the_monitor(monitor: Monitor, robot: Robot, tmp_path: Path) -> None:
     await monitor.until(lambda: carried(monitor), each=robot.say)
     onset = time.time()
     wanted = motion(monitor, onset)
     assert wanted is not None
 
     def persisted() -> bool:
-        later = Monitor(graph, tmp_path)
-        later.keeping.take(STATE, {}, "w-1")
-        found = motion(later, onset)
-        later.keeping._capturing.close()
-        later.keeping._odometry.close()
-        return found is not None and found.then == wanted.then
+        with next_monitor(tmp_path) as later:
+            later.keeping.take(STATE, {}, "w-1")
+            found = motion(later, onset)
+            return found is not None and found.then == wanted.then
 
     await monitor.until(lambda: StateStore(tmp_path).load() and persisted())
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.support.notices import RecordedNotices
-from tests.unit.monitor.blank_parts import blank_parts, nothing
+from tests.support.clock import Clock
+from tests.unit.monitor.monitors import GivenMonitor
 from tests.unit.monitor.takeovers import policy, took_over
 from understudy.failover.interfaces import GateState, Superseded
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
@@ -16,7 +16,6 @@ from understudy.failover.progress import Progress
 from understudy.monitor.act import safe_commands
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.judge import failure_detection
-from understudy.monitor.loop import MonitorLoop
 from understudy.monitor.outcome import Kind, Outcome
 
 NOW = 1_000_000.0
@@ -26,22 +25,16 @@ COMMITTED = NOW - 0.3
 class World:
     """The end of a recovery that activated w-1."""
 
-    def __init__(self, **more: Any) -> None:
+    def __init__(self, folder: Path, **more: Any) -> None:
         self.policy = policy(**more)
-        view = SimpleNamespace(
-            policy=self.policy,
-            settings=SimpleNamespace(),
-            spec=None,
-            object=None,
-            retired=False,
-            workload="w",
-            namespace="n",
-        )
-        gate = SimpleNamespace(state=GateState(epoch=4, active="w-1", active_uid="uid-1"), left_by=nothing)
-        self.told = RecordedNotices()
-        supervisor = MonitorLoop(blank_parts(view=view, gate=gate, notices=self.told))
-        self.conclude, self.limits = supervisor.conclude, supervisor.decide.limits
-        self.detector, self.unattended = supervisor.judge.detector, supervisor.act.unattended
+        monitor = GivenMonitor(folder)
+        self.told, loop = monitor.notices, monitor.loop
+        monitor.objects.put_workload()
+        monitor.objects.put_policy(self.policy)
+        monitor.objects.put_settings()
+        monitor.objects.put_gate(GateState(epoch=4, active="w-1", active_uid="uid-1"))
+        self.conclude, self.limits = loop.conclude, loop.decide.limits
+        self.detector, self.unattended = loop.judge.detector, loop.act.unattended
         self.unattended.conclude(Outcome("NothingVerified", over("Failed")))
         self.detector.restart(NOW - 100)
         self.detector.counts_from(NOW - 100, self.policy.monitoring)
@@ -62,7 +55,7 @@ class World:
 @pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (safe_commands, failure_detection, retry_backoff):
-        monkeypatch.setattr(module, "time", SimpleNamespace(time=lambda: NOW))
+        monkeypatch.setattr(module, "time", Clock(NOW))
 
 
 def over(result: str) -> Progress:
@@ -73,9 +66,9 @@ def over(result: str) -> Progress:
 
 @pytest.mark.parametrize(("priority", "wait"), [("Normal", 7.0), ("Safety", 0.0)])
 def test_an_instance_that_took_over_is_watched_from_the_commit_and_the_cooldown_runs(
-    priority: str, wait: float
+    tmp_path: Path, priority: str, wait: float
 ) -> None:
-    world = World(priority=priority, limits={"cooldown": "7s"})
+    world = World(tmp_path, priority=priority, limits={"cooldown": "7s"})
     world.end("Recovered")
     assert (world.detector.since, world.waits(), world.unattended.since) == (COMMITTED, wait, None)
     assert world.detector.counts_from(NOW, world.policy.monitoring) >= NOW, "what failed before was another instance"
@@ -83,8 +76,8 @@ def test_an_instance_that_took_over_is_watched_from_the_commit_and_the_cooldown_
     assert (world.told.status.health, world.told.status.active) == ("Healthy", "w-1")
 
 
-def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later() -> None:
-    world = World()
+def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later(tmp_path: Path) -> None:
+    world = World(tmp_path)
     world.unattended.driven()
     for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST):
         world.end("NothingVerified")
@@ -93,15 +86,15 @@ def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later() 
     assert world.told.status.health == "Failed"
 
 
-def test_whoever_acts_at_a_newer_epoch_drives_and_is_watched_at_once() -> None:
-    world = World()
+def test_whoever_acts_at_a_newer_epoch_drives_and_is_watched_at_once(tmp_path: Path) -> None:
+    world = World(tmp_path)
     world.end("Superseded", error=Superseded("the gate is at epoch 9"))
     assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, 0.0, None)
     assert world.told.conditions["Recovering"][1] == "Superseded"
 
 
-def test_what_the_api_server_refused_is_tried_again_in_a_moment() -> None:
-    world = World()
+def test_what_the_api_server_refused_is_tried_again_in_a_moment(tmp_path: Path) -> None:
+    world = World(tmp_path)
     world.end("Stopped", error=OSError("no route"))
     assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, BACKOFF_FIRST, NOW)
     assert world.told.conditions["Recovering"][1] == "Error"
@@ -111,8 +104,8 @@ def test_what_the_api_server_refused_is_tried_again_in_a_moment() -> None:
     ("kind", "since", "event"),
     [("SwitchedOver", COMMITTED, "SwitchedOver"), ("NotSwitchedOver", NOW, "SwitchoverNotDone")],
 )
-def test_a_switchover_leaves_what_was_put_off_before(kind: Kind, since: float, event: str) -> None:
-    world = World()
+def test_a_switchover_leaves_what_was_put_off_before(tmp_path: Path, kind: Kind, since: float, event: str) -> None:
+    world = World(tmp_path)
     world.limits.retries.after(5.0)
     world.end(kind)
     assert (world.detector.since, world.waits(), world.unattended.since) == (since, 5.0, None)

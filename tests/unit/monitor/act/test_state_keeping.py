@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -16,32 +15,23 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from tests.unit.dds import keep_to_itself
-from tests.unit.monitor.blank_parts import blank_parts
-from tests.unit.monitor.state_monitor import ACTIVE, STANDBY, STATE, Monitor
-from understudy.api.kinds.failure_policy import FailurePolicySpec
+from tests.unit.monitor.cluster_objects import ClusterObjects, policy_of, settings_of
+from tests.unit.monitor.monitors import GivenMonitor
+from tests.unit.monitor.senses import GivenSenses
+from tests.unit.monitor.state_monitor import ACTIVE, STANDBY, STATE, Monitor, next_monitor
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import RestoredState, State
-from understudy.api.protocol.kept_state import KeptState, NotRestored
-from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
-from understudy.failover.interfaces import Instance, Superseded
-from understudy.failover.progress import Progress
+from understudy.api.protocol.kept_state import NotRestored
+from understudy.api.protocol.monitor_settings import PoolChoice
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import PodIdentity, Progress
 from understudy.monitor.act.instances import state_keeping as module
 from understudy.monitor.act.instances.standby_supervision import receivers
-from understudy.monitor.act.recovery.recovery_runner import RecoveryRunner
-from understudy.monitor.decide import strategy_options
-from understudy.monitor.loop import MonitorLoop
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state import state_capture as pure
 from understudy.state.state_store import StateStore
 
 pytestmark = pytest.mark.ros
-
-
-def policy_of(state: State) -> FailurePolicySpec:
-    health = {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
-    return FailurePolicySpec.model_validate(
-        {"monitoring": {"yaml": health}, "strategies": [{"type": "Restart"}], "state": state.to_wire()}
-    )
 
 
 @pytest.fixture
@@ -104,21 +94,19 @@ async def test_what_is_said_while_the_workload_fails_is_never_given(monitor: Mon
     assert monitor.x(onset) == monitor.x() == 1.0
 
 
-async def test_it_outlasts_the_monitor(
-    monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path
-) -> None:
+async def test_it_outlasts_the_monitor(monitor: Monitor, say: Callable[[float], None], tmp_path: Path) -> None:
     say(1.0)
     await monitor.until(lambda: monitor.x() == 1.0)
-    await monitor.until(lambda: (tmp_path / "kept").exists())
-    await monitor.until(
-        lambda: StateStore(tmp_path).load() == {k: list(v) for k, v in monitor.keeping._keeper.versions().items()}
-    )
     onset = time.time()
-    later = Monitor(graph, tmp_path)
-    later.health = "Starting"
-    later.keeping.take(STATE, {}, "w-1")
-    assert later.x(onset) == 1.0
-    assert later.keeping.select(onset) == monitor.keeping.select(onset)
+    kept = monitor.keeping.select(onset)
+
+    def outlasts() -> bool:
+        with next_monitor(tmp_path) as later:
+            later.health = "Starting"
+            later.keeping.take(STATE, {}, "w-1")
+            return later.x(onset) == 1.0 and later.keeping.select(onset) == kept
+
+    await monitor.until(outlasts)
 
 
 async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
@@ -128,20 +116,19 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and StateStore(tmp_path).load())
     onset = time.time()
     later = Monitor(graph, tmp_path)
-    view = SimpleNamespace(policy=policy_of(STATE), settings=SimpleNamespace(uid="u"), spec=None, retired=False)
-    supervisor = MonitorLoop(blank_parts(view=view, notices=later.told, keeping=later.keeping))
-    found: list[KeptState] = []
-
-    async def recovered(self: RecoveryRunner, *_: object) -> None:
-        found.append(later.keeping.select(onset))
-        raise Superseded("that is all")
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RecoveryRunner, "_recovered", recovered)
-        patch.setattr(strategy_options, "choices", lambda *_: [])
-        begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=[])
-        await supervisor.carry_out(begun)
-    assert [sample.topic for sample in found[0].samples] == ["/amcl_pose"]
+    monitored = GivenMonitor(tmp_path, notices=later.told, keeping=later.keeping)
+    monitored.objects.put_workload()
+    monitored.objects.put_policy(policy_of(state=STATE.to_wire()))
+    monitored.objects.put_settings()
+    monitored.objects.put_gate(GateState(epoch=4, active=ACTIVE.name, active_uid=ACTIVE.uid))
+    failed = [PodIdentity(name=ACTIVE.name, uid=ACTIVE.uid)]
+    begun = Progress.begin("it ended", last_healthy=onset, detected=onset, failed=failed)
+    recovering = asyncio.create_task(monitored.loop.carry_out(begun))
+    async with asyncio.timeout(25):
+        while not monitored.objects.commits:
+            await asyncio.sleep(0.01)
+    assert [sample.topic for sample in later.keeping.select(onset).samples] == ["/amcl_pose"]
+    recovering.cancel()
 
 
 async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,18 +298,9 @@ async def test_a_clock_that_is_set_changes_no_age(
     assert after.taken_at - before.taken_at == pytest.approx(step, abs=0.5)
 
 
-def test_only_ready_standbys_of_pools_that_say_so_are_kept_up() -> None:
-    settings = WorkloadSettings(
-        workload="w",
-        namespace="n",
-        uid="u",
-        source_kind="ReplicaSet",
-        source_name="w",
-        pools=[
-            PoolChoice(name="warm", readiness="Initialized", keep_up="2s"),
-            PoolChoice(name="hot", readiness="Executing"),
-        ],
-    )
+def test_only_ready_standbys_of_pools_that_say_so_are_kept_up(tmp_path: Path) -> None:
+    warm = PoolChoice(name="warm", readiness="Initialized", keep_up="2s")
+    settings = settings_of(pools=[warm, PoolChoice(name="hot", readiness="Executing")])
     of_source = Instance("w-3", "uid-3", running=True)
     others = [
         Instance("w-4", "uid-4", running=True, pool="hot"),
@@ -330,7 +308,8 @@ def test_only_ready_standbys_of_pools_that_say_so_are_kept_up() -> None:
         Instance("w-6", "uid-6", running=True, pool="warm", has_agent=False),
         Instance("w-7", "uid-7", running=True, pool="warm"),
     ]
-    agents: Any = SimpleNamespace(is_ready=lambda instance: (instance.name != "w-7", "starting"))
+    agents = GivenSenses(ClusterObjects(tmp_path)).agents
+    agents.unready["uid-7"] = "starting"
     given = receivers([ACTIVE, STANDBY, of_source, *others], settings, agents, active_uid=ACTIVE.uid)
     assert given == [(STANDBY, 2.0), (of_source, 2.0)]
     settings.pools.pop(0)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
 from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
-from understudy.failover.interfaces import Gate, Instance, Instances
+from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
 from understudy.monitor.judge.degraded_tree import Busy, Wellness
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import Seen, Situating
@@ -247,7 +247,7 @@ class HealthObserver:
         """Whether a pod's samples cannot be distinguished from those of another instance."""
         return any(pod in names for names in self._watching.sources.ambiguous)
 
-    def outputs(self, fleet: Instances, gate: Gate) -> GatedReaders:
+    def outputs(self, fleet: Instances, gate: Gate) -> Outputs:
         """The gated readers as the failover protocol sees them."""
         return GatedReaders(self, self._watching, fleet, gate)
 

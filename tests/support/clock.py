@@ -1,0 +1,29 @@
+"""Clocks that a test moves, in place of the module ``time`` of a module under test."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+
+@dataclass
+class Clock:
+    """Both clocks of a process, at the same time."""
+
+    now: float = 1000.0
+
+    def time(self) -> float:
+        """Return Unix seconds."""
+        return self.now
+
+    def monotonic(self) -> float:
+        """Return the seconds of the clock that is never set."""
+        return self.now
+
+
+class MonotonicClock(Clock):
+    """The clock that is never set; Unix time is the real one."""
+
+    def time(self) -> float:
+        """Return Unix seconds."""
+        return time.time()

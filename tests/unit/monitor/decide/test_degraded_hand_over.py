@@ -1,0 +1,252 @@
+"""When a degraded instance is handed over: after long enough, while it is idle, and where strategies and limits allow it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.unit.monitor.degraded import ACTIVE, FAILED, HAND_OVER, HANDED, HEALTHY, OTHER, SLOW, UNKNOWN, World, policy
+from tests.unit.monitor.monitors import GivenMonitor
+from understudy.api.conditions import condition
+from understudy.api.kinds.task_spec import TaskStatus
+from understudy.failover.availability import Availability
+from understudy.failover.decide import Recover, Trigger
+from understudy.failover.interfaces import GateState, Instance
+from understudy.failover.progress import Progress
+from understudy.failover.protocol import Choice
+from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.restart import Restart
+from understudy.monitor.decide import strategy_options
+from understudy.monitor.judge.degraded_tree import Busy
+from understudy.monitor.judge.stage import Judgement
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> World:
+    return World(monkeypatch)
+
+
+def handed_over(at: float) -> Progress:
+    done = Progress.begin("slow", last_healthy=at, detected=at, planned=True)
+    done.result = "Recovered"
+    return done
+
+
+GOAL = Busy("task", "a goal of /go is active")
+
+
+class TestHandingOver:
+    def test_it_is_due_when_it_has_been_degraded_and_idle_for_long_enough(self, world: World) -> None:
+        world.observer.well, world.observer.work = SLOW, GOAL
+        world.look(10, given=HANDED)
+        assert world.levels.due is None
+        assert world.notices.conditions["Degraded"][2].endswith("It is not handed over yet: a goal of /go is active.")
+        world.observer.work = None
+        world.look(2.5, given=HANDED)
+        assert world.levels.due is None
+        world.look(2, given=HANDED)
+        assert world.levels.due == (
+            "degraded: /scan at 8.6 Hz, below 9 Hz over 2 s, in leaf sensors/scan of spec.degraded; rescheduled while idle"
+        )
+
+    def test_idle_means_without_a_break(self, world: World) -> None:
+        world.observer.well, world.observer.work = SLOW, GOAL
+        world.look(10, given=HANDED)
+        for _ in range(5):
+            world.observer.work = None
+            world.look(2.5, given=HANDED)
+            world.observer.work = GOAL
+            world.look(0.5, given=HANDED)
+        assert world.levels.due is None
+
+    def test_not_before_it_has_been_degraded_for_so_long(self, world: World) -> None:
+        world.observer.well = SLOW
+        world.look(4.5, given=HANDED)
+        assert world.levels.due is None
+        world.look(2, given=HANDED)
+        assert world.levels.due is not None
+
+    def test_what_shows_at_work_only_is_handed_over_when_the_work_is_done(self, world: World) -> None:
+        world.observer.well, world.observer.work = SLOW, GOAL
+        world.look(10, given=HANDED)
+        world.observer.well, world.observer.work = HEALTHY, None
+        world.look(4, given=HANDED)
+        assert world.levels.due is not None
+        world.look(8, given=HANDED)
+        assert world.levels.due is None, "it is well by now"
+
+    def test_never_while_health_itself_fails_or_the_tree_can_not_tell(self, world: World) -> None:
+        world.observer.well = SLOW
+        world.look(10, given=HANDED)
+        world.look(0.5, given=HANDED, health=FAILED)
+        assert world.levels.due is None
+        world.observer.well = UNKNOWN
+        world.look(5, given=HANDED)
+        assert world.levels.due is None
+
+    def test_goals_that_only_the_proxy_knows_of_and_a_proxy_that_is_away_are_work(self, world: World) -> None:
+        world.observer.well = SLOW
+        world.notices.set_tasks([TaskStatus(action="/go", active=1)])
+        world.look(10, given=HANDED)
+        assert world.levels.due is None
+        world.notices.set_tasks([])
+        world.notices.condition("TasksProxied", "False", "ProxyNotReady", "It can't be reached")
+        world.look(10, given=HANDED)
+        assert world.levels.due is None
+        assert "ProxyNotReady" in world.notices.conditions["Degraded"][2]
+        world.notices.condition("TasksProxied", "True", "Serving", "")
+        world.look(4, given=HANDED)
+        assert world.levels.due is not None
+
+    def test_an_instance_that_is_no_better_is_not_handed_over_again_before_the_pause_is_over(
+        self, world: World
+    ) -> None:
+        world.observer.well = SLOW
+        world.look(10, given=HANDED)
+        assert world.levels.due is not None
+        world.levels.handed_over()
+        world.look(40, given=HANDED, active=OTHER)
+        assert world.levels.due is None
+        assert "less than 1m ago" in world.notices.conditions["Degraded"][2]
+        world.look(30, given=HANDED, active=OTHER)
+        assert world.levels.due is not None
+
+    @pytest.mark.parametrize(("ago", "is_due"), [(10.0, False), (100.0, True)])
+    def test_a_new_monitor_keeps_the_pause_too(self, world: World, ago: float, is_due: bool) -> None:
+        world.observer.well = SLOW
+        world.notices.record(handed_over(time.time() - ago))
+        world.look(20, given=HANDED)
+        assert (world.levels.due is not None) == is_due
+
+    def test_what_keeps_it_from_being_begun_is_told(self, world: World) -> None:
+        world.observer.well = SLOW
+        world.look(10, given=HANDED)
+        world.levels.wait(
+            "means", "the first strategy can't be carried out (pool hot has no standby for this workload)"
+        )
+        assert world.levels.due is None
+        world.look(0.3, given=HANDED)
+        assert world.levels.due is not None, "it's tried again"
+        assert "pool hot has no standby" in world.notices.conditions["Degraded"][2]
+
+    def test_one_that_is_not_asked_for_is_never_due(self, world: World) -> None:
+        world.observer.well = SLOW
+        world.look(100)
+        assert world.levels.due is None
+
+
+STANDBY = Instance(name="w-3", uid="uid-3", pool="hot", running=True, ready=True)
+FALLBACK = {"type": "Fallback", "poolRef": {"name": "hot"}}
+RESTART = {"type": "Restart"}
+LIMITS = {"budget": {"recoveries": 1, "within": "10m"}, "stormGuard": {"holdFor": "1m"}}
+PAUSE = {"reason": "a new gripper", "owner": "ann"}
+
+
+class Deciding:
+    """The loop of a monitor whose instance is healthy, idle and, unless it is well, degraded for long enough."""
+
+    def __init__(
+        self,
+        world: World,
+        folder: Path,
+        *,
+        strategy: dict[str, Any],
+        pods: tuple[Instance, ...] = (ACTIVE,),
+        well: bool = False,
+        storm: bool = False,
+        paused: bool = False,
+    ) -> None:
+        self.policy = policy(HAND_OVER, strategy, limits=LIMITS)
+        self.monitor = GivenMonitor(folder)
+        objects, observer = self.monitor.objects, self.monitor.observer
+        said = condition("Storm", True, "ManyFail", "4 of 6 workloads fail.")
+        objects.put_workload(pause=PAUSE if paused else None)
+        objects.put_policy(self.policy, conditions=[said] if storm else [])
+        objects.put_settings(pools=[{"name": "hot", "readiness": "Executing"}])
+        objects.put_pods(*pods)
+        objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
+        observer.health, observer.well = HEALTHY, HEALTHY if well else SLOW
+        self.levels, self.decide = self.monitor.loop.judge.levels, self.monitor.loop.decide
+        self._world = world
+        self.decide.limits.pauses.look(time.time())
+        self.look(10)
+
+    def look(self, seconds: float) -> None:
+        """Judge the level for so long."""
+        self._world.levels = self.levels
+        self._world.look(seconds, given=self.policy)
+
+    @property
+    def waits_for(self) -> str:
+        """What the status says that a hand-over waits for."""
+        self.look(0.3)
+        return self.monitor.notices.conditions["Degraded"][2].partition("It is not handed over yet: ")[2]
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "words"),
+    [
+        ("", ""),
+        ("no standby", "pool hot has no standby for this workload"),
+        ("cooldown", "limits.cooldown"),
+        ("budget", "limits.budget"),
+        ("storm", "4 of 6 workloads fail."),
+        ("pause", "a new gripper"),
+    ],
+)
+def test_a_hand_over_begins_like_a_recovery_if_its_first_strategy_is_available_and_the_limits_allow_it(
+    world: World, tmp_path: Path, obstacle: str, words: str
+) -> None:
+    first = FALLBACK if obstacle == "no standby" else RESTART
+    deciding = Deciding(world, tmp_path, strategy=first, storm=obstacle == "storm", paused=obstacle == "pause")
+    now = time.time()
+    if obstacle == "cooldown":
+        deciding.decide.limits.retries.after(3600.0)
+    if obstacle == "budget":
+        deciding.monitor.notices.set_spent([now - 60])
+    judgement = Judgement(now, active=ACTIVE, verdict=HEALTHY, degraded=True, last_well=now)
+    found = deciding.decide.decide(deciding.policy, judgement, None)
+    assert isinstance(found.decision, Recover) == (not obstacle)
+    assert found.decision.trigger is Trigger.DEGRADED
+    assert (deciding.levels.due is None) == bool(obstacle)
+    assert words in deciding.waits_for
+
+
+def test_a_workload_that_is_well_is_not_handed_over(world: World, tmp_path: Path) -> None:
+    deciding, now = Deciding(world, tmp_path, strategy=RESTART, well=True), time.time()
+    judgement = Judgement(now, active=ACTIVE, verdict=HEALTHY, degraded=True, last_well=now)
+    assert deciding.decide.decide(deciding.policy, judgement, None).decision.trigger is not Trigger.DEGRADED
+
+
+class Looked(Restart):
+    """A strategy whose resources are looked for."""
+
+    def __init__(self, takes: float, lacking: str) -> None:
+        super().__init__()
+        self._takes, self._lacking = takes, lacking
+
+    async def look(self, means: Means) -> None:
+        await asyncio.sleep(self._takes)
+
+    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+        return Availability(not self._lacking, "PoolEmpty" if self._lacking else "", self._lacking)
+
+
+@pytest.mark.parametrize(
+    ("takes", "lacking", "there"),
+    [(0.0, "", True), (0.0, "pool spare has no unclaimed pod", False), (9.0, "", False)],
+)
+async def test_a_hand_over_that_is_due_does_not_begin_if_a_look_finds_otherwise_or_takes_too_long(
+    world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, takes: float, lacking: str, there: bool
+) -> None:
+    monkeypatch.setattr(strategy_options, "LOOK_WITHIN", 0.02)
+    monkeypatch.setattr(strategy_options, "choices", lambda *_: [Choice(Looked(takes, lacking), 5.0)])
+    deciding = Deciding(world, tmp_path, strategy=RESTART)
+    assert deciding.levels.due is not None
+    assert await deciding.decide.confirm() == there
+    assert (deciding.levels.due is not None) == there
+    assert lacking in deciding.waits_for

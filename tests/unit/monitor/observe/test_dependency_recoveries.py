@@ -1,0 +1,117 @@
+"""What a monitor does to its own workload after one that it depends on was recovered."""
+
+from __future__ import annotations
+
+from tests.unit.monitor.cluster_objects import parsed_spec, policy_of, settings_of
+from tests.unit.monitor.upstream import BRING_UP, NOW, Upstream, active, recovery
+from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery
+from understudy.failover.progress import PodIdentity, Progress
+from understudy.failover.strategies.registry import choices
+from understudy.kube.client import Object
+from understudy.monitor.act.recovery.recovery_messages import describe
+from understudy.monitor.observe.objects.dependencies import Dependencies, begin, following
+
+COSTMAP = {"yaml": {"call_service": {"service": "/costmap/clear", "type": "std_srvs/srv/Empty"}}, "within": "5s"}
+
+
+class TestAfterARecovery:
+    async def test_what_was_recovered_before_it_was_first_seen_asks_for_nothing(self) -> None:
+        world = Upstream()
+        await world.said("Healthy", recovery("r1", onset=NOW - 60, verified=NOW - 50))
+        assert world.dependencies.due(active(), NOW) is None
+        assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
+
+    async def test_a_new_recovery_does_and_once(self) -> None:
+        world = Upstream()
+        await world.said("Healthy")
+        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
+        found = world.dependencies.due(active(), NOW)
+        assert found is not None
+        world.dependencies.note(found.follows)
+        assert world.dependencies.due(active(), NOW) is None
+        assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
+
+    async def test_a_new_monitor_goes_by_what_the_one_before_it_has_said(self) -> None:
+        done, left = Upstream(adopted="r1"), Upstream(adopted="r0")
+        for world in (done, left):
+            await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
+        assert done.dependencies.due(active(), NOW) is None
+        assert left.dependencies.due(active(), NOW) is not None
+
+    async def test_a_recovery_that_a_new_monitor_finishes_first_is_not_done_again(self) -> None:
+        world = Upstream(adopted="r0")
+        fresh = Dependencies(world.objects.view, world.notices, world.objects.wakeups)
+        fresh.note([DependencyRecovery(name="localization", recovery="r1")])
+        assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
+
+    async def test_an_instance_that_began_after_it_needs_nothing(self) -> None:
+        world = Upstream(adopted="r0")
+        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        assert world.dependencies.due(active(created=NOW - 1), NOW) is None
+        assert world.notices.status.followed[0].recovery == "r1"
+
+    async def test_where_nothing_is_to_be_done_that_is_done_at_once(self) -> None:
+        world = Upstream({"name": "localization"}, adopted="r0")
+        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        assert world.dependencies.due(active(), NOW) is None
+        assert world.notices.status.followed[0].recovery == "r1"
+
+    async def test_what_can_not_be_done_without_an_agent_is_told(self) -> None:
+        world = Upstream(adopted="r0")
+        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        assert world.dependencies.due(active(agent=False), NOW) is None
+        (event,) = world.notices.events
+        assert event[1] == "NoAgent"
+
+    async def test_a_pod_without_an_agent_is_restarted_all_the_same(self) -> None:
+        world = Upstream({"name": "localization", "onRecovery": "Restart"}, adopted="r0")
+        await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
+        assert world.dependencies.due(active(agent=False), NOW) is not None
+
+
+POLICY = policy_of({"type": "Restart", "verifyWithin": "45s"})
+
+
+def carried_out(*depends_on: Object) -> list[tuple[str, float]]:
+    """What is tried, in order, after the recovery of all of these."""
+    found = [DependencyRecovery(name=one["name"], recovery="r1") for one in depends_on]
+    spec = parsed_spec(bringUp=BRING_UP, dependsOn=list(depends_on))
+    usual = choices(POLICY, settings_of("planning"), spec)
+    return [(one.strategy.name, one.verify_within) for one in following(found, spec, usual)]
+
+
+class TestWhatIsCarriedOut:
+    def test_bring_up_or_a_procedure_and_then_the_policy_s_strategies(self) -> None:
+        assert carried_out({"name": "a", "onRecovery": "Reinitialize"}) == [("Reinitialize", 30.0), ("Restart", 45.0)]
+        own = {"name": "a", "onRecovery": "Procedure", "procedure": COSTMAP}
+        assert carried_out(own) == [("Procedure", 15.0), ("Restart", 45.0)]
+
+    def test_a_restart_as_the_policy_has_it(self) -> None:
+        assert carried_out({"name": "a", "onRecovery": "Restart"}) == [("Restart", 45.0), ("Restart", 45.0)]
+
+    def test_for_several_each_procedure_once_and_a_restart_makes_them_needless(self) -> None:
+        again = {"name": "a", "onRecovery": "Reinitialize"}
+        same = {"name": "b", "onRecovery": "Reinitialize"}
+        own = {"name": "c", "onRecovery": "Procedure", "procedure": COSTMAP}
+        assert carried_out(again, same, own)[0] == ("Procedure", 35.0)
+        assert carried_out(again, own, {"name": "d", "onRecovery": "Restart"})[0] == ("Restart", 45.0)
+
+    def test_a_pod_that_is_restarted_counts_as_the_one_that_failed(self) -> None:
+        spec = parsed_spec(bringUp=BRING_UP, dependsOn=[{"name": "localization", "onRecovery": "Restart"}])
+        found = [DependencyRecovery(name="localization", recovery="r1")]
+        pod = PodIdentity(name="planning-1", uid="uid-1")
+        progress = begin(found, pod, spec, onset=NOW - 1, detected=NOW)
+        assert (progress.failed, progress.target) == ([pod], None)
+        assert progress.reason == "localization, on which it depends, was recovered"
+
+
+def test_it_is_told_what_was_done() -> None:
+    progress = Progress.begin("localization, on which it depends, was recovered", last_healthy=NOW, detected=NOW)
+    progress.follows = [DependencyRecovery(name="localization", recovery="r1")]
+    progress.target, progress.epoch = PodIdentity(name="planning-1", uid="uid-1"), 9
+    progress.result, progress.strategy = "Recovered", "Reinitialize"
+    progress.charge("reinitialization", NOW + 0.25)
+    progress.attempts = [Attempt(strategy="Reinitialize", pod="planning-1", result="Verified")]
+    assert describe(progress.to_recovery(2)) == (
+        "localization, on which it depends, was recovered. planning-1 is active again after Reinitialize in 0.250 s, epoch 9"
+    )

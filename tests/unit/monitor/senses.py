@@ -1,0 +1,171 @@
+"""What a monitor sees of a robot and hears of agents, as a test says it: there is neither ROS nor a network."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from understudy.api.kinds.failure_policy import FailurePolicySpec
+from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.api.protocol.agent_messages import AgentStatus
+from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
+from understudy.monitor.judge.degraded_tree import Busy
+from understudy.monitor.observe.agent_connections import AgentConnections
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.instance_roles import InstanceRoles
+from understudy.monitor.observe.robot.context_detection import Seen
+from understudy.monitor.observe.robot.health_observer import HealthObserver
+from understudy.monitor.observe.robot.robot_readers import RobotReaders
+from understudy.monitor.observe.senses import Senses
+from understudy.ros.runtime.graph_node import Endpoint, Graph
+from understudy.trees.core.health_tree import Verdict
+from understudy.trees.core.snapshots import Snapshot
+
+STARTING = Verdict("Starting", "nothing has come yet", "", None)
+
+
+class GivenGraph(Graph):
+    """A ROS graph in which there is what a test says, and no node."""
+
+    def __init__(self) -> None:
+        self.readers: dict[str, list[Endpoint]] = {}
+
+    def subscribers(self, topic: str) -> list[Endpoint]:
+        return self.readers.get(topic, [])
+
+
+class NoOutputs(Outputs):
+    """No output is expected of the instance in control, and none comes from another."""
+
+    @property
+    def expected(self) -> Sequence[str]:
+        return ()
+
+    async def first_from(self, instance: Instance, *, since: float) -> float | None:
+        return None
+
+    def last_from_others(self, instance: Instance) -> tuple[float, str]:
+        return 0.0, ""
+
+
+class GivenObserver(HealthObserver):
+    """Sees of the robot what a test says."""
+
+    def __init__(self) -> None:
+        self.graph: Graph = GivenGraph()
+        self.coming = None  # type: ignore[assignment]
+        self.addresses = {}
+        self.health, self.well = STARTING, STARTING
+        """The verdicts of the health tree and of the tree of spec.degraded."""
+        self.times_asked = 0
+        """How often the second one was asked for."""
+        self.work: Busy | None = None
+        self.seen: dict[str, Seen] = {}
+        self.heard_at: dict[str, float] = {}
+        """When an output was last received from each pod."""
+        self.received: dict[tuple[str, str], list[float]] = {}
+        """When each topic was received from each pod, of late."""
+        self.twins: set[str] = set()
+        """Pods that cannot be distinguished from others."""
+        self.troubles: list[str] = []
+        self.unpublished: list[str] = []
+        self.tree: Snapshot | None = None
+
+    def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
+        return
+
+    def drain(self, instances: Sequence[Instance], active: str) -> None:
+        return
+
+    def outputs(self, fleet: Instances, gate: Gate) -> Outputs:
+        return NoOutputs()
+
+    def verdict(self, *, now: float, since: float) -> Verdict:
+        return self.health
+
+    def wellness(self, *, now: float, since: float) -> Verdict:
+        self.times_asked += 1
+        return self.well
+
+    def busy(self, *, now: float, since: float) -> Busy | None:
+        return self.work
+
+    def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
+        return self.seen
+
+    def deadline(self, *, now: float, since: float) -> float | None:
+        return None
+
+    def last_from(self, pod: str) -> float | None:
+        return self.heard_at.get(pod)
+
+    def last_well(self, pod: str) -> float | None:
+        return self.heard_at.get(pod)
+
+    def arrivals(self, topic: str, pod: str) -> Sequence[float]:
+        return self.received.get((topic, pod), [])
+
+    def ambiguous(self, pod: str) -> bool:
+        return pod in self.twins
+
+    def snapshot(self) -> Snapshot | None:
+        return self.tree
+
+    @property
+    def expected(self) -> list[str]:
+        return []
+
+    @property
+    def gated(self) -> list[str]:
+        return []
+
+    @property
+    def problems(self) -> list[str]:
+        return self.troubles
+
+    @property
+    def waiting(self) -> list[str]:
+        return self.unpublished
+
+    @property
+    def summary(self) -> str:
+        return "Watching /scan."
+
+
+class GivenAgents(AgentConnections):
+    """Agents that report what a test says."""
+
+    def __init__(self, objects: ClusterObjects, roles: InstanceRoles) -> None:
+        super().__init__(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
+        self.statuses: dict[str, AgentStatus] = {}
+        """The last status of each instance's agent, by UID."""
+        self.unready: dict[str, str] = {}
+        """Why instances are not ready, by UID."""
+        self.settled: list[list[str]] = []
+        """The instances whose agents were waited for, each time."""
+
+    def follow(self, instances: Sequence[Instance]) -> None:
+        return
+
+    async def settle(self, instances: Sequence[Instance], within: float) -> None:
+        self.settled.append([instance.name for instance in instances])
+
+    def status(self, instance: Instance) -> AgentStatus | None:
+        return self.statuses.get(instance.uid)
+
+    def is_ready(self, instance: Instance) -> tuple[bool, str]:
+        reason = self.unready.get(instance.uid, "")
+        return not reason, reason
+
+
+class GivenSenses:
+    """All that a monitor observes of one workload beside its objects."""
+
+    def __init__(self, objects: ClusterObjects) -> None:
+        self.observer = GivenObserver()
+        self.current = CurrentRecovery()
+        self.roles = InstanceRoles(objects.view, objects.gate, self.current)
+        self.agents = GivenAgents(objects, self.roles)
+        readers = RobotReaders(objects.view, self.observer, objects.notices, "127.0.0.1")
+        self.value = Senses(self.observer, self.agents, objects.proof, readers, self.roles, objects.wakeups)
+        """The same as the monitor's value."""
