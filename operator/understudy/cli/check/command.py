@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import io
-import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +10,9 @@ from typing import Any
 
 from understudy.api.output_formats import structured
 from understudy.cli.check import reference_check
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import reports_errors
+from understudy.cli.common.option_rules import add_output
+from understudy.cli.common.text import terminal
 from understudy.cli.common.text.wording import counted
 from understudy.cli.manifests import config_map_trees, manifest_reader, object_check
 from understudy.cli.manifests.check_findings import Finding
@@ -92,13 +92,7 @@ def _has_parameters(data: Any) -> bool:
     return any("ros__parameters" in one for one in [*nodes, *deeper])
 
 
-def _lines(result: Result, form: str) -> Iterator[str]:
-    if form == "text":
-        yield from map(str, result.findings)
-    else:
-        yield structured(result.to_wire(), form)
-
-
+@reports_errors("check")
 def main(arguments: list[str]) -> int:
     """Run the command. The findings go to standard output, one line each, and the totals to standard error."""
     parser = argparse.ArgumentParser(
@@ -111,28 +105,12 @@ def main(arguments: list[str]) -> int:
         "files", nargs="+", metavar="FILE", help="a manifest, a folder (its *.yaml and *.yml), or - for standard input"
     )
     parser.add_argument("--strict", action="store_true", help="exit with 1 also for warnings")
-    parser.add_argument(
-        "-o",
-        "--output",
-        choices=("text", "json", "yaml"),
-        default="text",
-        help="one line per finding, or all details as JSON or YAML",
-    )
+    add_output(parser, "one line per finding, or all details as JSON or YAML")
     given = parser.parse_args(arguments)
-    try:
-        # Read a file once that is named twice, as by a folder and a pattern.
-        files = dict(entry for argument in dict.fromkeys(given.files) for entry in manifest_reader.contents(argument))
-    except CommandError as error:
-        print(f"understudy check: {error}", file=sys.stderr)
-        return 2
+    # Read a file once that is named twice, as by a folder and a pattern.
+    files = dict(entry for argument in dict.fromkeys(given.files) for entry in manifest_reader.contents(argument))
     result = check(list(files.items()))
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
-    try:
-        for line in _lines(result, given.output):
-            print(line)
-        sys.stdout.flush()
-    except BrokenPipeError:  # a reader such as head has exited
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    text = given.output == "text"
+    terminal.write(map(str, result.findings) if text else [structured(result.to_wire(), given.output)])
     print(f"understudy check: {result.totals()}", file=sys.stderr)
     return 1 if result.errors or (given.strict and result.warnings) else 0

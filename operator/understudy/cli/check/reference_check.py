@@ -11,9 +11,10 @@ from understudy.advice import order_explanation
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.cli.check import situation_check
 from understudy.cli.manifests.check_findings import Finding
-from understudy.cli.manifests.manifest_reader import Manifest
+from understudy.cli.manifests.config_map_trees import IN_THE_CLUSTER, missing
+from understudy.cli.manifests.manifest_reader import Manifest, at, items
 from understudy.controller.desired import strategy_selection
-from understudy.controller.observed import dependency_graph, kube_objects
+from understudy.controller.observed import dependency_graph
 from understudy.controller.status.policy_status import shared, unshared
 from understudy.failover import availability
 from understudy.failover.availability import Pool, Resources
@@ -23,7 +24,6 @@ from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
 
 _MOST_SHOWN = 5
-_IN_THE_CLUSTER = "Ignore this if it is in the cluster already"
 
 
 def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
@@ -32,39 +32,28 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
         [one for one in manifests if one.kind == kind] for kind in ("RobotWorkload", "FailurePolicy", "FallbackPool")
     )
     for workload in workloads:
-        yield from _names(workload, "spec.failurePolicyRef.name", "FailurePolicy", policies)
-        yield from _no_fallback_available(workload, policies, pools)
-        yield from _requirements_not_met(workload, policies, pools)
-        yield from _never_idle(workload, policies)
-        yield from _outputs_not_watched(workload, policies)
+        name = at(workload.data, "spec", "failurePolicyRef", "name")
+        yield from missing(workload, "spec.failurePolicyRef.name", "FailurePolicy", name, policies)
+        for policy in (one for one in policies if one.name == name and workload.together(one)):
+            yield from _no_fallback_available(workload, policy, pools)
+            yield from _requirements_not_met(workload, policy, pools)
+            yield from _never_idle(workload, policy)
+            yield from _outputs_not_watched(workload, policy)
         yield from _depends(workload, workloads)
     for policy in policies:
-        for index, _ in enumerate(_list(_at(policy.data, "spec", "strategies"))):
-            yield from _names(policy, f"spec.strategies[{index}].poolRef.name", "FallbackPool", pools)
-        for path, _ in situation_check.paths(policy):
-            yield from _names(policy, path, "FallbackPool", pools)
+        for index, strategy in enumerate(items(policy.data, "spec", "strategies")):
+            path, name = f"spec.strategies[{index}].poolRef.name", at(strategy, "poolRef", "name")
+            yield from missing(policy, path, "FallbackPool", name, pools)
+        for path, name in situation_check.paths(policy):
+            yield from missing(policy, path, "FallbackPool", name, pools)
         yield from situation_check.unreachable(policy)
         yield from situation_check.empty(policy, pools)
         yield from _not_prewarmed(policy, pools)
         yield from _wait_without_shared_pool(policy, pools)
     for pool in pools:
-        yield from _names(pool, "spec.templateFrom.workload", "RobotWorkload", workloads)
+        name = at(pool.data, "spec", "templateFrom", "workload")
+        yield from missing(pool, "spec.templateFrom.workload", "RobotWorkload", name, workloads)
         yield from _selects(pool, workloads)
-
-
-def _names(manifest: Manifest, path: str, kind: str, known: Sequence[Manifest]) -> Iterator[Finding]:
-    """Report a reference to an object that is not among the given ones."""
-    name = _field(manifest.data, path)
-    if not isinstance(name, str) or not name:
-        return
-    near = [other.name for other in known if manifest.together(other)]
-    if name not in near:
-        hint = f" ({kube_objects.hint(name, near)})" if near else ""
-        message = (
-            f'no {kind} "{name}" in the given files{hint}; correct the name, or give the file that contains it. '
-            f"{_IN_THE_CLUSTER}"
-        )
-        yield manifest.finding(path, message, warning=True)
 
 
 def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]:
@@ -74,7 +63,7 @@ def _depends(workload: Manifest, workloads: Sequence[Manifest]) -> Iterator[Find
     found = dependency_graph.circle(known, workload.name)
     for index, name in enumerate(known.get(workload.name, ())):
         path = f"spec.dependsOn[{index}].name"
-        yield from _names(workload, path, "RobotWorkload", workloads)
+        yield from missing(workload, path, "RobotWorkload", name, workloads)
         if (
             found is not None and len(found) > 2 and name == found[found.index(workload.name) + 1]
         ):  # the API server refuses a workload that depends on itself
@@ -97,99 +86,81 @@ def _selects(pool: Manifest, workloads: Sequence[Manifest]) -> Iterator[Finding]
         )
     else:
         found = "there is no RobotWorkload in the given files that it could match;"
-    message = f"{found} give the file of the workload that it serves. {_IN_THE_CLUSTER}"
+    message = f"{found} give the file of the workload that it serves. {IN_THE_CLUSTER}"
     yield pool.finding("spec.workloadSelector", message, warning=True)
 
 
-def _no_fallback_available(
-    workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]
-) -> Iterator[Finding]:
+def _no_fallback_available(workload: Manifest, policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
     """Report a workload for which no fallback of its policy could run, if all of their pools are given."""
-    name = _field(workload.data, "spec.failurePolicyRef.name")
-    for policy in policies:
-        if policy.name != name or not workload.together(policy):
-            continue
-        strategies = _list(_at(policy.data, "spec", "strategies"))
-        named = {pool for one in strategies if isinstance(pool := _at(one, "poolRef", "name"), str)}
-        given = {pool.name: pool for pool in pools if pool.name in named and workload.together(pool)}
-        if not named or set(given) != named or any(_selector(pool) is None for pool in given.values()):
-            continue
-        there = Resources({name: _pool(pool, workload) for name, pool in given.items()})
-        found = [availability.fallback(name, there) for name in sorted(named)]
-        if not any(one.available for one in found):
-            message = (
-                f"found {_labels(workload)}, with which no fallback of FailurePolicy {policy.name} could run: "
-                f"{'; '.join(one.message for one in found)}"
-            )
-            yield workload.finding("metadata.labels", message, warning=True)
+    strategies = items(policy.data, "spec", "strategies")
+    named = {pool for one in strategies if isinstance(pool := at(one, "poolRef", "name"), str)}
+    given = {pool.name: pool for pool in pools if pool.name in named and workload.together(pool)}
+    if not named or set(given) != named or any(_selector(pool) is None for pool in given.values()):
+        return
+    there = Resources({name: _pool(pool, workload) for name, pool in given.items()})
+    found = [availability.fallback(name, there) for name in sorted(named)]
+    if not any(one.available for one in found):
+        message = (
+            f"found {_labels(workload)}, with which no fallback of FailurePolicy {policy.name} could run: "
+            f"{'; '.join(one.message for one in found)}"
+        )
+        yield workload.finding("metadata.labels", message, warning=True)
 
 
 def _pool(pool: Manifest, workload: Manifest) -> Pool:
     """Return what a workload could use from a pool. Files do not say how many pods are ready, so one is assumed."""
-    readiness = _at(pool.data, "spec", "readiness")
+    readiness = at(pool.data, "spec", "readiness")
     return Pool(readiness if isinstance(readiness, str) else "", serves=_serves(pool, workload), ready=1)
 
 
-def _requirements_not_met(
-    workload: Manifest, policies: Sequence[Manifest], pools: Sequence[Manifest]
-) -> Iterator[Finding]:
+def _requirements_not_met(workload: Manifest, policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
     """Report requirements that the pools of a workload cannot meet, if the policy chooses its strategies automatically."""
-    name = _field(workload.data, "spec.failurePolicyRef.name")
-    for policy in policies:
-        if policy.name != name or not workload.together(policy) or not strategy_selection.is_auto(policy.data):
-            continue
-        serving = {pool.name: pool.data for pool in pools if workload.together(pool) and _serves(pool, workload)}
-        order = strategy_selection.order(policy.data, workload.data, serving)
-        if order is None:
-            continue
-        # A pool in the cluster may meet what the pools of these files do not.
-        hint = "" if order.is_fast_enough and order.is_safe_enough else f". {_IN_THE_CLUSTER}"
-        for problem in order_explanation.unmet_requirements(order):
-            message = (
-                f"for RobotWorkload {workload.name} the result is {order_explanation.one_line(order)}: {problem}{hint}"
-            )
-            yield policy.finding("spec.requirements", message, warning=True)
-
-
-def _never_idle(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
-    """Report a policy that reschedules at idle times although nothing defines when the workload is idle."""
-    name = _field(workload.data, "spec.failurePolicyRef.name")
-    if _list(_at(workload.data, "spec", "tasks")):
+    if not strategy_selection.is_auto(policy.data):
         return
-    for policy in policies:
-        if policy.name != name or not workload.together(policy):
-            continue
-        for index, action in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
-            if isinstance(found := _at(action, "reschedule"), Mapping) and not found.get("idle"):
-                message = (
-                    f"FailurePolicy {policy.name} reschedules at an idle time, but nothing defines when this workload is idle, so it never "
-                    f"does: set spec.tasks, or in the policy spec.degraded.actions[{index}].reschedule.idle"
-                )
-                yield workload.finding("spec.tasks", message, warning=True)
+    serving = {pool.name: pool.data for pool in pools if workload.together(pool) and _serves(pool, workload)}
+    order = strategy_selection.order(policy.data, workload.data, serving)
+    if order is None:
+        return
+    # A pool in the cluster may meet what the pools of these files do not.
+    hint = "" if order.is_fast_enough and order.is_safe_enough else f". {IN_THE_CLUSTER}"
+    for problem in order_explanation.unmet_requirements(order):
+        message = (
+            f"for RobotWorkload {workload.name} the result is {order_explanation.one_line(order)}: {problem}{hint}"
+        )
+        yield policy.finding("spec.requirements", message, warning=True)
 
 
-def _outputs_not_watched(workload: Manifest, policies: Sequence[Manifest]) -> Iterator[Finding]:
-    """Report a tree that evaluates messages only and none of the outputs: most often a name is misspelled."""
-    name = _field(workload.data, "spec.failurePolicyRef.name")
-    outputs = [
-        topic for one in _list(_at(workload.data, "spec", "outputs")) if isinstance(topic := _at(one, "topic"), str)
-    ]
-    for policy in policies:
-        if policy.name != name or not workload.together(policy) or (tree := _tree(policy)) is None:
-            continue
-        watched = [topic.name for topic in tree.topics]
-        if outputs and all(leaf.hears for leaf in tree.leaves) and not set(outputs) & set(watched):
+def _never_idle(workload: Manifest, policy: Manifest) -> Iterator[Finding]:
+    """Report a policy that reschedules at idle times although nothing defines when the workload is idle."""
+    if items(workload.data, "spec", "tasks"):
+        return
+    for index, action in enumerate(items(policy.data, "spec", "degraded", "actions")):
+        if isinstance(found := at(action, "reschedule"), Mapping) and not found.get("idle"):
             message = (
-                f"watches {_some(watched)} but no output of RobotWorkload {workload.name} ({_some(outputs)}), so a silent output is "
-                f"not detected; watch one of them, or correct the names"
+                f"FailurePolicy {policy.name} reschedules at an idle time, but nothing defines when this workload is idle, so it never "
+                f"does: set spec.tasks, or in the policy spec.degraded.actions[{index}].reschedule.idle"
             )
-            yield policy.finding("spec.monitoring", message, warning=True)
+            yield workload.finding("spec.tasks", message, warning=True)
+
+
+def _outputs_not_watched(workload: Manifest, policy: Manifest) -> Iterator[Finding]:
+    """Report a tree that evaluates messages only and none of the outputs: most often a name is misspelled."""
+    outputs = [topic for one in items(workload.data, "spec", "outputs") if isinstance(topic := at(one, "topic"), str)]
+    if (tree := _tree(policy)) is None:
+        return
+    watched = [topic.name for topic in tree.topics]
+    if outputs and all(leaf.hears for leaf in tree.leaves) and not set(outputs) & set(watched):
+        message = (
+            f"watches {_some(watched)} but no output of RobotWorkload {workload.name} ({_some(outputs)}), so a silent output is "
+            f"not detected; watch one of them, or correct the names"
+        )
+        yield policy.finding("spec.monitoring", message, warning=True)
 
 
 def _tree(policy: Manifest) -> HealthTree | None:
     """Return the health tree of a policy; None if it is elsewhere or cannot be loaded, which another check reports."""
-    monitoring = _at(policy.data, "spec", "monitoring")
-    if _at(monitoring, "configMapKeyRef") is not None:
+    monitoring = at(policy.data, "spec", "monitoring")
+    if at(monitoring, "configMapKeyRef") is not None:
         return None
     try:
         return load_monitoring(Monitoring.model_validate(monitoring))
@@ -199,21 +170,20 @@ def _tree(policy: Manifest) -> HealthTree | None:
 
 def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
     """Report a pre-warmed pool that is shared: its pods belong to no workload."""
-    kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
-    for index, _ in enumerate(_list(_at(policy.data, "spec", "degraded", "actions"))):
-        path = f"spec.degraded.actions[{index}].prewarm.poolRef.name"
-        name = _field(policy.data, path)
+    kinds = {one.name: at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
+    for index, action in enumerate(items(policy.data, "spec", "degraded", "actions")):
+        name = at(action, "prewarm", "poolRef", "name")
         if isinstance(name, str) and kinds.get(name) == "Uninitialized":
-            yield policy.finding(path, shared(name))
+            yield policy.finding(f"spec.degraded.actions[{index}].prewarm.poolRef.name", shared(name))
 
 
 def _wait_without_shared_pool(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
     """Report waitFor with a pool that is not shared."""
-    kinds = {one.name: _at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
-    for index, strategy in enumerate(_list(_at(policy.data, "spec", "strategies"))):
-        readiness = kinds.get(_at(strategy, "poolRef", "name"))
-        if _at(strategy, "waitFor") is not None and readiness in ("Initialized", "Executing"):
-            name = _at(strategy, "poolRef", "name")
+    kinds = {one.name: at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
+    for index, strategy in enumerate(items(policy.data, "spec", "strategies")):
+        readiness = kinds.get(at(strategy, "poolRef", "name"))
+        if at(strategy, "waitFor") is not None and readiness in ("Initialized", "Executing"):
+            name = at(strategy, "poolRef", "name")
             yield policy.finding(f"spec.strategies[{index}].waitFor", unshared(name, readiness), warning=True)
 
 
@@ -224,7 +194,7 @@ def _serves(pool: Manifest, workload: Manifest) -> bool:
 
 def _selector(pool: Manifest) -> Mapping[str, Any] | None:
     """Return a pool's selector; None if it is invalid, which another check reports."""
-    found = _at(pool.data, "spec", "workloadSelector")
+    found = at(pool.data, "spec", "workloadSelector")
     if not isinstance(found, Mapping):
         return None
     labels, expressions = found.get("matchLabels") or {}, found.get("matchExpressions") or []
@@ -250,24 +220,3 @@ def _some(names: Sequence[str]) -> str:
 def _labels(workload: Manifest) -> str:
     listed = ", ".join(f"{key}={value}" for key, value in list(workload.labels.items())[:_MOST_SHOWN])
     return f"labels {listed}" if listed else "no labels"
-
-
-def _field(data: Any, path: str) -> Any:
-    """Return the value of a field by its path; None if it is missing."""
-    for part in path.replace("[", ".[").split("."):
-        if part.startswith("["):
-            index = int(part[1:-1])
-            data = data[index] if isinstance(data, list) and index < len(data) else None
-        else:
-            data = _at(data, part)
-    return data
-
-
-def _at(data: Any, *keys: str) -> Any:
-    for key in keys:
-        data = data.get(key) if isinstance(data, Mapping) else None
-    return data
-
-
-def _list(data: Any) -> list[Any]:
-    return data if isinstance(data, list) else []

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from understudy.cli.manifests.check_findings import Finding
-from understudy.cli.manifests.manifest_reader import Manifest
+from understudy.cli.manifests.manifest_reader import Manifest, at, items
 
 
 def paths(policy: Manifest) -> Iterator[tuple[str, Any]]:
     """Yield the paths at which strategies of situations name a pool, and the names."""
-    for index, situation in enumerate(_listed(policy)):
-        strategies = situation.get("strategies")
-        for place, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
-            pool = strategy.get("poolRef") if isinstance(strategy, Mapping) else None
-            if isinstance(pool, Mapping):
-                yield f"spec.situations[{index}].strategies[{place}].poolRef.name", pool.get("name")
+    for index, situation in enumerate(items(policy.data, "spec", "situations")):
+        for place, strategy in enumerate(items(situation, "strategies")):
+            name = at(strategy, "poolRef", "name")
+            yield f"spec.situations[{index}].strategies[{place}].poolRef.name", name
 
 
 def unreachable(policy: Manifest) -> Iterator[Finding]:
     """Report a situation with the same condition as an earlier one: it never applies."""
     before: list[tuple[str, Any]] = []
-    for index, situation in enumerate(_listed(policy)):
-        name, when = str(situation.get("name", "")), situation.get("when")
+    for index, situation in enumerate(items(policy.data, "spec", "situations")):
+        name, when = str(at(situation, "name") or ""), at(situation, "when")
         first = next((other for other, known_by in before if known_by == when), None)
         if when and first is not None:
             message = (
@@ -36,18 +34,12 @@ def unreachable(policy: Manifest) -> Iterator[Finding]:
 
 def empty(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
     """Report situations that use a pool with perWorkload 0, which never has a standby."""
-    near = {one.name: one.data.get("spec") for one in pools if policy.together(one)}
+    near = {one.name: one.data for one in pools if policy.together(one)}
     for path, name in paths(policy):
-        spec = near.get(name) if isinstance(name, str) else None
-        if isinstance(spec, Mapping) and spec.get("readiness") != "Uninitialized" and spec.get("perWorkload") == 0:
+        spec = at(near, name, "spec")
+        if at(spec, "readiness") != "Uninitialized" and at(spec, "perWorkload") == 0:
             message = (
                 f"FallbackPool {name} has perWorkload 0, so it has no standby in this situation either; set perWorkload: 1. "
                 f"Standbys exist only while the applicable strategies name their pool"
             )
             yield policy.finding(path, message, warning=True)
-
-
-def _listed(policy: Manifest) -> list[Mapping[str, Any]]:
-    spec = policy.data.get("spec")
-    found = spec.get("situations") if isinstance(spec, Mapping) else None
-    return [one if isinstance(one, Mapping) else {} for one in found] if isinstance(found, list) else []

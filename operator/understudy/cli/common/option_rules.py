@@ -1,4 +1,4 @@
-"""Rules that options of several verbs share: refuse an option that has no effect beside the others, and parse durations."""
+"""What options of several verbs share: the output format, refusing an option that has no effect beside the others, and parsing values."""
 
 from __future__ import annotations
 
@@ -21,6 +21,11 @@ def reject_unless(
     assert action.default is None, option
     if not holds and getattr(given, action.dest) is not None:
         parser.error(f"{'/'.join(action.option_strings)} {why}")
+
+
+def add_output(parser: argparse._ActionsContainer, words: str = "text, or all details as JSON or YAML") -> None:
+    """Add ``--output`` with the formats text, JSON and YAML."""
+    parser.add_argument("-o", "--output", choices=["text", "json", "yaml"], default="text", help=words)
 
 
 def duration(text: str) -> float:

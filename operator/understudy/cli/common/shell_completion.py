@@ -15,6 +15,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NoReturn
 
+from understudy.cli.common.errors import CommandError
+
 _ASKED = "_ARGCOMPLETE"
 """Environment variable of a completion request: the index of the word at which the command begins."""
 
@@ -26,7 +28,7 @@ KUBECTL_NO_FILES_AND_NO_SPACE = ":6"
 Completer = Callable[..., Sequence[str]]
 
 
-class NotInstalled(Exception):
+class NotInstalled(CommandError):
     """argcomplete is not installed."""
 
 

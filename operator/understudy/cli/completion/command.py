@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import sys
 
 from understudy.cli.common import shell_completion
-from understudy.cli.common.shell_completion import NotInstalled
-
-SUCCESS, ERROR = 0, 2
-"""Exit statuses."""
+from understudy.cli.common.errors import reports_errors
 
 _COMMANDS = ("understudy", "kubectl-understudy")
 
 
+@reports_errors("completion")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
     shell_completion.offer(parser, {})
     given = parser.parse_args(arguments)
-    try:
-        print(shell_completion.argcomplete().shellcode(_COMMANDS, shell=given.shell))
-    except NotInstalled as error:
-        print(f"understudy completion: {error}", file=sys.stderr)
-        return ERROR
-    return SUCCESS
+    print(shell_completion.argcomplete().shellcode(_COMMANDS, shell=given.shell))
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:

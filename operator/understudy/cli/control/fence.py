@@ -10,7 +10,7 @@ from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.cli.common import confirmation
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.robots import UNWATCHED, robot, status_of
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.wording import wrapped
@@ -19,8 +19,8 @@ from understudy.kube.client import Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind, GateRecord
 
-FENCED, UNSURE, CANT = 0, 1, 2
-"""Exit statuses."""
+FENCED, UNSURE = 0, 1
+"""Exit statuses besides ERROR."""
 
 HEARD_WITHIN = 30.0
 """Seconds for which this command keeps the gate closed until the monitor reports the pause. A monitor that is recovering the workload
@@ -34,20 +34,17 @@ TRIES = 10
 """Attempts to write the gate while others write it too."""
 
 
+@reports_errors("fence")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    try:
-        pause = signature.signed(given, "fenced", before="fenced: ")
-        kubectl = Kubectl(given)
-        item = kubectl.get(WORKLOADS, given.name)
-        confirmation.confirm(
-            f"{given.name} drives a robot, which receives no commands once the gate is closed. Close it?", yes=given.yes
-        )
-        return _fence(kubectl, item, pause)
-    except CommandError as error:
-        print(f"understudy fence: {error}", file=sys.stderr)
-        return CANT
+    pause = signature.signed(given, "fenced", before="fenced: ")
+    kubectl = Kubectl(given)
+    item = kubectl.get(WORKLOADS, given.name)
+    confirmation.confirm(
+        f"{given.name} drives a robot, which receives no commands once the gate is closed. Close it?", yes=given.yes
+    )
+    return _fence(kubectl, item, pause)
 
 
 def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:

@@ -4,34 +4,27 @@ from __future__ import annotations
 
 import argparse
 import re
-import sys
 import time
 from datetime import UTC, datetime
 
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.api.kinds.pause_spec import MOMENT_MESSAGE, MOMENT_PATTERN, Pause, unix
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control import signature
 
-SUCCESS, ERROR = 0, 2
-"""Exit statuses."""
 
-
+@reports_errors("pause")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    try:
-        pause = _pause(given, time.time())
-        item = Kubectl(given).patch(WORKLOADS, given.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
-    except CommandError as error:
-        print(f"understudy pause: {error}", file=sys.stderr)
-        return ERROR
+    pause = _pause(given, time.time())
+    item = Kubectl(given).patch(WORKLOADS, given.name, {"spec": {"pause": pause.to_wire() | _no_end(pause)}})
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     print(
         f"{where}: {pause.words}. Understudy takes no action and sends no safe command. understudy resume ends the pause."
     )
-    return SUCCESS
+    return 0
 
 
 def _pause(given: argparse.Namespace, now: float) -> Pause:

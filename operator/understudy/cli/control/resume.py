@@ -3,37 +3,30 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 
 from understudy.api import names
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import reports_errors
 from understudy.cli.control import signature
 from understudy.failover.progress import rfc3339
 
-SUCCESS, ERROR = 0, 2
-"""Exit statuses."""
 
-
+@reports_errors("resume")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    try:
-        why = _why(given)
-        kubectl = Kubectl(given)
-        before = kubectl.get(WORKLOADS, given.name)
-        # Without a reason, remove that of an earlier resume.
-        word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
-        item = kubectl.patch(WORKLOADS, given.name, word | {"spec": {"pause": None}})
-    except CommandError as error:
-        print(f"understudy resume: {error}", file=sys.stderr)
-        return ERROR
+    why = _why(given)
+    kubectl = Kubectl(given)
+    before = kubectl.get(WORKLOADS, given.name)
+    # Without a reason, remove that of an earlier resume.
+    word = {"metadata": {"annotations": {names.RESUMED: rfc3339(time.time()), names.RESUMED_FOR: why}}}
+    item = kubectl.patch(WORKLOADS, given.name, word | {"spec": {"pause": None}})
     where = f"{item['metadata']['namespace']}/{item['metadata']['name']}"
     pause = (before.get("spec") or {}).get("pause")
     was = f"pause ended; it was paused by {pause.get('owner')}: {pause.get('reason')}" if pause else "it was not paused"
     print(f"{where}: {was}. A failure is recovered at once again, and the budget (limits.budget) is reset.")
-    return SUCCESS
+    return 0
 
 
 def _why(given: argparse.Namespace) -> str | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -12,34 +11,28 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control.profile_files import Profile
 from understudy.controller.pods.ros_environment import PROFILES_DIR
 from understudy.kube.client import Object
 
-DONE, CANT = 0, 2
-"""Exit statuses."""
 
-
+@reports_errors("robot-profile")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    try:
-        kubectl = Kubectl(given)
-        found = _profile(kubectl, kubectl.get(WORKLOADS, given.name), given.at)
-        if given.write:
-            _write(found, Path(given.write))
-            print("\n".join(found.advice()))
-        elif given.output in ("json", "yaml"):
-            print(structured(found.to_wire(), given.output))
-        elif given.output == "text":
-            print("\n".join(found.lines()))
-        else:
-            print(found.env_file if given.output == "env" else found.profiles, end="")
-        return DONE
-    except CommandError as error:
-        print(f"understudy robot-profile: {error}", file=sys.stderr)
-        return CANT
+    kubectl = Kubectl(given)
+    found = _profile(kubectl, kubectl.get(WORKLOADS, given.name), given.at)
+    if given.write:
+        _write(found, Path(given.write))
+        print("\n".join(found.advice()))
+    elif given.output in ("json", "yaml"):
+        print(structured(found.to_wire(), given.output))
+    elif given.output == "text":
+        print("\n".join(found.lines()))
+    else:
+        print(found.env_file if given.output == "env" else found.profiles, end="")
+    return 0
 
 
 def _profile(kubectl: Kubectl, item: Object, folder: str) -> Profile:

@@ -19,8 +19,8 @@ from understudy.cli.common.text import terminal
 from understudy.cli.common.text.time_bars import length, short
 from understudy.cli.common.text.wording import unix, wrapped
 
-DONE, NOT_DONE, ERROR = 0, 1, 2
-"""Exit statuses."""
+DONE, NOT_DONE = 0, 1
+"""Exit statuses besides ERROR."""
 
 WORKLOADS = "robotworkloads.understudy.dev"
 
@@ -42,11 +42,7 @@ _PURPOSE: Mapping[Verb, str] = {
 def run(verb: Verb, arguments: list[str]) -> int:
     """Run the command."""
     given = _parser(verb).parse_args(arguments)
-    try:
-        return _switch(verb, Kubectl(given), given.name, given.within)
-    except CommandError as error:
-        print(f"understudy {verb}: {error}", file=sys.stderr)
-        return ERROR
+    return _switch(verb, Kubectl(given), given.name, given.within)
 
 
 def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:

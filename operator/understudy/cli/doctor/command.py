@@ -14,7 +14,7 @@ from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.cluster_access.kubectl_proxy import Api, Refused, proxied
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import plain
 from understudy.cli.doctor import (
@@ -32,12 +32,13 @@ from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Images
 from understudy.kube.client import WORKLOADS, Object
 
-WELL, NOT_WELL, CANT = 0, 1, 2
-"""Exit statuses."""
+WELL, NOT_WELL = 0, 1
+"""Exit statuses besides ERROR."""
 
 _ENFORCED, _READ = "GateEnforced", "OutputsRead"
 
 
+@reports_errors("doctor")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
@@ -58,12 +59,9 @@ def main(arguments: list[str]) -> int:
             document = {"version": __version__, "namespace": kubectl.namespace, **findings.to_wire(found)}
             print(structured(document | examination.measured, given.output))
         return WELL if findings.is_well(found) else NOT_WELL
-    except CommandError as error:
-        print(f"understudy doctor: {error}", file=sys.stderr)
-        return CANT
     except KeyboardInterrupt:
         print("understudy doctor: ended before it was through; what it had made is taken away", file=sys.stderr)
-        return CANT
+        return ERROR
 
 
 class _Progress:
@@ -187,8 +185,6 @@ def _parser() -> argparse.ArgumentParser:
         "--no-pods", action="store_true", help="make no pods: send no packets, ask no clocks, join no graph"
     )
     parser.add_argument("--image", help="what the pods are made of (the monitor's image, as the operator has it)")
-    parser.add_argument(
-        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or everything as JSON or YAML"
-    )
+    option_rules.add_output(parser, "text, or everything as JSON or YAML")
     add_options(parser)
     return parser

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from typing import Any
 
@@ -11,12 +10,9 @@ from understudy.api import names
 from understudy.api.base import DURATION_MESSAGE, seconds
 from understudy.cli.common import confirmation, option_rules
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.robots import status_of
 from understudy.cli.inject import fault_commands, partition
-
-SUCCESS, ERROR = 0, 2
-"""Exit statuses."""
 
 ALLOWED = f"{names.GROUP}/allow-inject"
 """Label of namespaces in which failures may be injected (value ``true``)."""
@@ -38,6 +34,7 @@ _APPLIES_TO = {
 """The faults to which an option applies."""
 
 
+@reports_errors("inject")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
@@ -50,28 +47,24 @@ def main(arguments: list[str]) -> int:
             option,
             f"applies to {option_rules.listed(faults)}, not to {given.fault}",
         )
-    try:
-        length = _length(LENGTH if given.length is None else given.length)
-        kubectl = Kubectl(given)
-        _allowed(kubectl)
-        pod = _pod(kubectl, given.name)
-        means = partition.means(kubectl, given.name, given.whom or ()) if given.fault == "partition" else None
-        confirmation.confirm(
-            f"Pod {pod} is the active instance of {given.name}. {given.fault.capitalize()} it?", yes=given.yes
-        )
-        if given.fault == "kill":
-            kubectl.delete("pod", pod, "--grace-period=0", "--force")
-            print(f"{pod} was force-deleted")
-        elif means is not None:
-            partition.cut_off(kubectl, pod, means, length)
-        else:
-            percent = 100 if given.fault == "freeze" else given.percent or PERCENT
-            _stop(kubectl, pod, given.container or _container(kubectl, pod), length, percent)
-        print(f"To see the recovery: understudy timeline -n {kubectl.namespace} {given.name}")
-        return SUCCESS
-    except CommandError as error:
-        print(f"understudy inject: {error}", file=sys.stderr)
-        return ERROR
+    length = _length(LENGTH if given.length is None else given.length)
+    kubectl = Kubectl(given)
+    _allowed(kubectl)
+    pod = _pod(kubectl, given.name)
+    means = partition.means(kubectl, given.name, given.whom or ()) if given.fault == "partition" else None
+    confirmation.confirm(
+        f"Pod {pod} is the active instance of {given.name}. {given.fault.capitalize()} it?", yes=given.yes
+    )
+    if given.fault == "kill":
+        kubectl.delete("pod", pod, "--grace-period=0", "--force")
+        print(f"{pod} was force-deleted")
+    elif means is not None:
+        partition.cut_off(kubectl, pod, means, length)
+    else:
+        percent = 100 if given.fault == "freeze" else given.percent or PERCENT
+        _stop(kubectl, pod, given.container or _container(kubectl, pod), length, percent)
+    print(f"To see the recovery: understudy timeline -n {kubectl.namespace} {given.name}")
+    return 0
 
 
 def _length(given: str) -> float:

@@ -18,15 +18,15 @@ from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.text_tables import Cell, format_table
 from understudy.cli.common.text.tree_text import plain
 from understudy.cli.common.text.wording import age, clock, counted, wrapped
 from understudy.cli.inspect.tree import fetch_json, monitor_pod
 
-SUCCESS, NONE, ERROR = 0, 1, 2
-"""Exit statuses."""
+SUCCESS, NONE = 0, 1
+"""Exit statuses besides ERROR."""
 
 LATEST = "latest"
 
@@ -34,6 +34,7 @@ _PATIENCE = 30.0  # seconds until the next piece of a file
 _PIECE = 1 << 16
 
 
+@reports_errors("blackbox")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
@@ -52,9 +53,6 @@ def main(arguments: list[str]) -> int:
             recording = _wanted(found, given.fetch)
             path = Path(given.to or f"{given.name}-{recording.number}.mcap")
             _fetch(port, recording, path)
-    except CommandError as error:
-        print(f"understudy blackbox: {error}", file=sys.stderr)
-        return ERROR
     except KeyboardInterrupt:
         return ERROR
     print(f"{path}: {_what(recording)}")

@@ -7,30 +7,28 @@ import sys
 
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import reports_errors
+from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.inspect import explanation
 from understudy.cli.inspect.cluster_observation import around
 from understudy.cli.inspect.explanation import Known
 
-HEALTHY, NOT_HEALTHY, ERROR = 0, 1, 2
-"""Exit statuses."""
+HEALTHY, NOT_HEALTHY = 0, 1
+"""Exit statuses besides ERROR."""
 
 
+@reports_errors("explain")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    try:
-        known = Known.of(around(Kubectl(given), given.name))
-        out = sys.stdout
-        if given.output == "text":
-            print("\n".join(explanation.lines(known, columns=terminal.columns(out), colours=terminal.colours(out))))
-        else:
-            print(structured(explanation.for_scripts(known), given.output))
-        return HEALTHY if known.is_well else NOT_HEALTHY
-    except CommandError as error:
-        print(f"understudy explain: {error}", file=sys.stderr)
-        return ERROR
+    known = Known.of(around(Kubectl(given), given.name))
+    out = sys.stdout
+    if given.output == "text":
+        print("\n".join(explanation.lines(known, columns=terminal.columns(out), colours=terminal.colours(out))))
+    else:
+        print(structured(explanation.for_scripts(known), given.output))
+    return HEALTHY if known.is_well else NOT_HEALTHY
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -42,8 +40,6 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if it is protected and healthy (or degraded), 1 if it is not, 2 if this cannot be determined.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    parser.add_argument(
-        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or all details as JSON or YAML"
-    )
+    add_output(parser)
     add_options(parser)
     return parser

@@ -14,7 +14,7 @@ from typing import TextIO
 from understudy.api import names
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
-from understudy.cli.common.errors import CommandError, Forbidden
+from understudy.cli.common.errors import ERROR, CommandError, Forbidden, reports_errors
 from understudy.cli.common.robots import Pool, Robot, pool, robot
 from understudy.cli.common.text import terminal
 from understudy.cli.inspect import status_screen
@@ -23,8 +23,8 @@ from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
 
-PROTECTED, NOT_PROTECTED, ERROR = 0, 1, 2
-"""Exit statuses."""
+PROTECTED, NOT_PROTECTED = 0, 1
+"""Exit statuses besides ERROR."""
 
 WORKLOADS, POOLS = "robotworkloads.understudy.dev", "fallbackpools.understudy.dev"
 
@@ -45,6 +45,7 @@ PATIENCE = 20.0
 """Seconds for which requests to an API server that does not answer are repeated with --watch."""
 
 
+@reports_errors("status")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
@@ -59,9 +60,6 @@ def main(arguments: list[str]) -> int:
         if given.watch:
             return _watch(reader, wide=given.output == "wide")
         return _once(reader, given.output)
-    except CommandError as error:
-        print(f"understudy status: {error}", file=sys.stderr)
-        return ERROR
     except (KeyboardInterrupt, BrokenPipeError):
         return ERROR
 

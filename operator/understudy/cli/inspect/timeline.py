@@ -9,17 +9,15 @@ import time
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import reports_errors
 from understudy.cli.common.robots import status_of
 from understudy.cli.common.text import recovery_text, terminal
-
-SUCCESS, ERROR = 0, 2
-"""Exit statuses."""
 
 EACH = 3
 """How many recoveries are shown in detail."""
 
 
+@reports_errors("timeline")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     parser = _parser()
@@ -27,18 +25,14 @@ def main(arguments: list[str]) -> int:
     option_rules.reject_unless(
         parser, given, given.output == "text", "--last", f"applies to text only: {given.output} contains all recoveries"
     )
-    try:
-        item = Kubectl(given).get("robotworkloads.understudy.dev", given.name)
-        status = status_of(item)
-    except CommandError as error:
-        print(f"understudy timeline: {error}", file=sys.stderr)
-        return ERROR
+    item = Kubectl(given).get("robotworkloads.understudy.dev", given.name)
+    status = status_of(item)
     found, count = status.recoveries or [], status.recovery_count or 0
     if given.output != "text":
         document = {"recoveryCount": count, "recoveries": [recovery.to_wire() for recovery in found]}
         metadata = {key: item["metadata"][key] for key in ("namespace", "name")}
         print(structured({**metadata, **document}, given.output))
-        return SUCCESS
+        return 0
     text_lines = recovery_text.lines(
         f"{item['metadata']['namespace']}/{item['metadata']['name']}",
         count,
@@ -49,7 +43,7 @@ def main(arguments: list[str]) -> int:
         colours=terminal.colours(sys.stdout),
     )
     print("\n".join(text_lines))
-    return SUCCESS
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -61,9 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument("--last", metavar="N", type=_count, help=f"how many are shown in detail (default: {EACH})")
-    parser.add_argument(
-        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or the records as JSON or YAML"
-    )
+    option_rules.add_output(parser, "text, or the records as JSON or YAML")
     add_options(parser)
     return parser
 

@@ -14,12 +14,13 @@ from typing import Any
 from understudy.api import names
 from understudy.api.output_formats import structured
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import Rates, lines
 
-HEALTHY, NOT_HEALTHY, ERROR = 0, 1, 2
-"""Exit statuses."""
+HEALTHY, NOT_HEALTHY = 0, 1
+"""Exit statuses besides ERROR."""
 
 PERIOD = 0.5
 """Seconds between two requests."""
@@ -28,6 +29,7 @@ PATIENCE = 20.0
 """Seconds for which requests to a monitor that does not answer are repeated with --watch: it may be restarting."""
 
 
+@reports_errors("tree")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
@@ -38,9 +40,6 @@ def main(arguments: list[str]) -> int:
         if given.watch:
             return _watch(kubectl, given.name)
         return _once(kubectl, given.name, given.output)
-    except CommandError as error:
-        print(f"understudy tree: {error}", file=sys.stderr)
-        return ERROR
     except KeyboardInterrupt:
         return HEALTHY
 
@@ -156,9 +155,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     how = parser.add_mutually_exclusive_group()
     how.add_argument("-w", "--watch", action="store_true", help="keep updating until Ctrl-C")
-    how.add_argument(
-        "-o", "--output", choices=["text", "json", "yaml"], default="text", help="text, or all details as JSON or YAML"
-    )
+    add_output(how)
     how.add_argument("--web", action="store_true", help="serve the monitor's own page on this machine until Ctrl-C")
     add_options(parser)
     return parser

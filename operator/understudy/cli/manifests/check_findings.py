@@ -32,15 +32,8 @@ class Finding:
 
     def to_wire(self) -> dict[str, str | int]:
         """Return it as JSON data, neither shortened nor escaped."""
-        return {
-            "file": self.file,
-            "line": self.place.line,
-            "column": self.place.column,
-            "severity": self.severity,
-            "subject": self.subject,
-            "field": self.field,
-            "message": self.message,
-        }
+        about = {"severity": self.severity, "subject": self.subject, "field": self.field, "message": self.message}
+        return {"file": self.file, **self.place._asdict(), **about}
 
     def __str__(self) -> str:
         where = f"{self.file}:{self.place.line}:{self.place.column}"

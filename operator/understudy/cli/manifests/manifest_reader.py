@@ -68,33 +68,30 @@ class Manifest:
     @property
     def kind(self) -> str:
         """Its kind; empty if missing."""
-        found = self.data.get("kind") if isinstance(self.data, dict) else None
-        return found if isinstance(found, str) else ""
+        return self._text("kind")
 
     @property
     def name(self) -> str:
         """Its name; empty if missing."""
-        return self._named("name")
+        return self._text("metadata", "name")
 
     @property
     def namespace(self) -> str:
         """Its namespace; empty if missing."""
-        return self._named("namespace")
+        return self._text("metadata", "namespace")
 
     @property
     def labels(self) -> dict[str, str]:
         """Its labels."""
-        metadata = self.data.get("metadata") if isinstance(self.data, dict) else None
-        found = metadata.get("labels") if isinstance(metadata, dict) else None
+        found = at(self.data, "metadata", "labels")
         return {key: value for key, value in found.items() if isinstance(value, str)} if isinstance(found, dict) else {}
 
     def together(self, other: Manifest) -> bool:
         """Return whether two objects may be in one namespace; without one, it is chosen when they are applied."""
         return not self.namespace or not other.namespace or self.namespace == other.namespace
 
-    def _named(self, key: str) -> str:
-        metadata = self.data.get("metadata") if isinstance(self.data, dict) else None
-        found = metadata.get(key) if isinstance(metadata, dict) else None
+    def _text(self, *keys: str) -> str:
+        found = at(self.data, *keys)
         return found if isinstance(found, str) else ""
 
     @property
@@ -109,6 +106,22 @@ class Manifest:
         return Finding(
             self.file, place or self.place(path), "warning" if warning else "error", self.subject, path, message
         )
+
+
+def at(data: Any, *keys: str | int) -> Any:
+    """Return a nested value; None if it is missing, or if a parent is not what it should be."""
+    try:
+        for key in keys:
+            data = data[key]
+    except (TypeError, LookupError):
+        return None
+    return data
+
+
+def items(data: Any, *keys: str) -> list[Any]:
+    """Return the items of a nested list; none if it is not a list."""
+    found = at(data, *keys)
+    return found if isinstance(found, list) else []
 
 
 class TooMuch(Exception):

@@ -15,7 +15,7 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, Schema, definition
 from understudy.api.schema.printed_kinds import KINDS, Kind
 from understudy.cli.manifests.check_findings import Finding, Place
-from understudy.cli.manifests.manifest_reader import Manifest
+from understudy.cli.manifests.manifest_reader import Manifest, at, items
 from understudy.cli.manifests.schema_validation import validate
 from understudy.controller.desired import reflex_validation
 from understudy.controller.pods import instance_pod
@@ -117,10 +117,8 @@ def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[
     match kind.name:
         case "RobotWorkload":
             yield from _procedure(manifest, spec, "bringUp")
-            dependencies = spec.get("dependsOn")
-            for index, dependency in enumerate(dependencies if isinstance(dependencies, list) else ()):
-                if isinstance(dependency, Mapping):
-                    yield from _procedure(manifest, dependency, "procedure", f"spec.dependsOn[{index}]")
+            for index, dependency in enumerate(items(spec, "dependsOn")):
+                yield from _procedure(manifest, dependency, "procedure", f"spec.dependsOn[{index}]")
         case "FallbackPool":
             yield from _procedure(manifest, spec, "initialization")
             yield from _procedure(manifest, spec, "readinessCheck", check=True)
@@ -129,27 +127,22 @@ def _trees(manifest: Manifest, kind: Kind, spec: Mapping[str, Any]) -> Iterator[
             yield from _health(manifest, monitoring, "spec.monitoring", _grace(monitoring))
             yield from _degraded(manifest, spec.get("degraded"), _grace(monitoring))
             yield from _recoveries(manifest, spec, "spec")
-            situations = spec.get("situations")
-            for index, situation in enumerate(situations if isinstance(situations, list) else ()):
-                if isinstance(situation, Mapping):
-                    path = f"spec.situations[{index}]"
-                    yield from _health(manifest, situation.get("when"), f"{path}.when", 0.0)
-                    yield from _recoveries(manifest, situation, path)
+            for index, situation in enumerate(items(spec, "situations")):
+                path = f"spec.situations[{index}]"
+                yield from _health(manifest, at(situation, "when"), f"{path}.when", 0.0)
+                yield from _recoveries(manifest, situation, path)
 
 
-def _recoveries(manifest: Manifest, owner: Mapping[str, Any], path: str) -> Iterator[Finding]:
+def _recoveries(manifest: Manifest, owner: Any, path: str) -> Iterator[Finding]:
     """Yield the problems in the procedures of strategies."""
-    strategies = owner.get("strategies")
-    for index, strategy in enumerate(strategies if isinstance(strategies, list) else ()):
-        if isinstance(strategy, Mapping):
-            yield from _procedure(manifest, strategy, "recovery", f"{path}.strategies[{index}]")
+    for index, strategy in enumerate(items(owner, "strategies")):
+        yield from _procedure(manifest, strategy, "recovery", f"{path}.strategies[{index}]")
 
 
 def _procedure(
-    manifest: Manifest, owner: Mapping[str, Any], field: str, path: str = "spec", *, check: bool = False
+    manifest: Manifest, owner: Any, field: str, path: str = "spec", *, check: bool = False
 ) -> Iterator[Finding]:
-    procedure = owner.get(field)
-    for form, tree, where, begins in _forms(manifest, procedure, f"{path}.{field}"):
+    for form, tree, where, begins in _forms(manifest, at(owner, field), f"{path}.{field}"):
         load = functools.partial(compose, form, tree, check=check, path=where, begins=begins or WHOLE_FILE)
         yield from placed(manifest, load, known=begins is not None)
 
@@ -173,22 +166,17 @@ def _forms(
 ) -> Iterator[tuple[str, Mapping[str, Any] | str, str, TextOffset | None]]:
     """Yield the trees of an object that may have one in any notation: notation, tree, path, and where its text begins, if known."""
     for form in FORMS:
-        tree = owner.get(form) if isinstance(owner, Mapping) else None
+        tree = at(owner, form)
         if tree and isinstance(tree, str if form in TEXTS else Mapping):
             where = f"{path}.{form}"
             yield form, tree, where, manifest.texts.get(where) if form in TEXTS else None
 
 
 def _degraded(manifest: Manifest, degraded: object, grace: float) -> Iterator[Finding]:
-    if not isinstance(degraded, Mapping):
-        return
-    yield from _health(manifest, degraded.get("monitoring"), "spec.degraded.monitoring", grace)
-    actions = degraded.get("actions")
-    for index, action in enumerate(actions if isinstance(actions, list) else ()):
-        reschedule = action.get("reschedule") if isinstance(action, Mapping) else None
-        if isinstance(reschedule, Mapping):
-            path = f"spec.degraded.actions[{index}].reschedule.idle"
-            yield from _health(manifest, reschedule.get("idle"), path, grace)
+    yield from _health(manifest, at(degraded, "monitoring"), "spec.degraded.monitoring", grace)
+    for index, action in enumerate(items(degraded, "actions")):
+        path = f"spec.degraded.actions[{index}].reschedule.idle"
+        yield from _health(manifest, at(action, "reschedule", "idle"), path, grace)
 
 
 def placed(manifest: Manifest, load: Callable[[], object], *, known: bool) -> Iterator[Finding]:

@@ -17,7 +17,7 @@ from understudy.api.kinds.requirements_spec import Level
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, plot_files
 from understudy.cli.common.cluster_access import kubectl
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.manifests import manifest_reader, object_check
 from understudy.cli.manifests.manifest_reader import Manifest
@@ -27,38 +27,35 @@ from understudy.cli.plan.size import share
 from understudy.cli.plan.text_wrap import wrap_labelled
 from understudy.kube.client import Object
 
-MET, NOT_MET, ERROR = 0, 1, 2
-"""Exit statuses."""
+MET, NOT_MET = 0, 1
+"""Exit statuses besides ERROR."""
 
 _REQUIREMENTS = ("safety", "availability", "resource-usage", "task-criticality")
 
 
+@reports_errors("recommend")
 def main(arguments: list[str]) -> int:
     """Run the command. The result goes to standard output."""
     parser = _parser()
     given = parser.parse_args(arguments)
     for option in ("--namespace", "--context", "--kubeconfig"):
         option_rules.reject_unless(parser, given, not given.no_cluster, option, "cannot be combined with --no-cluster")
-    try:
-        if given.plot is not None:
-            plot_files.check_plot_file(given.plot)
-        manifests = _read(given.files)
-        levels = {_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name.replace("-", "_")))}
-        found = recommended(manifests, given.workload, levels, dict(given.cpu), _recorded(given, manifests))
-        if given.plot is not None and len(found) > 1:
-            names = ", ".join(one.workload.name for one in found)
-            raise CommandError(f"--plot draws one workload, but the files contain {names}: choose one with --workload")
-        if given.output == "text":
-            print(wrap_labelled("\n\n".join(strategy_table.lines(one) for one in found), terminal.columns(sys.stdout)))
-        else:
-            print(structured([one.data() for one in found], given.output))
-        if given.plot is not None:
-            from understudy.cli.plan import tradeoff_plot
+    if given.plot is not None:
+        plot_files.check_plot_file(given.plot)
+    manifests = _read(given.files)
+    levels = {_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name.replace("-", "_")))}
+    found = recommended(manifests, given.workload, levels, dict(given.cpu), _recorded(given, manifests))
+    if given.plot is not None and len(found) > 1:
+        names = ", ".join(one.workload.name for one in found)
+        raise CommandError(f"--plot draws one workload, but the files contain {names}: choose one with --workload")
+    if given.output == "text":
+        print(wrap_labelled("\n\n".join(strategy_table.lines(one) for one in found), terminal.columns(sys.stdout)))
+    else:
+        print(structured([one.data() for one in found], given.output))
+    if given.plot is not None:
+        from understudy.cli.plan import tradeoff_plot
 
-            tradeoff_plot.draw(given.plot, found[0])
-    except CommandError as error:
-        print(f"understudy recommend: {error}", file=sys.stderr)
-        return ERROR
+        tradeoff_plot.draw(given.plot, found[0])
     return NOT_MET if any(order_explanation.unmet_requirements(one.order) for one in found) else MET
 
 
@@ -123,9 +120,7 @@ def _parser() -> argparse.ArgumentParser:
         help="measured CPU of a waiting instance, as a share of a working instance's, such as Initialized=0.4",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw time against CPU (needs the extra understudy[plots])")
-    parser.add_argument(
-        "-o", "--output", choices=("text", "json", "yaml"), default="text", help="output format (default: text)"
-    )
+    option_rules.add_output(parser, "output format (default: text)")
     parser.add_argument("-n", "--namespace", help="namespace of workloads whose files do not name one")
     parser.add_argument("--context", help="context of the kubeconfig")
     parser.add_argument("--kubeconfig", help="path of the kubeconfig")

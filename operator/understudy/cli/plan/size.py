@@ -10,14 +10,11 @@ from collections.abc import Callable
 from understudy.advice.shortage_risk import MEASURES, MOST
 from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, plot_files
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import reports_errors
 from understudy.cli.common.text import terminal
 from understudy.cli.plan.pool_sizes import Question, calculate
 from understudy.cli.plan.size_text import size_text
 from understudy.cli.plan.text_wrap import wrap_labelled
-
-SUCCESS, ERROR = 0, 2
-"""Exit statuses."""
 
 _SUREST = 0.999999
 """The highest risk for which a size is calculated."""
@@ -29,6 +26,7 @@ RISK_OF = "loss"
 """Default of --risk-of."""
 
 
+@reports_errors("size")
 def main(arguments: list[str]) -> int:
     """Run the command. The result goes to standard output."""
     parser = _parser()
@@ -44,22 +42,18 @@ def main(arguments: list[str]) -> int:
         restart=given.restart or 2 * given.recovery,
         cpu=given.fallback_cpu,
     )
-    try:
-        if given.plot is not None:
-            plot_files.check_plot_file(given.plot)
-        size = calculate(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
-        if given.output == "text":
-            print(wrap_labelled(size_text(size), terminal.columns(sys.stdout)))
-        else:
-            print(structured(size.data(), given.output))
-        if given.plot is not None:
-            from understudy.cli.plan import size_plot
+    if given.plot is not None:
+        plot_files.check_plot_file(given.plot)
+    size = calculate(question, given.fallbacks, given.risk, given.risk_of or RISK_OF)
+    if given.output == "text":
+        print(wrap_labelled(size_text(size), terminal.columns(sys.stdout)))
+    else:
+        print(structured(size.data(), given.output))
+    if given.plot is not None:
+        from understudy.cli.plan import size_plot
 
-            size_plot.draw(given.plot, size)
-    except CommandError as error:
-        print(f"understudy size: {error}", file=sys.stderr)
-        return ERROR
-    return SUCCESS
+        size_plot.draw(given.plot, size)
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -128,9 +122,7 @@ def _parser() -> argparse.ArgumentParser:
         f"failures than fallbacks occur within a refill time, as in the paper (default: {RISK_OF})",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
-    parser.add_argument(
-        "-o", "--output", choices=("text", "json", "yaml"), default="text", help="output format (default: text)"
-    )
+    option_rules.add_output(parser, "output format (default: text)")
     return parser
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -12,37 +11,31 @@ from typing import Any
 
 from understudy.api import base, names
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text.wording import clock, counted
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.page import page
 from understudy.cli.report.recovery_records import Findings, Span, findings
 
-SUCCESS, ERROR = 0, 2
-"""Exit statuses."""
 
-
+@reports_errors("report")
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    try:
-        now = time.time()
-        period = _period(given, now)
-        kubectl = Kubectl(given)
-        items = _robots(kubectl, given)
-        pods, unknown = _pods(kubectl, given)
-        found = findings(items, period, pods, pods_unknown=unknown)
-        data = sheets(found)
-        where = _where(found, given)
-        _write(Path(given.output), page(found, data, where=where, made=now))
-        if given.csv is not None:
-            for name, text in data.items():
-                _write(Path(given.csv, name), text)
-    except CommandError as error:
-        print(f"understudy report: {error}", file=sys.stderr)
-        return ERROR
+    now = time.time()
+    period = _period(given, now)
+    kubectl = Kubectl(given)
+    items = _robots(kubectl, given)
+    pods, unknown = _pods(kubectl, given)
+    found = findings(items, period, pods, pods_unknown=unknown)
+    data = sheets(found)
+    where = _where(found, given)
+    _write(Path(given.output), page(found, data, where=where, made=now))
+    if given.csv is not None:
+        for name, text in data.items():
+            _write(Path(given.csv, name), text)
     print(_summary(found, given))
-    return SUCCESS
+    return 0
 
 
 def _robots(kubectl: Kubectl, given: argparse.Namespace) -> Sequence[Mapping[str, Any]]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from typing import TypeVar
 
 from understudy.api.kinds.robot_workload import Moments
-from understudy.cli.common.robots import Robot
 from understudy.cli.common.text.recovery_text import parts_of
 from understudy.cli.common.text.time_bars import NAMES
 from understudy.cli.report.recovery_records import Entry, Findings, Group, RobotPeriod, Span
@@ -16,7 +17,7 @@ from understudy.cli.report.reserved_resources import ROLES, Share
 from understudy.failover.progress import rfc3339
 
 Value = str | int | float | bool | None
-Row = Mapping[str, Value]
+Row = TypeVar("Row")
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """Beginnings of a text that a spreadsheet interprets as a formula."""
@@ -24,21 +25,20 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 def sheets(findings: Findings) -> dict[str, str]:
     """Return the sheets by file name."""
+    reserved = [(share, role) for share in findings.shares for role in share.roles]
     return {
-        "recoveries.csv": _written([_recovery(entry) for entry in findings.entries], _recovery_columns()),
-        "robots.csv": _written(
-            [_robot(robot_period, findings.period) for robot_period in findings.robot_periods], _ROBOT
-        ),
-        "strategies.csv": _written([_strategy(group) for group in findings.groups], _STRATEGY),
-        "reserved.csv": _written([row for share in findings.shares for row in _reserved(share)], _RESERVED),
+        "recoveries.csv": _written(_RECOVERY, findings.entries),
+        "robots.csv": _written(_robot(findings.period), findings.robot_periods),
+        "strategies.csv": _written(_STRATEGY, findings.groups),
+        "reserved.csv": _written(_RESERVED, reserved),
     }
 
 
-def _written(rows: Sequence[Row], columns: Sequence[str]) -> str:
+def _written(columns: Mapping[str, Callable[[Row], Value]], rows: Iterable[Row]) -> str:
     out = io.StringIO()
-    writer = csv.DictWriter(out, columns, lineterminator="\r\n")
-    writer.writeheader()
-    writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+    writer = csv.writer(out)
+    writer.writerow(columns)
+    writer.writerows([_cell(value(row)) for value in columns.values()] for row in rows)
     return out.getvalue()
 
 
@@ -51,111 +51,79 @@ def _cell(value: Value) -> str:
     return "" if value is None else repr(round(value, 6))
 
 
-def _recovery_columns() -> list[str]:
-    return [
-        *("namespace", "robot", "number", "id", "began", "result", "strategy", "planned", "switchover", "resumed"),
-        *("from_pod", "to_pod", "epoch", *(f"{part}_seconds" for part in NAMES)),
-        *("recovery_seconds", "held_seconds", "down_seconds", "gap_seconds", "reason", "attempts"),
-        *Moments.model_fields,
-    ]
+def _part(part: str, entry: Entry) -> Value:
+    return parts_of(entry.recovery).get(part)
 
 
-def _recovery(entry: Entry) -> Row:
-    recovery = entry.recovery
+def _moment(moment: str, entry: Entry) -> Value:
+    found: str | None = getattr(entry.recovery.moments, moment)
+    return found
+
+
+_RECOVERY: Mapping[str, Callable[[Entry], Value]] = {
+    "namespace": lambda entry: entry.namespace,
+    "robot": lambda entry: entry.name,
+    "number": lambda entry: entry.recovery.number,
+    "id": lambda entry: entry.recovery.id,
+    "began": lambda entry: rfc3339(entry.began),
+    "result": lambda entry: entry.recovery.result,
+    "strategy": lambda entry: entry.recovery.strategy,
+    "planned": lambda entry: entry.recovery.planned,
+    "switchover": lambda entry: entry.recovery.switchover,
+    "resumed": lambda entry: entry.recovery.resumed,
+    "from_pod": lambda entry: entry.recovery.from_pod,
+    "to_pod": lambda entry: entry.recovery.to_pod,
+    "epoch": lambda entry: entry.recovery.epoch,
+    **{f"{part}_seconds": partial(_part, part) for part in NAMES},
+    "recovery_seconds": lambda entry: entry.recovery.recovery_seconds,
+    "held_seconds": lambda entry: entry.held,
+    "down_seconds": lambda entry: entry.down,
+    "gap_seconds": lambda entry: entry.gap,
+    "reason": lambda entry: entry.recovery.reason,
+    "attempts": lambda entry: json.dumps([attempt.to_wire() for attempt in entry.recovery.attempts]),
+    **{moment: partial(_moment, moment) for moment in Moments.model_fields},
+}
+
+
+def _robot(period: Span) -> Mapping[str, Callable[[RobotPeriod], Value]]:
     return {
-        "namespace": entry.namespace,
-        "robot": entry.name,
-        "number": recovery.number,
-        "id": recovery.id,
-        "began": rfc3339(entry.began),
-        "result": recovery.result,
-        "strategy": recovery.strategy,
-        "planned": recovery.planned,
-        "switchover": recovery.switchover,
-        "resumed": recovery.resumed,
-        "from_pod": recovery.from_pod,
-        "to_pod": recovery.to_pod,
-        "epoch": recovery.epoch,
-        **{f"{part}_seconds": seconds for part, seconds in parts_of(recovery).items()},
-        "recovery_seconds": recovery.recovery_seconds,
-        "held_seconds": entry.held,
-        "down_seconds": entry.down,
-        "gap_seconds": entry.gap,
-        "reason": recovery.reason,
-        "attempts": json.dumps([attempt.to_wire() for attempt in recovery.attempts]),
-        **recovery.moments.model_dump(),
+        "namespace": lambda one: one.robot.namespace,
+        "robot": lambda one: one.robot.name,
+        "policy": lambda one: one.robot.policy,
+        "health": lambda one: one.robot.health,
+        "protected": lambda one: one.robot.protected,
+        "problems": lambda one: json.dumps([problem.to_wire() for problem in one.robot.problems]),
+        "period_begin": lambda _: rfc3339(period.begin),
+        "period_end": lambda _: rfc3339(period.end),
+        "known_begin": lambda one: rfc3339(one.known.begin) if one.known else None,
+        "known_end": lambda one: rfc3339(one.known.end) if one.known else None,
+        "recoveries_ever": lambda one: one.ever,
+        "recoveries_kept": lambda one: one.kept,
+        "recoveries": lambda one: len(one.entries),
+        "failures": lambda one: sum(entry.of_failure for entry in one.entries),
+        "recovered": lambda one: sum(entry.recovered for entry in one.entries),
+        "failed": lambda one: sum(entry.failed for entry in one.entries),
+        "down_seconds": lambda one: one.down if one.known else None,
+        "down_at_least": lambda one: one.down_at_least,
+        "availability": lambda one: one.availability,
     }
 
 
-_ROBOT = (
-    *("namespace", "robot", "policy", "health", "protected", "problems", "period_begin", "period_end"),
-    *(
-        "known_begin",
-        "known_end",
-        "recoveries_ever",
-        "recoveries_kept",
-        "recoveries",
-        "failures",
-        "recovered",
-        "failed",
-    ),
-    *("down_seconds", "down_at_least", "availability"),
-)
+_STRATEGY: Mapping[str, Callable[[Group], Value]] = {
+    "strategy": lambda group: group.name,
+    "count": lambda group: group.spread.count,
+    **{f"{part}_mean_seconds": partial(lambda part, group: group.parts[part], part) for part in NAMES},
+    "mean_seconds": lambda group: group.spread.mean,
+    "p50_seconds": lambda group: group.spread.p50,
+    "p95_seconds": lambda group: group.spread.p95,
+    "least_seconds": lambda group: group.spread.least,
+    "greatest_seconds": lambda group: group.spread.greatest,
+}
 
-
-def _robot(robot_period: RobotPeriod, period: Span) -> Row:
-    robot, known = robot_period.robot, robot_period.known
-    return {
-        "namespace": robot.namespace,
-        "robot": robot.name,
-        "policy": robot.policy,
-        "health": robot.health,
-        "protected": robot.protected,
-        "problems": _problems(robot),
-        "period_begin": rfc3339(period.begin),
-        "period_end": rfc3339(period.end),
-        "known_begin": rfc3339(known.begin) if known else None,
-        "known_end": rfc3339(known.end) if known else None,
-        "recoveries_ever": robot_period.ever,
-        "recoveries_kept": robot_period.kept,
-        "recoveries": len(robot_period.entries),
-        "failures": sum(entry.of_failure for entry in robot_period.entries),
-        "recovered": sum(entry.recovered for entry in robot_period.entries),
-        "failed": sum(entry.failed for entry in robot_period.entries),
-        "down_seconds": robot_period.down if known else None,
-        "down_at_least": robot_period.down_at_least,
-        "availability": robot_period.availability,
-    }
-
-
-def _problems(robot: Robot) -> str:
-    return json.dumps([problem.to_wire() for problem in robot.problems])
-
-
-_STRATEGY = (
-    *("strategy", "count", *(f"{part}_mean_seconds" for part in NAMES)),
-    *("mean_seconds", "p50_seconds", "p95_seconds", "least_seconds", "greatest_seconds"),
-)
-
-
-def _strategy(group: Group) -> Row:
-    spread = group.spread
-    return {
-        "strategy": group.name,
-        "count": spread.count,
-        **{f"{part}_mean_seconds": seconds for part, seconds in group.parts.items()},
-        "mean_seconds": spread.mean,
-        "p50_seconds": spread.p50,
-        "p95_seconds": spread.p95,
-        "least_seconds": spread.least,
-        "greatest_seconds": spread.greatest,
-    }
-
-
-_RESERVED = ("strategy", "count", "role", "cpu_cores", "memory_bytes")
-
-
-def _reserved(share: Share) -> Iterator[Row]:
-    for role, amounts in share.roles.items():
-        values = {"cpu_cores": amounts.cpu, "memory_bytes": amounts.memory}
-        yield {"strategy": share.name, "count": share.count, "role": ROLES[role], **values}
+_RESERVED: Mapping[str, Callable[[tuple[Share, str]], Value]] = {
+    "strategy": lambda row: row[0].name,
+    "count": lambda row: row[0].count,
+    "role": lambda row: ROLES[row[1]],
+    "cpu_cores": lambda row: row[0].roles[row[1]].cpu,
+    "memory_bytes": lambda row: row[0].roles[row[1]].memory,
+}

@@ -12,7 +12,7 @@ from array import array
 from collections.abc import Iterator
 from typing import Any
 
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.clock_text import wall
@@ -24,28 +24,25 @@ from understudy.trees.core.rate_window import hertz
 from understudy.trees.languages.short.health_loader import load
 from understudy.trees.source.problems import TreeError, did_you_mean
 
-CONSISTENT, CONTRADICTED, ERROR = 0, 1, 2
-"""Exit statuses."""
+CONSISTENT, CONTRADICTED = 0, 1
+"""Exit statuses besides ERROR."""
 
 
+@reports_errors("learn")
 def main(arguments: list[str]) -> int:
     """Run the command. The leaves go to standard output."""
     given = _parser().parse_args(arguments)
-    try:
-        with Bag.open(given.bag) as bag:
-            learned = [_learn(bag, name, given.factor, given.margin) for name in dict.fromkeys(given.topic)]
-            failures = _tried([leaf for leaf, _, _ in learned], bag)
-            for line in _text(bag, learned, given.factor, given.margin):
-                print(plain(line))
-            for failure in failures:
-                print(
-                    f"understudy learn: these bounds would have failed in this bag, at {failure.failed - bag.start:.3f} s: "
-                    f"{plain(failure.reason)}; was the robot healthy then? If it was, increase --factor or --margin",
-                    file=sys.stderr,
-                )
-    except CommandError as error:
-        print(f"understudy learn: {error}", file=sys.stderr)
-        return ERROR
+    with Bag.open(given.bag) as bag:
+        learned = [_learn(bag, name, given.factor, given.margin) for name in dict.fromkeys(given.topic)]
+        failures = _tried([leaf for leaf, _, _ in learned], bag)
+        for line in _text(bag, learned, given.factor, given.margin):
+            print(plain(line))
+        for failure in failures:
+            print(
+                f"understudy learn: these bounds would have failed in this bag, at {failure.failed - bag.start:.3f} s: "
+                f"{plain(failure.reason)}; was the robot healthy then? If it was, increase --factor or --margin",
+                file=sys.stderr,
+            )
     return CONTRADICTED if failures else CONSISTENT
 
 

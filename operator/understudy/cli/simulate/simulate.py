@@ -3,38 +3,28 @@
 from __future__ import annotations
 
 import argparse
-import io
-import os
-import sys
 from pathlib import Path
 
 from understudy.api.output_formats import structured
 from understudy.cli.common import plot_files
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
+from understudy.cli.common.option_rules import add_output
+from understudy.cli.common.text import terminal
 from understudy.cli.simulate import fault_times, policy_file
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.replay import replay
 from understudy.cli.simulate.simulation_report import Report
 
-NOTHING, DETECTED, ERROR = 0, 1, 2
-"""Exit statuses."""
+NOTHING, DETECTED = 0, 1
+"""Exit statuses besides ERROR."""
 
 
+@reports_errors("simulate")
 def main(arguments: list[str]) -> int:
     """Run the command. The result goes to standard output."""
     given = _parser().parse_args(arguments)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
-    try:
-        report, detected = _simulated(given)
-    except CommandError as error:
-        print(f"understudy simulate: {error}", file=sys.stderr)
-        return ERROR
-    try:
-        print(report)
-        sys.stdout.flush()
-    except BrokenPipeError:  # a reader such as head has exited
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    report, detected = _simulated(given)
+    terminal.write([report])
     return DETECTED if detected else NOTHING
 
 
@@ -85,7 +75,5 @@ def _parser() -> argparse.ArgumentParser:
         "running when the recording began",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw the result (needs the extra understudy[plots])")
-    parser.add_argument(
-        "-o", "--output", choices=("text", "json", "yaml"), default="text", help="output format (default: text)"
-    )
+    add_output(parser, "output format (default: text)")
     return parser

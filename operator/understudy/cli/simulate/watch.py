@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 from understudy.api.base import seconds
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.leaf_history import Evaluation
@@ -22,8 +22,8 @@ from understudy.cli.simulate.policy_file import Policy
 if TYPE_CHECKING:
     from understudy.ros.observe.topic_watch import TopicWatch
 
-HEALTHY, FAILED, ERROR = 0, 1, 2
-"""Exit statuses."""
+HEALTHY, FAILED = 0, 1
+"""Exit statuses besides ERROR."""
 
 LEAST_REST = 0.001
 """Least seconds between two evaluations."""
@@ -31,16 +31,13 @@ LEAST_REST = 0.001
 OF_CLUSTER = "needs the cluster, which this command does not use: not evaluated"
 
 
+@reports_errors("watch")
 def main(arguments: list[str]) -> int:
     """Run the command. The state of the tree goes to standard output, the result to standard error."""
     given = _parser().parse_args(arguments)
-    try:
-        policy = policy_file.read(given.policy_file, given.policy, given.grace)
-        with _joined() as watching:
-            evaluation = _watch(policy, watching, given.length)
-    except CommandError as error:
-        print(f"understudy watch: {error}", file=sys.stderr)
-        return ERROR
+    policy = policy_file.read(given.policy_file, given.policy, given.grace)
+    with _joined() as watching:
+        evaluation = _watch(policy, watching, given.length)
     return _end(evaluation)
 
 

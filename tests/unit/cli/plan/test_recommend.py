@@ -11,7 +11,8 @@ import pytest
 import yaml
 
 from tests.unit.controller import strategy_policies as chosen
-from understudy.cli.plan.recommend import ERROR, MET, NOT_MET, main
+from understudy.cli.common.errors import ERROR
+from understudy.cli.plan.recommend import MET, NOT_MET, main
 
 WORKLOAD = """\
 apiVersion: understudy.dev/v1alpha1
