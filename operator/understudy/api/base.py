@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Callable
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.alias_generators import to_camel
@@ -30,8 +31,26 @@ def rules(*entries: tuple[str, str] | tuple[str, str, str]) -> dict[str, Any]:
     }
 
 
-def matching(pattern: str, message: str) -> dict[str, Any]:
-    """``json_schema_extra`` for a text with a pattern. The error shows the value and says what is expected.
+ModelType = TypeVar("ModelType", bound="type[Model]")
+
+
+def with_rules(*entries: tuple[str, str] | tuple[str, str, str]) -> Callable[[ModelType], ModelType]:
+    """Give a model CEL validation rules, as :func:`rules` takes them."""
+
+    def decorate(model: ModelType) -> ModelType:
+        model.model_config = model.model_config | {"json_schema_extra": rules(*entries)}
+        return model
+
+    return decorate
+
+
+def matching(pattern: str, message: str, **more: Any) -> Any:
+    """The field of a text with a pattern, and with ``more`` as for ``Field``."""
+    return Field(pattern=pattern, json_schema_extra=pattern_rule(pattern, message), **more)
+
+
+def pattern_rule(pattern: str, message: str) -> dict[str, Any]:
+    """The rule for a text with a pattern. The error shows the value and says what is expected.
 
     The error for a schema's own ``pattern`` shows only the expression, so CRD generation replaces it by this rule.
     """
@@ -44,24 +63,14 @@ def matching(pattern: str, message: str) -> dict[str, Any]:
     return {"x-kubernetes-validations": [rule]}
 
 
-Duration = Annotated[
-    str,
-    Field(pattern=DURATION_PATTERN, max_length=32, json_schema_extra=matching(DURATION_PATTERN, DURATION_MESSAGE)),
-]
+Duration = Annotated[str, matching(DURATION_PATTERN, DURATION_MESSAGE, max_length=32)]
 """A length of time such as ``500ms``, ``1.5s`` or ``1m30s``."""
 
 
 PERCENTAGE_PATTERN = r"^([1-9][0-9]?([.][0-9]{1,6})?|0[.][0-9]{0,5}[1-9][0-9]{0,5})%$"
 
 Percentage = Annotated[
-    str,
-    Field(
-        pattern=PERCENTAGE_PATTERN,
-        max_length=16,
-        json_schema_extra=matching(
-            PERCENTAGE_PATTERN, "write a percentage above 0% and below 100%, such as 1% or 0.5%"
-        ),
-    ),
+    str, matching(PERCENTAGE_PATTERN, "write a percentage above 0% and below 100%, such as 1% or 0.5%", max_length=16)
 ]
 """A percentage such as ``1%``, neither 0% nor 100%."""
 
@@ -72,7 +81,8 @@ def fraction(percentage: str) -> float:
 
 
 class Model(BaseModel):
-    """Base of every object in the API. Field names are camelCase on the wire.
+    """Base of every object in the API. Field names are camelCase on the wire. In a CRD, the docstrings of models and fields are
+    their descriptions.
 
     The API server's schema refuses unknown fields. They are ignored here, so that an older operator can read what a newer one
     stored.
@@ -91,25 +101,15 @@ OBJECT_NAME_MESSAGE = (
     "with a letter or digit"
 )
 
-ObjectName = Annotated[
-    str,
-    Field(
-        pattern=OBJECT_NAME_PATTERN,
-        min_length=1,
-        max_length=253,
-        json_schema_extra=matching(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE),
-    ),
-]
+ObjectName = Annotated[str, matching(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE, min_length=1, max_length=253)]
 """The name of a Kubernetes object (a DNS subdomain)."""
 
-RosName = Annotated[
-    str,
-    Field(pattern=ROS_NAME_PATTERN, max_length=256, json_schema_extra=matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE)),
-]
+RosName = Annotated[str, matching(ROS_NAME_PATTERN, ROS_NAME_MESSAGE, max_length=256)]
 """A fully qualified name of a topic, service, action or node."""
 
 
 class LocalReference(Model):
     """The name of another object in the same namespace."""
 
-    name: ObjectName = Field(description="Name of the object, in the same namespace.")
+    name: ObjectName
+    """Name of the object, in the same namespace."""

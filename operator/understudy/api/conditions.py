@@ -22,21 +22,25 @@ Time = Annotated[str, Field(json_schema_extra={"format": "date-time"})]
 class Condition(Model):
     """One aspect of an object's state, as ``kubectl describe`` and ``kubectl wait`` read it."""
 
-    type: str = Field(max_length=316, description="Type of the condition, such as Ready or Protected.")
-    status: Status = Field(description="True, False or Unknown.")
-    reason: str = Field(
-        min_length=1,
-        max_length=1024,
-        pattern=r"^[A-Za-z]([A-Za-z0-9_,:]*[A-Za-z0-9_])?$",
-        description="Reason for the status, in one CamelCase word.",
-    )
-    message: str = Field(
-        default="", max_length=MESSAGE_MOST, description="What was found and, if something is wrong, how to correct it."
-    )
-    last_transition_time: Time = Field(description="When the status last changed, RFC 3339.")
-    observed_generation: int | None = Field(
-        default=None, ge=0, description="Generation of the spec that the condition refers to."
-    )
+    type: str = Field(max_length=316)
+    """Type of the condition, such as Ready or Protected."""
+    status: Status
+    """True, False or Unknown."""
+    reason: str = Field(min_length=1, max_length=1024, pattern=r"^[A-Za-z]([A-Za-z0-9_,:]*[A-Za-z0-9_])?$")
+    """Reason for the status, in one CamelCase word."""
+    message: str = Field(default="", max_length=MESSAGE_MOST)
+    """What was found and, if something is wrong, how to correct it."""
+    last_transition_time: Time
+    """When the status last changed, RFC 3339."""
+    observed_generation: int | None = Field(default=None, ge=0)
+    """Generation of the spec that the condition refers to."""
+
+
+Conditions = Annotated[
+    list[Condition],
+    Field(json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]}),
+]
+"""The conditions of an object, one of each type."""
 
 
 def now() -> str:

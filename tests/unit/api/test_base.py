@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from understudy.api.base import Model, matching, rules, seconds
+from understudy.api.base import Model, pattern_rule, rules, seconds
 from understudy.api.kinds.failure_policy import Limits, Strategy
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 
@@ -68,7 +68,7 @@ def test_rules_name_the_field_where_one_is_given() -> None:
 
 
 def test_a_pattern_is_refused_with_what_was_found() -> None:
-    (rule,) = matching("^a+$", "write as")["x-kubernetes-validations"]
+    (rule,) = pattern_rule("^a+$", "write as")["x-kubernetes-validations"]
     assert rule["rule"] == "self.matches(r'^a+$')"
     assert rule["messageExpression"] == """'"' + self + '": write as'"""
 

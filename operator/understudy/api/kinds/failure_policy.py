@@ -16,17 +16,17 @@ from understudy.api.base import (
     ObjectName,
     RosName,
     matching,
-    rules,
     seconds,
+    with_rules,
 )
-from understudy.api.conditions import Condition
+from understudy.api.conditions import Conditions
 from understudy.api.kinds.degraded_spec import Degraded
 from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.kinds.recording_spec import BlackBox
 from understudy.api.kinds.requirements_spec import Requirements
 from understudy.api.kinds.situation_spec import When
 from understudy.api.kinds.state_spec import State
-from understudy.api.kinds.tree_spec import Form, Written, short_form, text
+from understudy.api.kinds.tree_spec import Form, ShortForm, Text, Written
 
 _KEY_PATTERN = r"^[-._a-zA-Z0-9]+\.(yaml|yml|xml|osc)$"
 _KEY_MESSAGE = "the suffix of the key must be .yaml (short form), .xml (BehaviorTree.CPP 4) or .osc (OpenSCENARIO 2)"
@@ -40,12 +40,8 @@ class TreeReference(Model):
     name: ObjectName = Field(
         description=f"Name of the ConfigMap, in the policy's namespace. The ConfigMap must have the label {names.HEALTH_TREE}=true."
     )
-    key: str = Field(
-        pattern=_KEY_PATTERN,
-        max_length=253,
-        description="Key in the ConfigMap. Its suffix selects the language of the tree: .yaml, .xml or .osc.",
-        json_schema_extra=matching(_KEY_PATTERN, _KEY_MESSAGE),
-    )
+    key: str = matching(_KEY_PATTERN, _KEY_MESSAGE, max_length=253)
+    """Key in the ConfigMap. Its suffix selects the language of the tree: .yaml, .xml or .osc."""
 
     @property
     def form(self) -> Form:
@@ -53,55 +49,44 @@ class TreeReference(Model):
         return _ENDINGS[self.key.rpartition(".")[2]]
 
 
+@with_rules(
+    (
+        "has(self.yaml) || has(self.xml) || has(self.osc) || has(self.configMapKeyRef)",
+        "a health tree is required: give exactly one of yaml (short form), xml (BehaviorTree.CPP 4), "
+        "osc (OpenSCENARIO 2) and configMapKeyRef",
+        ".yaml",
+    ),
+    (
+        "!has(self.yaml) || !has(self.xml)",
+        "the health tree is already given as yaml: give exactly one of yaml, xml, osc and configMapKeyRef",
+        ".xml",
+    ),
+    (
+        "!has(self.osc) || !has(self.yaml) && !has(self.xml)",
+        "the health tree is already given as yaml or xml: give exactly one of yaml, xml, osc and configMapKeyRef",
+        ".osc",
+    ),
+    (
+        "!has(self.configMapKeyRef) || !has(self.yaml) && !has(self.xml) && !has(self.osc)",
+        "the health tree is already given in the policy: give exactly one of yaml, xml, osc and configMapKeyRef",
+        ".configMapKeyRef",
+    ),
+)
 class Monitoring(Written):
     """What healthy means, as a behaviour tree, and how long it must fail to count as a failure."""
 
-    model_config = Written.model_config | {
-        "json_schema_extra": rules(
-            (
-                "has(self.yaml) || has(self.xml) || has(self.osc) || has(self.configMapKeyRef)",
-                "a health tree is required: give exactly one of yaml (short form), xml (BehaviorTree.CPP 4), "
-                "osc (OpenSCENARIO 2) and configMapKeyRef",
-                ".yaml",
-            ),
-            (
-                "!has(self.yaml) || !has(self.xml)",
-                "the health tree is already given as yaml: give exactly one of yaml, xml, osc and configMapKeyRef",
-                ".xml",
-            ),
-            (
-                "!has(self.osc) || !has(self.yaml) && !has(self.xml)",
-                "the health tree is already given as yaml or xml: give exactly one of yaml, xml, osc and "
-                "configMapKeyRef",
-                ".osc",
-            ),
-            (
-                "!has(self.configMapKeyRef) || !has(self.yaml) && !has(self.xml) && !has(self.osc)",
-                "the health tree is already given in the policy: give exactly one of yaml, xml, osc and "
-                "configMapKeyRef",
-                ".configMapKeyRef",
-            ),
-        )
-    }
-
-    yaml: dict[str, Any] | None = short_form(
-        "The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md."
-    )
-    xml: str | None = text(
-        "The health tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/trees.md."
-    )
-    osc: str | None = text("The health tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/trees-osc.md.")
-    config_map_key_ref: TreeReference | None = Field(
-        default=None, description="The health tree in a ConfigMap, which several policies can share."
-    )
-    debounce: Duration = Field(
-        default="0s",
-        description="How long the tree must fail without interruption to count as a failure. This time adds to the "
-        "detection time.",
-    )
-    startup_grace: Duration = Field(
-        default="30s", description="How long a new instance may take to become healthy for the first time."
-    )
+    yaml: ShortForm | None = None
+    """The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md."""
+    xml: Text | None = None
+    """The health tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/trees.md."""
+    osc: Text | None = None
+    """The health tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/trees-osc.md."""
+    config_map_key_ref: TreeReference | None = None
+    """The health tree in a ConfigMap, which several policies can share."""
+    debounce: Duration = "0s"
+    """How long the tree must fail without interruption to count as a failure. This time adds to the detection time."""
+    startup_grace: Duration = "30s"
+    """How long a new instance may take to become healthy for the first time."""
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
@@ -118,62 +103,49 @@ class Monitoring(Written):
         return self.config_map_key_ref.form if self.config_map_key_ref is not None else super().form
 
 
+@with_rules(
+    ("self.type != 'Fallback' || has(self.poolRef)", "poolRef is required for a strategy of type Fallback", ".poolRef"),
+    (
+        "self.type == 'Fallback' || !has(self.poolRef)",
+        "poolRef is allowed only for a strategy of type Fallback",
+        ".poolRef",
+    ),
+    (
+        "self.type != 'Auto' || !has(self.recovery)",
+        "recovery is not allowed for type Auto, which can choose any strategy: set bringUp in the "
+        "workload, or list the strategies yourself",
+        ".recovery",
+    ),
+    (
+        f"!self.verifyWithin.matches(r'{DURATION_PATTERN}') || duration(self.verifyWithin) >= duration('100ms')",
+        "verifyWithin must be at least 100ms",
+        ".verifyWithin",
+    ),
+    (
+        "self.type == 'Fallback' || !has(self.waitFor)",
+        "waitFor is allowed only for a strategy of type Fallback: it is the time to wait for a pod of its pool",
+        ".waitFor",
+    ),
+)
 class Strategy(Model):
     """One way to recover the workload."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                "self.type != 'Fallback' || has(self.poolRef)",
-                "poolRef is required for a strategy of type Fallback",
-                ".poolRef",
-            ),
-            (
-                "self.type == 'Fallback' || !has(self.poolRef)",
-                "poolRef is allowed only for a strategy of type Fallback",
-                ".poolRef",
-            ),
-            (
-                "self.type != 'Auto' || !has(self.recovery)",
-                "recovery is not allowed for type Auto, which can choose any strategy: set bringUp in the "
-                "workload, or list the strategies yourself",
-                ".recovery",
-            ),
-            (
-                f"!self.verifyWithin.matches(r'{DURATION_PATTERN}') || duration(self.verifyWithin) >= duration('100ms')",
-                "verifyWithin must be at least 100ms",
-                ".verifyWithin",
-            ),
-            (
-                "self.type == 'Fallback' || !has(self.waitFor)",
-                "waitFor is allowed only for a strategy of type Fallback: it is the time to wait for a pod of its pool",
-                ".waitFor",
-            ),
-        )
-    }
-
-    type: Literal["Fallback", "Restart", "Auto"] = Field(
-        description="Fallback: an understudy from a pool takes over. Restart: Understudy deletes the pod, and a new one "
-        "starts. Auto: Understudy chooses from Restart and the pools that serve the workload, in the order that "
-        "best meets spec.requirements. Auto must be the only strategy. See docs/choosing.md."
-    )
-    pool_ref: LocalReference | None = Field(default=None, description="The FallbackPool that provides the understudy.")
-    recovery: Procedure | None = Field(
-        default=None,
-        description="Procedure to run on the instance that takes over, behind the closed gate, instead of the workload's "
-        "bringUp. Kept state is restored before it, unless the procedure contains a restore_state step.",
-    )
-    wait_for: Duration | None = Field(
-        default=None,
-        description="How long to wait, with the gate closed, if the shared pool (Uninitialized) has no ready pod. After "
-        "this time the next strategy is tried. Workloads with a higher spec.poolPriority are served first. "
-        "Absent: the next strategy is tried immediately. See docs/waiting.md.",
-    )
-    verify_within: Duration = Field(
-        default="30s",
-        description="How long it may take until the robot receives outputs from the new instance and from no other. After "
-        "this time the next strategy is tried. Time spent waiting for a pod (waitFor) does not count.",
-    )
+    type: Literal["Fallback", "Restart", "Auto"]
+    """Fallback: an understudy from a pool takes over. Restart: Understudy deletes the pod, and a new one starts. Auto:
+    Understudy chooses from Restart and the pools that serve the workload, in the order that best meets
+    spec.requirements. Auto must be the only strategy. See docs/choosing.md."""
+    pool_ref: LocalReference | None = None
+    """The FallbackPool that provides the understudy."""
+    recovery: Procedure | None = None
+    """Procedure to run on the instance that takes over, behind the closed gate, instead of the workload's bringUp. Kept
+    state is restored before it, unless the procedure contains a restore_state step."""
+    wait_for: Duration | None = None
+    """How long to wait, with the gate closed, if the shared pool (Uninitialized) has no ready pod. After this time the
+    next strategy is tried. Workloads with a higher spec.poolPriority are served first. Absent: the next strategy is
+    tried immediately. See docs/waiting.md."""
+    verify_within: Duration = "30s"
+    """How long it may take until the robot receives outputs from the new instance and from no other. After this time
+    the next strategy is tried. Time spent waiting for a pod (waitFor) does not count."""
 
 
 _SITUATION_PATTERN = r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$"
@@ -183,72 +155,54 @@ _SITUATION_MESSAGE = (
 )
 
 
+@with_rules(
+    (
+        "has(self.strategies) != has(self.requirements)",
+        "give the strategies of the situation; or, if spec.strategies is Auto, its requirements",
+    ),
+    (
+        "!has(self.strategies) || self.strategies.all(s, s.type != 'Auto')",
+        "a situation cannot have a strategy of type Auto: set Auto in spec.strategies, and give the "
+        "situation requirements",
+        ".strategies",
+    ),
+)
 class Situation(Model):
     """A situation of the robot in which other strategies apply."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                "has(self.strategies) != has(self.requirements)",
-                "give the strategies of the situation; or, if spec.strategies is Auto, its requirements",
-            ),
-            (
-                "!has(self.strategies) || self.strategies.all(s, s.type != 'Auto')",
-                "a situation cannot have a strategy of type Auto: set Auto in spec.strategies, and give the "
-                "situation requirements",
-                ".strategies",
-            ),
-        )
-    }
-
-    name: str = Field(
-        pattern=_SITUATION_PATTERN,
-        max_length=63,
-        description="Name of the situation in statuses and Events, such as carrying.",
-        json_schema_extra=matching(_SITUATION_PATTERN, _SITUATION_MESSAGE),
-    )
-    when: When = Field(
-        description="Condition that detects the situation. If several situations apply, the first in the list is used."
-    )
-    after: Duration = Field(
-        default="0s",
-        description="How long the condition must be true without interruption before the situation takes effect.",
-    )
-    clear_after: Duration = Field(
-        default="10s",
-        description="How long the condition must be false without interruption before the situation ends.",
-    )
-    strategies: list[Strategy] | None = Field(
-        default=None,
-        min_length=1,
-        max_length=8,
-        description="Strategies to try in order, instead of spec.strategies. Standbys are kept in the pools that the "
-        "strategies in effect name.",
-    )
-    requirements: Requirements | None = Field(
-        default=None, description="Requirements for choosing the strategies, instead of spec.requirements."
-    )
+    name: str = matching(_SITUATION_PATTERN, _SITUATION_MESSAGE, max_length=63)
+    """Name of the situation in statuses and Events, such as carrying."""
+    when: When
+    """Condition that detects the situation. If several situations apply, the first in the list is used."""
+    after: Duration = "0s"
+    """How long the condition must be true without interruption before the situation takes effect."""
+    clear_after: Duration = "10s"
+    """How long the condition must be false without interruption before the situation ends."""
+    strategies: list[Strategy] | None = Field(default=None, min_length=1, max_length=8)
+    """Strategies to try in order, instead of spec.strategies. Standbys are kept in the pools that the strategies in
+    effect name."""
+    requirements: Requirements | None = None
+    """Requirements for choosing the strategies, instead of spec.requirements."""
 
 
 MOST_COUNTED = 20
 """Maximum of recoveries in a budget. The workload's status keeps the start time of each."""
 
 
+@with_rules(
+    (
+        f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
+        "within must be at least 1s",
+        ".within",
+    ),
+)
 class Budget(Model):
     """Maximum number of automatic recoveries in a sliding time window."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
-                "within must be at least 1s",
-                ".within",
-            ),
-        )
-    }
-
-    recoveries: int = Field(ge=1, le=MOST_COUNTED, description="How many recoveries may begin within the window.")
-    within: Duration = Field(description="Length of the window, such as 1h.")
+    recoveries: int = Field(ge=1, le=MOST_COUNTED)
+    """How many recoveries may begin within the window."""
+    within: Duration
+    """Length of the window, such as 1h."""
 
     @property
     def length(self) -> float:
@@ -261,204 +215,151 @@ class Budget(Model):
         return f"{self.recoveries} {'recovery' if self.recoveries == 1 else 'recoveries'} within {self.within}"
 
 
+@with_rules(
+    (
+        f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
+        "within must be at least 1s",
+        ".within",
+    ),
+)
 class StormGuard(Model):
     """Detects that many workloads fail at once, which suggests that the network or the cluster failed and not the workloads."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
-                "within must be at least 1s",
-                ".within",
-            ),
-        )
-    }
-
-    percent: int = Field(
-        default=50,
-        ge=1,
-        le=99,
-        description="A storm begins if more than this percentage of the policy's workloads fail.",
-    )
-    workloads: int = Field(
-        default=3, ge=2, description="Minimum number of workloads that must fail for a storm, in addition to percent."
-    )
-    within: Duration = Field(
-        default="10s",
-        description="A workload counts as failing if it failed within this time, even if it has recovered since.",
-    )
-    hold_for: Duration = Field(
-        default="2m",
-        description="Maximum time that recoveries are suspended, even if nothing reports the end of the storm.",
-    )
+    percent: int = Field(default=50, ge=1, le=99)
+    """A storm begins if more than this percentage of the policy's workloads fail."""
+    workloads: int = Field(default=3, ge=2)
+    """Minimum number of workloads that must fail for a storm, in addition to percent."""
+    within: Duration = "10s"
+    """A workload counts as failing if it failed within this time, even if it has recovered since."""
+    hold_for: Duration = "2m"
+    """Maximum time that recoveries are suspended, even if nothing reports the end of the storm."""
 
 
 class Limits(Model):
     """Limits of automatic actions."""
 
-    cooldown: Duration = Field(
-        default="0s", description="Minimum time between the end of one recovery and the start of the next."
-    )
-    healthy_delay: Duration = Field(
-        default="2s",
-        description="How long an instance that took over must be healthy to count as recovered. If it fails earlier, the "
-        "recovery continues with the next strategy.",
-    )
-    budget: Budget | None = Field(
-        default=None,
-        description="Maximum number of automatic recoveries in a time window. When the budget is used up, a failed instance "
-        "is fenced and nothing else is done, until the window allows another recovery or a user runs understudy "
-        "resume. Absent: no maximum. See docs/limits.md.",
-    )
-    storm_guard: StormGuard | None = Field(
-        default=None,
-        description="Response to many simultaneous failures. While so many of the policy's workloads fail at once, no pod "
-        "of a shared pool is claimed and no pod is restarted. Ready standbys still take over. Absent: no guard. "
-        "See docs/limits.md.",
-    )
+    cooldown: Duration = "0s"
+    """Minimum time between the end of one recovery and the start of the next."""
+    healthy_delay: Duration = "2s"
+    """How long an instance that took over must be healthy to count as recovered. If it fails earlier, the recovery
+    continues with the next strategy."""
+    budget: Budget | None = None
+    """Maximum number of automatic recoveries in a time window. When the budget is used up, a failed instance is fenced
+    and nothing else is done, until the window allows another recovery or a user runs understudy resume. Absent: no
+    maximum. See docs/limits.md."""
+    storm_guard: StormGuard | None = None
+    """Response to many simultaneous failures. While so many of the policy's workloads fail at once, no pod of a shared
+    pool is claimed and no pod is restarted. Ready standbys still take over. Absent: no guard. See docs/limits.md."""
 
 
+@with_rules(
+    (
+        f"!self.every.matches(r'{DURATION_PATTERN}') || duration(self.every) >= duration('10ms')",
+        "every must be at least 10ms",
+        ".every",
+    ),
+)
 class SafeCommand(Model):
     """A message to the robot while no instance controls it."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                f"!self.every.matches(r'{DURATION_PATTERN}') || duration(self.every) >= duration('10ms')",
-                "every must be at least 10ms",
-                ".every",
-            ),
-        )
-    }
-
-    topic: RosName = Field(description="Topic to publish on. It must be one of the workload's outputs.")
-    message: dict[str, Any] = Field(
-        default_factory=dict,
-        description="Fields of the message. Fields that are absent keep their default value, so an empty Twist means: stand "
-        "still. In a field of type time, the text now is replaced by the current time.",
-        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
-    )
-    every: Duration = Field(default="100ms", description="How often the message is sent.")
+    topic: RosName
+    """Topic to publish on. It must be one of the workload's outputs."""
+    message: dict[str, Any] = Field(default_factory=dict)
+    """Fields of the message. Fields that are absent keep their default value, so an empty Twist means: stand still. In
+    a field of type time, the text now is replaced by the current time."""
+    every: Duration = "100ms"
+    """How often the message is sent."""
 
 
+@with_rules(
+    (
+        "self.commands.all(a, self.commands.exists_one(b, b.topic == a.topic))",
+        "commands contains the same topic twice",
+        ".commands",
+    ),
+)
 class Safety(Model):
     """What is done for the robot's safety while no instance is verified to be in control."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                "self.commands.all(a, self.commands.exists_one(b, b.topic == a.topic))",
-                "commands contains the same topic twice",
-                ".commands",
-            ),
-        )
-    }
-
-    commands: list[SafeCommand] = Field(
-        min_length=1,
-        max_length=8,
-        description="Messages to publish while no instance is in control.",
-    )
-    after: Duration = Field(
-        default="100ms",
-        description="How long no instance must be in control before the messages are sent. A takeover by an executing "
-        "standby takes less time, so the robot does not brake for it.",
-    )
+    commands: list[SafeCommand] = Field(min_length=1, max_length=8)
+    """Messages to publish while no instance is in control."""
+    after: Duration = "100ms"
+    """How long no instance must be in control before the messages are sent. A takeover by an executing standby takes
+    less time, so the robot does not brake for it."""
 
 
+@with_rules(
+    (
+        "!has(self.degraded) || !has(self.degraded.actions) || self.degraded.actions.all(a, !has(a.prewarm) || "
+        "self.strategies.exists(s, has(s.poolRef) && s.poolRef.name == a.prewarm.poolRef.name))",
+        "prewarm names a pool that no strategy uses: name the pool of a Fallback strategy",
+        ".degraded.actions",
+    ),
+    (
+        "self.strategies.all(s, s.type != 'Auto') || size(self.strategies) == 1",
+        "Auto chooses the complete order of strategies: use it as the only strategy, or list all strategies yourself",
+        ".strategies",
+    ),
+    (
+        "self.strategies.all(s, s.type != 'Auto') || has(self.requirements)",
+        "requirements is required for a strategy of type Auto, which uses them to choose",
+        ".requirements",
+    ),
+    (
+        "!has(self.situations) || self.situations.all(a, self.situations.exists_one(b, b.name == a.name))",
+        "situations contains the same name twice",
+        ".situations",
+    ),
+    (
+        "!has(self.situations) || self.strategies.exists(s, s.type == 'Auto') || self.situations.all(a, has(a.strategies))",
+        "the policy lists its strategies, so each situation must list its own: set strategies",
+        ".situations",
+    ),
+    (
+        "!has(self.situations) || self.strategies.all(s, s.type != 'Auto') || self.situations.all(a, has(a.requirements))",
+        "the policy's strategies are chosen automatically (Auto), so each situation must state what to "
+        "choose by: set requirements",
+        ".situations",
+    ),
+    (
+        "self.priority != 'Safety' || !has(self.limits.budget)",
+        "with priority Safety, limits must not delay a recovery, but a budget can: remove the budget or the priority",
+        ".limits.budget",
+    ),
+    (
+        "self.priority != 'Safety' || !has(self.limits.stormGuard)",
+        "with priority Safety, limits must not delay a recovery, but a storm guard can: remove the "
+        "storm guard or the priority",
+        ".limits.stormGuard",
+    ),
+)
 class FailurePolicySpec(Model):
     """What healthy means, and what to do if a workload is not healthy."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                "!has(self.degraded) || !has(self.degraded.actions) || self.degraded.actions.all(a, !has(a.prewarm) || "
-                "self.strategies.exists(s, has(s.poolRef) && s.poolRef.name == a.prewarm.poolRef.name))",
-                "prewarm names a pool that no strategy uses: name the pool of a Fallback strategy",
-                ".degraded.actions",
-            ),
-            (
-                "self.strategies.all(s, s.type != 'Auto') || size(self.strategies) == 1",
-                "Auto chooses the complete order of strategies: use it as the only strategy, or list all "
-                "strategies yourself",
-                ".strategies",
-            ),
-            (
-                "self.strategies.all(s, s.type != 'Auto') || has(self.requirements)",
-                "requirements is required for a strategy of type Auto, which uses them to choose",
-                ".requirements",
-            ),
-            (
-                "!has(self.situations) || self.situations.all(a, self.situations.exists_one(b, b.name == a.name))",
-                "situations contains the same name twice",
-                ".situations",
-            ),
-            (
-                "!has(self.situations) || self.strategies.exists(s, s.type == 'Auto') || self.situations.all(a, has(a.strategies))",
-                "the policy lists its strategies, so each situation must list its own: set strategies",
-                ".situations",
-            ),
-            (
-                "!has(self.situations) || self.strategies.all(s, s.type != 'Auto') || self.situations.all(a, has(a.requirements))",
-                "the policy's strategies are chosen automatically (Auto), so each situation must state what to "
-                "choose by: set requirements",
-                ".situations",
-            ),
-            (
-                "self.priority != 'Safety' || !has(self.limits.budget)",
-                "with priority Safety, limits must not delay a recovery, but a budget can: remove the budget or "
-                "the priority",
-                ".limits.budget",
-            ),
-            (
-                "self.priority != 'Safety' || !has(self.limits.stormGuard)",
-                "with priority Safety, limits must not delay a recovery, but a storm guard can: remove the "
-                "storm guard or the priority",
-                ".limits.stormGuard",
-            ),
-        )
-    }
-
-    monitoring: Monitoring = Field(description="What healthy means.")
-    strategies: list[Strategy] = Field(
-        min_length=1,
-        max_length=8,
-        description="Strategies to try in order. If one is not available or is not verified in time, the next one is tried.",
-    )
-    requirements: Requirements | None = Field(
-        default=None,
-        description="Requirements that determine the order of strategies of type Auto. If the strategies are listed, only "
-        "the command understudy recommend uses them.",
-    )
-    situations: list[Situation] = Field(
-        default_factory=list,
-        max_length=4,
-        description="Situations of the robot in which other strategies, and so other standbys, are used. Empty: the "
-        "strategies never change. See docs/situations.md.",
-    )
-    degraded: Degraded | None = Field(
-        default=None,
-        description="When a healthy workload counts as degraded, and what to do then. Absent: workloads are never degraded. "
-        "See docs/degraded.md.",
-    )
-    state: State = Field(
-        default_factory=State,
-        description="State of a healthy instance that is kept and restored to the instance that takes over.",
-    )
-    limits: Limits = Field(default_factory=Limits, description="Limits of automatic actions.")
-    priority: Literal["Normal", "Safety"] = Field(
-        default="Normal",
-        description="Safety: limits never delay a recovery. If no strategy was verified, all of them are tried again every "
-        "2 s.",
-    )
-    safety: Safety | None = Field(
-        default=None, description="Messages to the robot while no instance is verified to be in control."
-    )
-    black_box: BlackBox | None = Field(
-        default=None,
-        description="Record what the monitor received around each failure in an MCAP file, which understudy blackbox "
-        "downloads. Absent: nothing is recorded. See docs/blackbox.md.",
-    )
+    monitoring: Monitoring
+    """What healthy means."""
+    strategies: list[Strategy] = Field(min_length=1, max_length=8)
+    """Strategies to try in order. If one is not available or is not verified in time, the next one is tried."""
+    requirements: Requirements | None = None
+    """Requirements that determine the order of strategies of type Auto. If the strategies are listed, only the command
+    understudy recommend uses them."""
+    situations: list[Situation] = Field(default_factory=list, max_length=4)
+    """Situations of the robot in which other strategies, and so other standbys, are used. Empty: the strategies never
+    change. See docs/situations.md."""
+    degraded: Degraded | None = None
+    """When a healthy workload counts as degraded, and what to do then. Absent: workloads are never degraded. See
+    docs/degraded.md."""
+    state: State = Field(default_factory=State)
+    """State of a healthy instance that is kept and restored to the instance that takes over."""
+    limits: Limits = Field(default_factory=Limits)
+    """Limits of automatic actions."""
+    priority: Literal["Normal", "Safety"] = "Normal"
+    """Safety: limits never delay a recovery. If no strategy was verified, all of them are tried again every 2 s."""
+    safety: Safety | None = None
+    """Messages to the robot while no instance is verified to be in control."""
+    black_box: BlackBox | None = None
+    """Record what the monitor received around each failure in an MCAP file, which understudy blackbox downloads.
+    Absent: nothing is recorded. See docs/blackbox.md."""
 
     @property
     def auto(self) -> bool:
@@ -487,32 +388,32 @@ class FailurePolicySpec(Model):
 class TreeInForce(Model):
     """The last valid health tree from the ConfigMap. Monitors use it even if the ConfigMap is changed to an invalid tree or deleted."""
 
-    name: str = Field(description="Name of the ConfigMap that contained the tree.")
-    key: str = Field(description="Key in the ConfigMap.")
-    yaml: dict[str, Any] | None = Field(
-        default=None,
-        description="The tree, if it is in the short form.",
-        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
-    )
-    xml: str | None = Field(default=None, description="The tree, if it is BehaviorTree.CPP 4 XML.")
-    osc: str | None = Field(default=None, description="The tree, if it is OpenSCENARIO 2.")
+    name: str
+    """Name of the ConfigMap that contained the tree."""
+    key: str
+    """Key in the ConfigMap."""
+    yaml: dict[str, Any] | None = None
+    """The tree, if it is in the short form."""
+    xml: str | None = None
+    """The tree, if it is BehaviorTree.CPP 4 XML."""
+    osc: str | None = None
+    """The tree, if it is OpenSCENARIO 2."""
 
 
 class FailurePolicyStatus(Model):
     """Observed state."""
 
-    observed_generation: int | None = Field(default=None, description="Generation of the spec that was last checked.")
-    workloads: int | None = Field(default=None, description="Number of RobotWorkloads that use this policy.")
-    strategies: str | None = Field(default=None, description="The strategies in short form, in order.")
-    tree: TreeInForce | None = Field(
-        default=None, description="The health tree in effect, if spec.monitoring refers to a ConfigMap."
-    )
-    conditions: list[Condition] | None = Field(
-        default=None,
-        description="Accepted: the tree and the strategies are valid. Storm (if limits.stormGuard is set): so many of the "
-        "policy's workloads fail at once that their monitors suspend recoveries that could not help.",
-        json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["type"]},
-    )
+    observed_generation: int | None = None
+    """Generation of the spec that was last checked."""
+    workloads: int | None = None
+    """Number of RobotWorkloads that use this policy."""
+    strategies: str | None = None
+    """The strategies in short form, in order."""
+    tree: TreeInForce | None = None
+    """The health tree in effect, if spec.monitoring refers to a ConfigMap."""
+    conditions: Conditions | None = None
+    """Accepted: the tree and the strategies are valid. Storm (if limits.stormGuard is set): so many of the policy's
+    workloads fail at once that their monitors suspend recoveries that could not help."""
 
 
 def in_force(spec: FailurePolicySpec, status: Mapping[str, Any] | None) -> FailurePolicySpec | None:

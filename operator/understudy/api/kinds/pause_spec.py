@@ -15,9 +15,7 @@ MOMENT_PATTERN = (
 )
 MOMENT_MESSAGE = "write a date, a time and a time zone (RFC 3339), such as 2026-11-22T18:00:00Z"
 
-Moment = Annotated[
-    str, Field(pattern=MOMENT_PATTERN, max_length=40, json_schema_extra=matching(MOMENT_PATTERN, MOMENT_MESSAGE))
-]
+Moment = Annotated[str, matching(MOMENT_PATTERN, MOMENT_MESSAGE, max_length=40)]
 """A moment that a user writes. It does not use the schema's format date-time, whose error message does not say what is expected."""
 
 
@@ -37,13 +35,12 @@ def in_words(moment: float) -> str:
 class Pause(Model):
     """Maintenance mode: the monitor watches and reports, and takes no action."""
 
-    reason: str = Field(min_length=1, max_length=256, description="Why the workload is paused, for other users.")
-    owner: str = Field(min_length=1, max_length=128, description="Who paused the workload and can be asked about it.")
-    until: Moment | None = Field(
-        default=None,
-        description="When the pause ends, such as 2026-11-22T18:00:00Z. Absent: when a user removes spec.pause (understudy "
-        "resume).",
-    )
+    reason: str = Field(min_length=1, max_length=256)
+    """Why the workload is paused, for other users."""
+    owner: str = Field(min_length=1, max_length=128)
+    """Who paused the workload and can be asked about it."""
+    until: Moment | None = None
+    """When the pause ends, such as 2026-11-22T18:00:00Z. Absent: when a user removes spec.pause (understudy resume)."""
 
     @property
     def end(self) -> float | None:

@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from understudy.api.base import Duration, rules
-from understudy.api.kinds.tree_spec import Written, short_form, text
+from understudy.api.base import Duration, with_rules
+from understudy.api.kinds.tree_spec import ShortForm, Text, Written
 
 
+@with_rules(
+    (
+        "has(self.yaml) || has(self.xml) || has(self.osc)",
+        "a tree is required: give exactly one of yaml (short form), xml (BehaviorTree.CPP 4) and osc (OpenSCENARIO 2)",
+        ".yaml",
+    ),
+    (
+        "!has(self.yaml) || !has(self.xml)",
+        "the tree is already given as yaml: give exactly one of yaml, xml and osc",
+        ".xml",
+    ),
+    (
+        "!has(self.osc) || !has(self.yaml) && !has(self.xml)",
+        "the tree is already given as yaml or xml: give exactly one of yaml, xml and osc",
+        ".osc",
+    ),
+)
 class _Tree(Written):
     """A tree in one of the three languages."""
-
-    model_config = Written.model_config | {
-        "json_schema_extra": rules(
-            (
-                "has(self.yaml) || has(self.xml) || has(self.osc)",
-                "a tree is required: give exactly one of yaml (short form), xml (BehaviorTree.CPP 4) and osc "
-                "(OpenSCENARIO 2)",
-                ".yaml",
-            ),
-            (
-                "!has(self.yaml) || !has(self.xml)",
-                "the tree is already given as yaml: give exactly one of yaml, xml and osc",
-                ".xml",
-            ),
-            (
-                "!has(self.osc) || !has(self.yaml) && !has(self.xml)",
-                "the tree is already given as yaml or xml: give exactly one of yaml, xml and osc",
-                ".osc",
-            ),
-        )
-    }
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
@@ -44,24 +40,24 @@ class _Tree(Written):
 class Procedure(_Tree):
     """Steps to run on one instance, and the time they may take. Steps whose result already exists do nothing."""
 
-    yaml: dict[str, Any] | None = short_form(
-        "The tree in the short form: one node, such as sequence, set_lifecycle or call_service. See docs/procedures.md."
-    )
-    xml: str | None = text(
-        "The tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/procedures.md."
-    )
-    osc: str | None = text("The tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/procedures.md.")
-    within: Duration = Field(default="60s", description="The procedure fails if it takes longer than this.")
+    yaml: ShortForm | None = None
+    """The tree in the short form: one node, such as sequence, set_lifecycle or call_service. See docs/procedures.md."""
+    xml: Text | None = None
+    """The tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/procedures.md."""
+    osc: Text | None = None
+    """The tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/procedures.md."""
+    within: Duration = "60s"
+    """The procedure fails if it takes longer than this."""
 
 
 class Check(_Tree):
     """A condition of one instance, evaluated repeatedly from inside its pod."""
 
-    yaml: dict[str, Any] | None = short_form(
-        "The tree in the short form, with conditions only, such as lifecycle_is or topic. See docs/procedures.md."
-    )
-    xml: str | None = text(
-        "The tree as a BehaviorTree.CPP 4 XML document, with conditions only. See docs/procedures.md."
-    )
-    osc: str | None = text("The tree as OpenSCENARIO 2 text, with conditions only. See docs/procedures.md.")
-    period: Duration = Field(default="1s", description="Time between two evaluations.")
+    yaml: ShortForm | None = None
+    """The tree in the short form, with conditions only, such as lifecycle_is or topic. See docs/procedures.md."""
+    xml: Text | None = None
+    """The tree as a BehaviorTree.CPP 4 XML document, with conditions only. See docs/procedures.md."""
+    osc: Text | None = None
+    """The tree as OpenSCENARIO 2 text, with conditions only. See docs/procedures.md."""
+    period: Duration = "1s"
+    """Time between two evaluations."""

@@ -6,44 +6,37 @@ from typing import Annotated
 
 from pydantic import Field
 
-from understudy.api.base import DURATION_PATTERN, Duration, Model, matching, rules
+from understudy.api.base import DURATION_PATTERN, Duration, Model, matching, with_rules
 from understudy.api.conditions import Time
 from understudy.api.quantities import amount
 
 SIZE_PATTERN = r"^[1-9][0-9]{0,3}(Mi|Gi)$"
 SIZE_MESSAGE = "write a size with Mi or Gi, such as 64Mi"
 
-Size = Annotated[str, Field(pattern=SIZE_PATTERN, max_length=6, json_schema_extra=matching(SIZE_PATTERN, SIZE_MESSAGE))]
+Size = Annotated[str, matching(SIZE_PATTERN, SIZE_MESSAGE, max_length=6)]
 """A number of bytes."""
 
 
+@with_rules(
+    (
+        f"!self.window.matches(r'{DURATION_PATTERN}') || (duration(self.window) >= duration('1s') && "
+        "duration(self.window) <= duration('10m'))",
+        "window must be from 1s to 10m",
+        ".window",
+    ),
+)
 class BlackBox(Model):
     """Recording of each failure: what the monitor received before and during it, as an MCAP file."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                f"!self.window.matches(r'{DURATION_PATTERN}') || (duration(self.window) >= duration('1s') && "
-                "duration(self.window) <= duration('10m'))",
-                "window must be from 1s to 10m",
-                ".window",
-            ),
-        )
-    }
-
-    window: Duration = Field(default="30s", description="How much time before a failure is recorded.")
-    memory: Size = Field(
-        default="16Mi",
-        description="Memory that the monitor may use for recent messages. Topics that need more, such as images, are left "
-        "out; the recordings and understudy blackbox list them.",
-    )
-    max_recordings: int = Field(
-        default=5, ge=1, le=100, description="Maximum number of recordings of a workload. The oldest is deleted first."
-    )
-    max_size: Size = Field(
-        default="64Mi",
-        description="Maximum disk space of a workload's recordings. The oldest recording is deleted first.",
-    )
+    window: Duration = "30s"
+    """How much time before a failure is recorded."""
+    memory: Size = "16Mi"
+    """Memory that the monitor may use for recent messages. Topics that need more, such as images, are left out; the
+    recordings and understudy blackbox list them."""
+    max_recordings: int = Field(default=5, ge=1, le=100)
+    """Maximum number of recordings of a workload. The oldest is deleted first."""
+    max_size: Size = "64Mi"
+    """Maximum disk space of a workload's recordings. The oldest recording is deleted first."""
 
     @property
     def memory_bytes(self) -> int:
@@ -59,22 +52,36 @@ class BlackBox(Model):
 class Recording(Model):
     """One recording, as the monitor lists it."""
 
-    id: str = Field(description="Id of the recovery, as in status.recoveries.")
-    number: int = Field(description="Number of the recovery.")
-    failed: Time = Field(description="When the failure was detected.")
-    reason: str = Field(description="What failed.")
-    result: str = Field(description="Recovered or Failed.")
-    strategy: str = Field(default="", description="The strategy that recovered it.")
-    messages: int = Field(description="Number of messages in the recording.")
-    left_out: dict[str, str] = Field(default_factory=dict, description="Topics that were left out, and why.")
-    size: int = Field(description="Size of the file in bytes.")
-    sha256: str = Field(description="SHA-256 of the file.")
+    id: str
+    """Id of the recovery, as in status.recoveries."""
+    number: int
+    """Number of the recovery."""
+    failed: Time
+    """When the failure was detected."""
+    reason: str
+    """What failed."""
+    result: str
+    """Recovered or Failed."""
+    strategy: str = ""
+    """The strategy that recovered it."""
+    messages: int
+    """Number of messages in the recording."""
+    left_out: dict[str, str] = Field(default_factory=dict)
+    """Topics that were left out, and why."""
+    size: int
+    """Size of the file in bytes."""
+    sha256: str
+    """SHA-256 of the file."""
 
 
 class Recordings(Model):
     """The recordings that a monitor has, newest first."""
 
-    workload: str = Field(description="The RobotWorkload.")
-    on: bool = Field(description="Whether the policy asks for recordings.")
-    left_out: dict[str, str] = Field(default_factory=dict, description="Topics that are currently left out, and why.")
-    recordings: list[Recording] = Field(default_factory=list, description="The recordings.")
+    workload: str
+    """The RobotWorkload."""
+    on: bool
+    """Whether the policy asks for recordings."""
+    left_out: dict[str, str] = Field(default_factory=dict)
+    """Topics that are currently left out, and why."""
+    recordings: list[Recording] = Field(default_factory=list)
+    """The recordings."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
-from understudy.api.base import Model, RosName, rules
+from understudy.api.base import Model, RosName, with_rules
 from understudy.api.conditions import Time
-from understudy.api.kinds.tree_spec import Written, short_form, text
+from understudy.api.kinds.tree_spec import ShortForm, Text, Written
 
 _ONE = "give exactly one of task, yaml (short form), xml (BehaviorTree.CPP 4) and osc (OpenSCENARIO 2)"
 
@@ -16,30 +16,24 @@ _ONE = "give exactly one of task, yaml (short form), xml (BehaviorTree.CPP 4) an
 class ActiveTask(Model):
     """A task with an active goal."""
 
-    action: RosName = Field(
-        description="Fully qualified name of the action, such as /navigate_to_pose. It can be one of the workload's tasks "
-        "or belong to another server."
-    )
+    action: RosName
+    """Fully qualified name of the action, such as /navigate_to_pose. It can be one of the workload's tasks or belong to
+    another server."""
 
 
+@with_rules(("[has(self.task), has(self.yaml), has(self.xml), has(self.osc)].filter(x, x).size() == 1", _ONE))
 class When(Written):
     """Condition of a situation: an action has an active goal, or a tree succeeds."""
 
-    model_config = Written.model_config | {
-        "json_schema_extra": rules(
-            ("[has(self.task), has(self.yaml), has(self.xml), has(self.osc)].filter(x, x).size() == 1", _ONE),
-        )
-    }
-
-    task: ActiveTask | None = Field(
-        default=None, description="The situation applies while this action has an active goal."
-    )
-    yaml: dict[str, Any] | None = short_form(
-        "The situation applies while this tree succeeds, in the short form with the leaves of health trees. See "
-        "docs/trees.md."
-    )
-    xml: str | None = text("The tree as a BehaviorTree.CPP 4 XML document.")
-    osc: str | None = text("The tree as OpenSCENARIO 2 text that imports osc.understudy.")
+    task: ActiveTask | None = None
+    """The situation applies while this action has an active goal."""
+    yaml: ShortForm | None = None
+    """The situation applies while this tree succeeds, in the short form with the leaves of health trees. See
+    docs/trees.md."""
+    xml: Text | None = None
+    """The tree as a BehaviorTree.CPP 4 XML document."""
+    osc: Text | None = None
+    """The tree as OpenSCENARIO 2 text that imports osc.understudy."""
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -51,6 +45,9 @@ class When(Written):
 class SituationStatus(Model):
     """The current situation of the robot."""
 
-    name: str = Field(description="Name of one of the policy's spec.situations.")
-    since: Time = Field(description="When the situation began.")
-    reason: str = Field(default="", description="Why the situation applies.")
+    name: str
+    """Name of one of the policy's spec.situations."""
+    since: Time
+    """When the situation began."""
+    reason: str = ""
+    """Why the situation applies."""

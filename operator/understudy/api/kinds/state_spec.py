@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, ObjectName, RosName, matching, rules
+from understudy.api.base import Duration, Model, ObjectName, RosName, matching, with_rules
 from understudy.api.conditions import Time
 from understudy.api.ros_names import ROS_TYPE_MESSAGE
 from understudy.kinematics.pose_decoding import ODOMETRY, POSE_TYPES
@@ -17,175 +17,138 @@ _POSES = ", ".join(POSE_TYPES[:-1]) + f" or {POSE_TYPES[-1]}"
 _IS_POSE = f"self.type in [{', '.join(repr(name) for name in POSE_TYPES)}]"
 
 
+@with_rules((f"!has(self.type) || {_IS_POSE}", f"the type of the odometry must contain a pose: {_POSES}", ".type"))
 class CarriedBy(Model):
     """Odometry that brings a kept pose up to date when the pose is restored."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (f"!has(self.type) || {_IS_POSE}", f"the type of the odometry must contain a pose: {_POSES}", ".type"),
-        )
-    }
-
-    topic: RosName = Field(
-        description="The robot's odometry topic, such as /odom. It must describe the same body as the pose, and its "
-        "publisher must keep running when the instance fails."
-    )
+    topic: RosName
+    """The robot's odometry topic, such as /odom. It must describe the same body as the pose, and its publisher must
+    keep running when the instance fails."""
     type: str = Field(default=ODOMETRY, max_length=256, description=f"Type of the odometry topic: {_POSES}.")
-    required: bool = Field(
-        default=False,
-        description="True: do not restore a pose that cannot be brought up to date. False: restore it as it was kept, and "
-        "report that.",
-    )
+    required: bool = False
+    """True: do not restore a pose that cannot be brought up to date. False: restore it as it was kept, and report
+    that."""
 
 
+@with_rules(
+    ("has(self.restoreTo) || !has(self.confirm)", "confirm is allowed only for a topic with restoreTo", ".confirm"),
+    (
+        "has(self.restoreTo) || !has(self.carriedBy)",
+        "carriedBy is allowed only for a topic with restoreTo",
+        ".carriedBy",
+    ),
+    (
+        f"!has(self.carriedBy) || (has(self.type) && {_IS_POSE})",
+        f"carriedBy needs the type of the kept topic, and it must contain a pose: {_POSES}",
+        ".type",
+    ),
+    (
+        "!has(self.carriedBy) || self.carriedBy.topic != self.topic",
+        "carriedBy names the kept topic itself: give the robot's odometry",
+        ".carriedBy",
+    ),
+)
 class KeptTopic(Model):
     """A topic whose last healthy message is kept, as serialized bytes with its type and times."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                "has(self.restoreTo) || !has(self.confirm)",
-                "confirm is allowed only for a topic with restoreTo",
-                ".confirm",
-            ),
-            (
-                "has(self.restoreTo) || !has(self.carriedBy)",
-                "carriedBy is allowed only for a topic with restoreTo",
-                ".carriedBy",
-            ),
-            (
-                f"!has(self.carriedBy) || (has(self.type) && {_IS_POSE})",
-                f"carriedBy needs the type of the kept topic, and it must contain a pose: {_POSES}",
-                ".type",
-            ),
-            (
-                "!has(self.carriedBy) || self.carriedBy.topic != self.topic",
-                "carriedBy names the kept topic itself: give the robot's odometry",
-                ".carriedBy",
-            ),
-        )
-    }
-
-    topic: RosName = Field(description="Fully qualified name of the topic to keep, such as /amcl_pose.")
-    type: str | None = Field(
-        default=None,
-        pattern=MESSAGE_TYPE_PATTERN,
-        max_length=256,
-        description="Type of the topic, such as geometry_msgs/msg/PoseWithCovarianceStamped. Absent: the type is read from "
-        "the ROS graph.",
-        json_schema_extra=matching(MESSAGE_TYPE_PATTERN, ROS_TYPE_MESSAGE),
-    )
-    restore_to: RosName | None = Field(
-        default=None,
-        description="Topic on which the kept message is published to the instance that takes over, such as /initialpose. "
-        "Absent: the message is kept for trees only.",
-    )
-    stamp: Literal["now", "kept"] = Field(
-        default="kept",
-        description="Time stamp of a restored message that has a header. now: the current time. kept: the original stamp.",
-    )
-    max_age: Duration = Field(
-        default="1m",
-        description="A message that was older than this when the failure began is not restored, and that is reported.",
-    )
-    confirm: RosName | None = Field(
-        default=None,
-        description="The restoration is complete when the new instance publishes on this topic. Absent: when a subscriber "
-        "has received the message.",
-    )
-    carried_by: CarriedBy | None = Field(
-        default=None,
-        description="Odometry that brings a kept pose up to date, because the robot may have moved since. Absent: the pose "
-        "is restored as it was kept.",
-    )
+    topic: RosName
+    """Fully qualified name of the topic to keep, such as /amcl_pose."""
+    type: str | None = matching(MESSAGE_TYPE_PATTERN, ROS_TYPE_MESSAGE, default=None, max_length=256)
+    """Type of the topic, such as geometry_msgs/msg/PoseWithCovarianceStamped. Absent: the type is read from the ROS
+    graph."""
+    restore_to: RosName | None = None
+    """Topic on which the kept message is published to the instance that takes over, such as /initialpose. Absent: the
+    message is kept for trees only."""
+    stamp: Literal["now", "kept"] = "kept"
+    """Time stamp of a restored message that has a header. now: the current time. kept: the original stamp."""
+    max_age: Duration = "1m"
+    """A message that was older than this when the failure began is not restored, and that is reported."""
+    confirm: RosName | None = None
+    """The restoration is complete when the new instance publishes on this topic. Absent: when a subscriber has received
+    the message."""
+    carried_by: CarriedBy | None = None
+    """Odometry that brings a kept pose up to date, because the robot may have moved since. Absent: the pose is restored
+    as it was kept."""
 
 
 class KeptParameters(Model):
     """Parameters of a node that are kept and restored."""
 
-    node: RosName = Field(description="Fully qualified name of the node, such as /controller_server.")
-    names: list[Annotated[str, Field(min_length=1, max_length=256)]] = Field(
-        min_length=1, max_length=64, description="Names of the parameters."
-    )
+    node: RosName
+    """Fully qualified name of the node, such as /controller_server."""
+    names: list[Annotated[str, Field(min_length=1, max_length=256)]] = Field(min_length=1, max_length=64)
+    """Names of the parameters."""
 
 
 class Storage(Model):
     """Where kept state is stored."""
 
-    claim_name: ObjectName | None = Field(
-        default=None,
-        description="Name of a PersistentVolumeClaim in the same namespace. Absent: an emptyDir, which survives a restart "
-        "of the monitor's container but not the deletion of its pod.",
-    )
+    claim_name: ObjectName | None = None
+    """Name of a PersistentVolumeClaim in the same namespace. Absent: an emptyDir, which survives a restart of the
+    monitor's container but not the deletion of its pod."""
 
 
+@with_rules(
+    (
+        "!has(self.keep) || self.keep.all(a, self.keep.exists_one(b, b.topic == a.topic))",
+        "keep contains the same topic twice",
+        ".keep",
+    ),
+    (
+        "!has(self.parameters) || self.parameters.all(a, self.parameters.exists_one(b, b.node == a.node))",
+        "parameters contains the same node twice: list all of its parameters in one entry",
+        ".parameters",
+    ),
+)
 class State(Model):
     """Which state of a healthy instance is kept, how often and how much."""
 
-    model_config = Model.model_config | {
-        "json_schema_extra": rules(
-            (
-                "!has(self.keep) || self.keep.all(a, self.keep.exists_one(b, b.topic == a.topic))",
-                "keep contains the same topic twice",
-                ".keep",
-            ),
-            (
-                "!has(self.parameters) || self.parameters.all(a, self.parameters.exists_one(b, b.node == a.node))",
-                "parameters contains the same node twice: list all of its parameters in one entry",
-                ".parameters",
-            ),
-        )
-    }
-
-    keep: list[KeptTopic] = Field(default_factory=list, max_length=16, description="Topics whose last message is kept.")
-    parameters: list[KeptParameters] = Field(
-        default_factory=list, max_length=16, description="Parameters that are kept."
-    )
-    lifecycle: list[RosName] = Field(
-        default_factory=list,
-        max_length=32,
-        description="Managed nodes whose lifecycle state is kept. The instance that takes over is brought to the same "
-        "states, in this order.",
-    )
-    margin: Duration = Field(
-        default="500ms",
-        description="Only state from at least this long before the failure began is restored. The health tree succeeded "
-        "when it was taken.",
-    )
-    period: Duration = Field(default="200ms", description="Minimum time between two kept messages of a topic.")
-    max_bytes: int = Field(
-        default=16 * 1024 * 1024,
-        ge=1024,
-        le=256 * 1024 * 1024,
-        description="Maximum size of all kept state in bytes. A message that does not fit is not kept, and that is "
-        "reported.",
-    )
-    within: Duration = Field(default="5s", description="The restoration fails if it takes longer than this.")
-    storage: Storage = Field(default_factory=Storage, description="Where kept state is stored.")
+    keep: list[KeptTopic] = Field(default_factory=list, max_length=16)
+    """Topics whose last message is kept."""
+    parameters: list[KeptParameters] = Field(default_factory=list, max_length=16)
+    """Parameters that are kept."""
+    lifecycle: list[RosName] = Field(default_factory=list, max_length=32)
+    """Managed nodes whose lifecycle state is kept. The instance that takes over is brought to the same states, in this
+    order."""
+    margin: Duration = "500ms"
+    """Only state from at least this long before the failure began is restored. The health tree succeeded when it was
+    taken."""
+    period: Duration = "200ms"
+    """Minimum time between two kept messages of a topic."""
+    max_bytes: int = Field(default=16 * 1024 * 1024, ge=1024, le=256 * 1024 * 1024)
+    """Maximum size of all kept state in bytes. A message that does not fit is not kept, and that is reported."""
+    within: Duration = "5s"
+    """The restoration fails if it takes longer than this."""
+    storage: Storage = Field(default_factory=Storage)
+    """Where kept state is stored."""
 
 
 class KeptStatus(Model):
     """One item of kept state."""
 
-    name: str = Field(description="Name of the topic, or of the node for parameters and lifecycle states.")
-    kind: Literal["Topic", "Parameters", "Lifecycle"] = Field(description="Topic, Parameters or Lifecycle.")
-    taken_at: Time | None = Field(default=None, description="When the message that would be restored now was taken.")
-    bytes: int = Field(default=0, description="Size in bytes.")
-    message: str = Field(default="", description="What is wrong with the item, if anything.")
+    name: str
+    """Name of the topic, or of the node for parameters and lifecycle states."""
+    kind: Literal["Topic", "Parameters", "Lifecycle"]
+    """Topic, Parameters or Lifecycle."""
+    taken_at: Time | None = None
+    """When the message that would be restored now was taken."""
+    bytes: int = 0
+    """Size in bytes."""
+    message: str = ""
+    """What is wrong with the item, if anything."""
 
 
 class RestoredState(Model):
     """Result of the restoration of one item of kept state."""
 
-    name: str = Field(description="Name of the topic, or of the node and the kind of its state.")
-    restored: bool = Field(description="True if the instance that took over received it.")
-    age_seconds: float | None = Field(default=None, description="Age at the beginning of the failure, in seconds.")
-    carried_metres: float | None = Field(
-        default=None,
-        description="Distance between the kept pose and the restored one, from odometry, in metres. Absent if odometry was "
-        "not used.",
-    )
-    message: str = Field(
-        default="",
-        description="Why the item was not restored or not brought up to date, or what is uncertain about it.",
-    )
+    name: str
+    """Name of the topic, or of the node and the kind of its state."""
+    restored: bool
+    """True if the instance that took over received it."""
+    age_seconds: float | None = None
+    """Age at the beginning of the failure, in seconds."""
+    carried_metres: float | None = None
+    """Distance between the kept pose and the restored one, from odometry, in metres. Absent if odometry was not
+    used."""
+    message: str = ""
+    """Why the item was not restored or not brought up to date, or what is uncertain about it."""

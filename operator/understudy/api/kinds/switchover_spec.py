@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Literal
 
-from pydantic import Field
-
 from understudy.api.base import Duration, Model
 from understudy.api.conditions import Time
 
@@ -61,41 +59,42 @@ def parse(text: str) -> Request:
 class SwitchoverStatus(Model):
     """The last planned switchover, or the one in progress."""
 
-    kind: Kind = Field(
-        description="Failover or Failback: a user requested it. Drain: the node of the active instance is being drained."
-    )
-    request: str = Field(default="", description="The annotation that requested the switchover. Empty for Drain.")
-    handled: str = Field(default="", description="The last annotation that was handled. It is not carried out again.")
-    phase: Phase = Field(
-        description="Waiting: the switchover cannot begin yet. Preparing: the understudy is being prepared. Switching: the "
-        "gate is open for the understudy, and its outputs are not yet verified at the robot. Done: the "
-        "understudy controls the robot. NotDone: the previous instance still controls the robot."
-    )
-    message: str = Field(default="", description="Why the switchover waits or did not happen, or its result.")
-    target: str = Field(default="", description="Name of the understudy's pod.")
-    recovery: str = Field(
-        default="", description="Id of the switchover's record in recoveries. Empty until the gate has switched."
-    )
-    since: Time = Field(description="When this phase began.")
+    kind: Kind
+    """Failover or Failback: a user requested it. Drain: the node of the active instance is being drained."""
+    request: str = ""
+    """The annotation that requested the switchover. Empty for Drain."""
+    handled: str = ""
+    """The last annotation that was handled. It is not carried out again."""
+    phase: Phase
+    """Waiting: the switchover cannot begin yet. Preparing: the understudy is being prepared. Switching: the gate is
+    open for the understudy, and its outputs are not yet verified at the robot. Done: the understudy controls the robot.
+    NotDone: the previous instance still controls the robot."""
+    message: str = ""
+    """Why the switchover waits or did not happen, or its result."""
+    target: str = ""
+    """Name of the understudy's pod."""
+    recovery: str = ""
+    """Id of the switchover's record in recoveries. Empty until the gate has switched."""
+    since: Time
+    """When this phase began."""
 
 
 class Draining(Model):
     """What happens to the active instance while its node is drained."""
 
-    hold_for: Duration = Field(
-        default="5m",
-        description="How long evictions of the active instance wait for an understudy on another node to take over, from "
-        "the moment when the operator saw that the node was cordoned. 0s: evictions do not wait. See "
-        "docs/switchover.md.",
-    )
+    hold_for: Duration = "5m"
+    """How long evictions of the active instance wait for an understudy on another node to take over, from the moment
+    when the operator saw that the node was cordoned. 0s: evictions do not wait. See docs/switchover.md."""
 
 
 class Drain(Model):
     """What the operator reports to a monitor whose active instance runs on a node that is being drained."""
 
-    uid: str = Field(description="UID of the active instance's pod.")
-    node: str = Field(description="Name of the node.")
-    since: float = Field(description="When the operator saw that the node is drained, in unix seconds.")
-    cordoned: list[str] = Field(
-        description="All nodes that are being drained. An understudy on one of them would have to move next."
-    )
+    uid: str
+    """UID of the active instance's pod."""
+    node: str
+    """Name of the node."""
+    since: float
+    """When the operator saw that the node is drained, in unix seconds."""
+    cordoned: list[str]
+    """All nodes that are being drained. An understudy on one of them would have to move next."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -12,27 +12,19 @@ Form = Literal["yaml", "xml", "osc"]
 """The language of a tree, as the name of the field that holds it."""
 
 
-def short_form(description: str) -> Any:
-    """Return the field of a tree in the short form."""
-    return Field(
-        default=None,
-        min_length=1,
-        description=description,
-        json_schema_extra={"x-kubernetes-preserve-unknown-fields": True},
-    )
+ShortForm = Annotated[dict[str, Any], Field(min_length=1)]
+"""A tree in the short form."""
 
-
-def text(description: str) -> Any:
-    """Return the field of a tree that is a text."""
-    return Field(default=None, min_length=1, max_length=LONGEST_TEXT, description=description)
+Text = Annotated[str, Field(min_length=1, max_length=LONGEST_TEXT)]
+"""A tree that is a text."""
 
 
 class Written(Model):
     """Base of models that hold a tree in one of the three languages. Subclasses describe the fields and require exactly one."""
 
-    yaml: dict[str, Any] | None = None
-    xml: str | None = None
-    osc: str | None = None
+    yaml: ShortForm | None = None
+    xml: Text | None = None
+    osc: Text | None = None
 
     @property
     def given(self) -> int:

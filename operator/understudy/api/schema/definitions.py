@@ -6,8 +6,17 @@ a type everywhere. The models stay the single source of truth; ``scripts/generat
 
 from __future__ import annotations
 
+import ast
+import inspect
+import sys
 from collections.abc import Mapping
+from functools import cache
+from itertools import pairwise
 from typing import Any
+
+from pydantic.alias_generators import to_camel
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import ModelSchema
 
 from understudy.api.base import GROUP, VERSION, Model, rules
 from understudy.api.schema.printed_kinds import KINDS, Kind
@@ -115,8 +124,35 @@ def root(kind: Kind) -> Schema:
 
 def structural(model: type[Model]) -> Schema:
     """Return a model's structural schema (KEP-1693): references are inlined, and optional fields are simply not required."""
-    schema = model.model_json_schema(by_alias=True)
+    schema = model.model_json_schema(by_alias=True, schema_generator=_DescribedSchema)
     return _convert(schema, schema.get("$defs", {}), model.__name__)
+
+
+class _DescribedSchema(GenerateJsonSchema):
+    """The docstrings of fields are their descriptions. They are read from the source only here, because pydantic would
+    read them at every start of a process (``use_attribute_docstrings``)."""
+
+    def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
+        """Return the schema of a model."""
+        found = super().model_schema(schema)
+        model: type[Model] = schema["cls"]
+        for base in reversed(model.__mro__[: model.__mro__.index(Model)]):
+            for field, text in _descriptions(base.__module__).get(base.__name__, {}).items():
+                found["properties"][to_camel(field)]["description"] = text
+        return found
+
+
+@cache
+def _descriptions(module: str) -> Mapping[str, Mapping[str, str]]:
+    """Return the docstrings of the fields of a module's classes, by class and field."""
+    found: dict[str, dict[str, str]] = {}
+    classes = (one for one in ast.parse(inspect.getsource(sys.modules[module])).body if isinstance(one, ast.ClassDef))
+    for one in classes:
+        for field, text in pairwise(one.body):
+            match field, text:
+                case ast.AnnAssign(target=ast.Name(name)), ast.Expr(ast.Constant(str(words))):
+                    found.setdefault(one.name, {})[name] = " ".join(words.split())
+    return found
 
 
 def _convert(node: Mapping[str, Any], shared: Mapping[str, Schema], where: str) -> Schema:

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from understudy.api.base import API_VERSION, GROUP, OBJECT_NAME_MESSAGE, OBJECT_NAME_PATTERN, matching, seconds
+from understudy.api.base import API_VERSION, GROUP, OBJECT_NAME_MESSAGE, OBJECT_NAME_PATTERN, pattern_rule, seconds
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.schema.definitions import PRESERVE, VALIDATIONS, Schema, definition
@@ -40,11 +40,11 @@ _METADATA: Schema = {
     "description": "Its name, its namespace and its labels.",
     "properties": {
         "name": {"type": "string", "minLength": 1, "maxLength": 253, "description": "Name of the object."}
-        | matching(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE),
+        | pattern_rule(OBJECT_NAME_PATTERN, OBJECT_NAME_MESSAGE),
         "namespace": _TEXT,
         "labels": {
             "type": "object",
-            "additionalProperties": {"type": "string", "maxLength": 63} | matching(_LABEL_PATTERN, _LABEL_MESSAGE),
+            "additionalProperties": {"type": "string", "maxLength": 63} | pattern_rule(_LABEL_PATTERN, _LABEL_MESSAGE),
         },
         "annotations": {"type": "object", "additionalProperties": _TEXT},
         "generateName": _TEXT,
