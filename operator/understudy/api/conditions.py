@@ -23,7 +23,7 @@ class Condition(Model):
     """One aspect of an object's state, as ``kubectl describe`` and ``kubectl wait`` read it."""
 
     type: str = Field(max_length=316)
-    """Type of the condition, such as Ready or Protected."""
+    """Type of the condition, as listed in the description of conditions."""
     status: Status
     """True, False or Unknown."""
     reason: str = Field(min_length=1, max_length=1024, pattern=r"^[A-Za-z]([A-Za-z0-9_,:]*[A-Za-z0-9_])?$")

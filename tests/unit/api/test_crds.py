@@ -131,6 +131,13 @@ def test_status_has_no_defaults(kind: Kind) -> None:
     assert [path for path, node in _nodes(status) if "default" in node] == []
 
 
+def test_descriptions_state_the_default_because_kubectl_explain_prints_nothing_else_of_it() -> None:
+    (version,) = definition(BY_NAME["FailurePolicy"])["spec"]["versions"]
+    monitoring = version["schema"]["openAPIV3Schema"]["properties"]["spec"]["properties"]["monitoring"]["properties"]
+    assert monitoring["startupGrace"]["description"].endswith(" Default: 30s.")
+    assert "Default:" not in monitoring["yaml"]["description"]
+
+
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_conditions_are_a_map_by_type(kind: Kind) -> None:
     conditions = root(kind)["properties"]["status"]["properties"]["conditions"]

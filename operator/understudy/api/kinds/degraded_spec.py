@@ -19,7 +19,7 @@ class InlineTree(Written):
     """A tree with the leaves of health trees, in one of the three languages."""
 
     yaml: ShortForm | None = None
-    """The tree in the short form: one node, such as parallel or topic. See docs/trees.md."""
+    """The tree in the short form (YAML). The value is the root node, such as parallel or topic. See docs/trees.md."""
     xml: Text | None = None
     """The tree as a BehaviorTree.CPP 4 XML document."""
     osc: Text | None = None
@@ -40,7 +40,7 @@ class WellTree(InlineTree):
 
 
 CPU_PATTERN = r"^([1-9][0-9]*m|[1-9][0-9]*(\.[0-9]{1,3})?|0\.[0-9]{0,2}[1-9])$"
-CPU_MESSAGE = "write cores as a text, such as 500m, 1.5 or 2"
+CPU_MESSAGE = "write the number of cores as a string, such as 500m, 1.5 or 2"
 
 Cpu = Annotated[str, matching(CPU_PATTERN, CPU_MESSAGE, max_length=16)]
 """An amount of CPU, with a precision of one thousandth of a core."""
@@ -59,11 +59,11 @@ class Resize(Model):
     container: str | None = Field(default=None, min_length=1, max_length=63)
     """Name of the container to resize. Absent: the first container of the pod."""
     cpu: Cpu | None = None
-    """CPU while the workload is degraded, such as 1500m. It sets the request and, if the container has one, the limit.
-    It never reduces them."""
+    """CPU while the workload is degraded, such as 1500m. Understudy sets the request and, if the container has a limit,
+    the limit. It never reduces either."""
     memory: Memory | None = None
-    """Memory while the workload is degraded, such as 1Gi. It sets the request and, if the container has one, the limit.
-    It never reduces them."""
+    """Memory while the workload is degraded, such as 1Gi. Understudy sets the request and, if the container has a
+    limit, the limit. It never reduces either."""
 
     @model_validator(mode="after")
     def _something(self) -> Self:
@@ -81,23 +81,22 @@ class Reschedule(Model):
     """A planned hand-over to another instance at a moment when the robot is idle."""
 
     after: Duration = "30s"
-    """How long the workload must have been degraded."""
+    """How long the workload must be degraded before the hand-over."""
     idle_for: Duration = "5s"
-    """How long the robot must have been idle without interruption."""
+    """How long the robot must be idle without interruption before the hand-over."""
     idle: InlineTree | None = None
     """Additional condition for the robot to count as idle. Without it, the robot is idle if the workload's tasks have
     no active goal. Required if the workload has no tasks."""
     pause: Duration = "10m"
-    """Minimum time between two planned hand-overs. If the next instance is degraded too, the instance is probably not
-    the cause."""
+    """Minimum time between two planned hand-overs. It prevents a series of them if the cause is not the instance."""
 
 
 class Prewarm(Model):
     """Adds one standby for this workload to a pool that a strategy names."""
 
     pool_ref: LocalReference
-    """The FallbackPool (Initialized or Executing). With perWorkload 0, the pool has a standby for this workload only
-    while it is degraded."""
+    """A FallbackPool with readiness Initialized or Executing. If the pool's perWorkload is 0, it has a standby for this
+    workload only while the workload is degraded."""
 
 
 @with_rules(
@@ -112,9 +111,10 @@ class Action(Model):
     resize: Resize | None = None
     """Give the active pod more CPU or memory, in place. Requires Kubernetes 1.33 or newer."""
     prewarm: Prewarm | None = None
-    """Keep one more standby ready in a pool, so that a failure would be recovered from faster."""
+    """Keep one more standby in a pool while the workload is degraded, so that a recovery would take less time."""
     reschedule: Reschedule | None = None
-    """Hand over to another instance with the policy's strategies, when the robot is next idle."""
+    """Planned hand-over: when the robot is idle, the monitor replaces the active instance with the policy's strategies,
+    as after a failure."""
 
 
 @with_rules(

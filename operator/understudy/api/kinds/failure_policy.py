@@ -68,7 +68,8 @@ class TreeReference(Model):
     ),
     (
         "!has(self.configMapKeyRef) || !has(self.yaml) && !has(self.xml) && !has(self.osc)",
-        "the health tree is already given in the policy: give exactly one of yaml, xml, osc and configMapKeyRef",
+        "configMapKeyRef is set in addition to yaml, xml or osc: give exactly one of yaml, xml, osc and "
+        "configMapKeyRef",
         ".configMapKeyRef",
     ),
 )
@@ -76,7 +77,8 @@ class Monitoring(Written):
     """What healthy means, as a behaviour tree, and how long it must fail to count as a failure."""
 
     yaml: ShortForm | None = None
-    """The health tree in the short form: one node, such as parallel, sequence, selector or topic. See docs/trees.md."""
+    """The health tree in the short form, which is Understudy's YAML notation. The value is the root node, such as
+    parallel, sequence, selector (Fallback in BehaviorTree.CPP) or topic. See docs/trees.md."""
     xml: Text | None = None
     """The health tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/trees.md."""
     osc: Text | None = None
@@ -84,9 +86,10 @@ class Monitoring(Written):
     config_map_key_ref: TreeReference | None = None
     """The health tree in a ConfigMap, which several policies can share."""
     debounce: Duration = "0s"
-    """How long the tree must fail without interruption to count as a failure. This time adds to the detection time."""
+    """The workload counts as failed when the tree has failed without interruption for this long. This time is part of
+    the detection time."""
     startup_grace: Duration = "30s"
-    """How long a new instance may take to become healthy for the first time."""
+    """How long a new instance may take to become healthy for the first time. After this time, it counts as failed."""
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
@@ -112,8 +115,7 @@ class Monitoring(Written):
     ),
     (
         "self.type != 'Auto' || !has(self.recovery)",
-        "recovery is not allowed for type Auto, which can choose any strategy: set bringUp in the "
-        "workload, or list the strategies yourself",
+        "recovery is not allowed for type Auto: set spec.bringUp of the RobotWorkload, or list the strategies yourself",
         ".recovery",
     ),
     (
@@ -131,21 +133,24 @@ class Strategy(Model):
     """One way to recover the workload."""
 
     type: Literal["Fallback", "Restart", "Auto"]
-    """Fallback: an understudy from a pool takes over. Restart: Understudy deletes the pod, and a new one starts. Auto:
-    Understudy chooses from Restart and the pools that serve the workload, in the order that best meets
-    spec.requirements. Auto must be the only strategy. See docs/choosing.md."""
+    """Fallback: an instance from a pool takes over. Restart: Understudy deletes the pod, and a new one starts. Auto:
+    Understudy chooses from Restart and the FallbackPools whose workloadSelector matches the workload, in the order that
+    best meets spec.requirements. Auto must be the only strategy, and is not allowed in situations. See
+    docs/choosing.md."""
     pool_ref: LocalReference | None = None
-    """The FallbackPool that provides the understudy."""
+    """The FallbackPool that provides the new instance."""
     recovery: Procedure | None = None
-    """Procedure to run on the instance that takes over, behind the closed gate, instead of the workload's bringUp. Kept
-    state is restored before it, unless the procedure contains a restore_state step."""
+    """Procedure (a behaviour tree) that runs on the instance that takes over, instead of spec.bringUp of the
+    RobotWorkload. The gate is closed meanwhile: no output reaches the robot. Kept state (spec.state) is restored before
+    the procedure, or by its restore_state steps if it has any."""
     wait_for: Duration | None = None
-    """How long to wait, with the gate closed, if the shared pool (Uninitialized) has no ready pod. After this time the
-    next strategy is tried. Workloads with a higher spec.poolPriority are served first. Absent: the next strategy is
-    tried immediately. See docs/waiting.md."""
+    """Only for pools with readiness Uninitialized: how long to wait, with the gate closed, if the pool has no ready
+    pod. After this time the next strategy is tried. A free pod goes first to the RobotWorkload with the highest
+    spec.poolPriority. Absent: the next strategy is tried immediately. See docs/waiting.md."""
     verify_within: Duration = "30s"
-    """How long it may take until the robot receives outputs from the new instance and from no other. After this time
-    the next strategy is tried. Time spent waiting for a pod (waitFor) does not count."""
+    """Maximum time from the start of the strategy until it is verified: the robot receives outputs from the new
+    instance and from no other. After this time the next strategy is tried. Time spent waiting for a pod (waitFor) does
+    not count."""
 
 
 _SITUATION_PATTERN = r"^[a-z0-9]([-a-z0-9]*[a-z0-9])?$"
@@ -158,7 +163,7 @@ _SITUATION_MESSAGE = (
 @with_rules(
     (
         "has(self.strategies) != has(self.requirements)",
-        "give the strategies of the situation; or, if spec.strategies is Auto, its requirements",
+        "a situation must have either strategies or, if spec.strategies is Auto, requirements",
     ),
     (
         "!has(self.strategies) || self.strategies.all(s, s.type != 'Auto')",
@@ -179,8 +184,8 @@ class Situation(Model):
     clear_after: Duration = "10s"
     """How long the condition must be false without interruption before the situation ends."""
     strategies: list[Strategy] | None = Field(default=None, min_length=1, max_length=8)
-    """Strategies to try in order, instead of spec.strategies. Standbys are kept in the pools that the strategies in
-    effect name."""
+    """Strategies to try in order, instead of spec.strategies, while the situation is in effect. Understudy then keeps
+    standbys only in the pools of these strategies."""
     requirements: Requirements | None = None
     """Requirements for choosing the strategies, instead of spec.requirements."""
 
@@ -228,11 +233,12 @@ class StormGuard(Model):
     percent: int = Field(default=50, ge=1, le=99)
     """A storm begins if more than this percentage of the policy's workloads fail."""
     workloads: int = Field(default=3, ge=2)
-    """Minimum number of workloads that must fail for a storm, in addition to percent."""
+    """A storm also requires that at least this number of workloads fail."""
     within: Duration = "10s"
     """A workload counts as failing if it failed within this time, even if it has recovered since."""
     hold_for: Duration = "2m"
-    """Maximum time that recoveries are suspended, even if nothing reports the end of the storm."""
+    """Maximum time for which a storm suspends recoveries. After it, monitors recover even if the operator has not
+    reported the end of the storm."""
 
 
 class Limits(Model):
@@ -241,15 +247,16 @@ class Limits(Model):
     cooldown: Duration = "0s"
     """Minimum time between the end of one recovery and the start of the next."""
     healthy_delay: Duration = "2s"
-    """How long an instance that took over must be healthy to count as recovered. If it fails earlier, the recovery
-    continues with the next strategy."""
+    """How long the instance that took over must be healthy before the workload counts as recovered. If it fails
+    earlier, the recovery continues with the next strategy."""
     budget: Budget | None = None
-    """Maximum number of automatic recoveries in a time window. When the budget is used up, a failed instance is fenced
-    and nothing else is done, until the window allows another recovery or a user runs understudy resume. Absent: no
-    maximum. See docs/limits.md."""
+    """Maximum number of automatic recoveries in a time window. When it is reached, the monitor fences a failed instance
+    (denies it access to the robot) and does nothing else, until fewer recoveries lie within the window or a user runs
+    `understudy resume`. Absent: no maximum. See docs/limits.md."""
     storm_guard: StormGuard | None = None
-    """Response to many simultaneous failures. While so many of the policy's workloads fail at once, no pod of a shared
-    pool is claimed and no pod is restarted. Ready standbys still take over. Absent: no guard. See docs/limits.md."""
+    """Response to a storm: many of the policy's workloads fail at once, so the cause is probably not in them. Monitors
+    then claim (take) no pod of a shared pool and restart no pod. Ready standbys still take over. Absent: no guard. See
+    docs/limits.md."""
 
 
 @with_rules(
@@ -266,7 +273,7 @@ class SafeCommand(Model):
     """Topic to publish on. It must be one of the workload's outputs."""
     message: dict[str, Any] = Field(default_factory=dict)
     """Fields of the message. Fields that are absent keep their default value, so an empty Twist means: stand still. In
-    a field of type time, the text now is replaced by the current time."""
+    a field of type builtin_interfaces/msg/Time, the string "now" stands for the current time."""
     every: Duration = "100ms"
     """How often the message is sent."""
 
@@ -282,10 +289,10 @@ class Safety(Model):
     """What is done for the robot's safety while no instance is verified to be in control."""
 
     commands: list[SafeCommand] = Field(min_length=1, max_length=8)
-    """Messages to publish while no instance is in control."""
+    """Messages to publish while no instance controls the robot."""
     after: Duration = "100ms"
-    """How long no instance must be in control before the messages are sent. A takeover by an executing standby takes
-    less time, so the robot does not brake for it."""
+    """The messages are sent when no instance has controlled the robot for this long. Set it longer than a takeover by a
+    standby of an Executing pool, so that the robot does not brake for that."""
 
 
 @with_rules(
@@ -317,19 +324,18 @@ class Safety(Model):
     ),
     (
         "!has(self.situations) || self.strategies.all(s, s.type != 'Auto') || self.situations.all(a, has(a.requirements))",
-        "the policy's strategies are chosen automatically (Auto), so each situation must state what to "
-        "choose by: set requirements",
+        "spec.strategies is Auto, so each situation must set requirements",
         ".situations",
     ),
     (
         "self.priority != 'Safety' || !has(self.limits.budget)",
-        "with priority Safety, limits must not delay a recovery, but a budget can: remove the budget or the priority",
+        "priority Safety does not allow limits.budget, which can delay a recovery: remove the budget or the priority",
         ".limits.budget",
     ),
     (
         "self.priority != 'Safety' || !has(self.limits.stormGuard)",
-        "with priority Safety, limits must not delay a recovery, but a storm guard can: remove the "
-        "storm guard or the priority",
+        "priority Safety does not allow limits.stormGuard, which can delay a recovery: remove the storm guard or "
+        "the priority",
         ".limits.stormGuard",
     ),
 )
@@ -337,29 +343,34 @@ class FailurePolicySpec(Model):
     """What healthy means, and what to do if a workload is not healthy."""
 
     monitoring: Monitoring
-    """What healthy means."""
+    """What healthy means, as a behaviour tree (the health tree). The monitor, a pod for each workload, evaluates it and
+    recovers the workload."""
     strategies: list[Strategy] = Field(min_length=1, max_length=8)
-    """Strategies to try in order. If one is not available or is not verified in time, the next one is tried."""
+    """Strategies to try in order. If a strategy is not available, or is not verified within its verifyWithin, the next
+    one is tried. After the last one, the monitor pauses (see priority) and begins with the first again."""
     requirements: Requirements | None = None
-    """Requirements that determine the order of strategies of type Auto. If the strategies are listed, only the command
-    understudy recommend uses them."""
+    """Requirements from which Understudy chooses the order for type Auto. If spec.strategies lists the strategies, the
+    requirements have no effect except in `understudy recommend`."""
     situations: list[Situation] = Field(default_factory=list, max_length=4)
-    """Situations of the robot in which other strategies, and so other standbys, are used. Empty: the strategies never
-    change. See docs/situations.md."""
+    """Situations of the robot, such as carrying a load, in which other strategies apply. Standbys are then kept in the
+    pools of those strategies. Empty: the strategies never change. See docs/situations.md."""
     degraded: Degraded | None = None
     """When a healthy workload counts as degraded, and what to do then. Absent: workloads are never degraded. See
     docs/degraded.md."""
     state: State = Field(default_factory=State)
-    """State of a healthy instance that is kept and restored to the instance that takes over."""
+    """Kept state: what the monitor stores while the instance is healthy, and restores in the instance that takes
+    over."""
     limits: Limits = Field(default_factory=Limits)
     """Limits of automatic actions."""
     priority: Literal["Normal", "Safety"] = "Normal"
-    """Safety: limits never delay a recovery. If no strategy was verified, all of them are tried again every 2 s."""
+    """Normal: limits can delay a recovery. If no strategy was verified, all of them are tried again after a pause,
+    which doubles each time from 2 s to 1 min. Safety: limits never delay a recovery (cooldown has no effect), and the
+    pause is always 2 s."""
     safety: Safety | None = None
-    """Messages to the robot while no instance is verified to be in control."""
+    """Safe commands: messages that the monitor sends to the robot while no instance controls it."""
     black_box: BlackBox | None = None
-    """Record what the monitor received around each failure in an MCAP file, which understudy blackbox downloads.
-    Absent: nothing is recorded. See docs/blackbox.md."""
+    """Record the messages that the monitor received before and during each failure in an MCAP file. The command
+    `understudy blackbox` downloads it. Absent: nothing is recorded. See docs/blackbox.md."""
 
     @property
     def auto(self) -> bool:
@@ -389,7 +400,7 @@ class TreeInForce(Model):
     """The last valid health tree from the ConfigMap. Monitors use it even if the ConfigMap is changed to an invalid tree or deleted."""
 
     name: str
-    """Name of the ConfigMap that contained the tree."""
+    """Name of the ConfigMap from which the tree was read."""
     key: str
     """Key in the ConfigMap."""
     yaml: dict[str, Any] | None = None
@@ -408,12 +419,12 @@ class FailurePolicyStatus(Model):
     workloads: int | None = None
     """Number of RobotWorkloads that use this policy."""
     strategies: str | None = None
-    """The strategies in short form, in order."""
+    """Summary of the strategies, in order."""
     tree: TreeInForce | None = None
     """The health tree in effect, if spec.monitoring refers to a ConfigMap."""
     conditions: Conditions | None = None
     """Accepted: the tree and the strategies are valid. Storm (if limits.stormGuard is set): so many of the policy's
-    workloads fail at once that their monitors suspend recoveries that could not help."""
+    workloads fail at once that their monitors claim no pod of a shared pool and restart no pod."""
 
 
 def in_force(spec: FailurePolicySpec, status: Mapping[str, Any] | None) -> FailurePolicySpec | None:

@@ -41,23 +41,25 @@ class Procedure(_Tree):
     """Steps to run on one instance, and the time they may take. Steps whose result already exists do nothing."""
 
     yaml: ShortForm | None = None
-    """The tree in the short form: one node, such as sequence, set_lifecycle or call_service. See docs/procedures.md."""
+    """The tree in the short form (YAML). The value is the root node, such as sequence, set_lifecycle or call_service.
+    See docs/procedures.md."""
     xml: Text | None = None
     """The tree as a BehaviorTree.CPP 4 XML document, as Groot 2 writes it. See docs/procedures.md."""
     osc: Text | None = None
     """The tree as OpenSCENARIO 2 text that imports osc.understudy. See docs/procedures.md."""
     within: Duration = "60s"
-    """The procedure fails if it takes longer than this."""
+    """Maximum duration. A procedure that takes longer fails. In a recovery, the next strategy is then tried."""
 
 
 class Check(_Tree):
     """A condition of one instance, evaluated repeatedly from inside its pod."""
 
     yaml: ShortForm | None = None
-    """The tree in the short form, with conditions only, such as lifecycle_is or topic. See docs/procedures.md."""
+    """The tree in the short form (YAML), with condition nodes only, such as lifecycle_is or topic. See
+    docs/procedures.md."""
     xml: Text | None = None
-    """The tree as a BehaviorTree.CPP 4 XML document, with conditions only. See docs/procedures.md."""
+    """The tree as a BehaviorTree.CPP 4 XML document, with condition nodes only. See docs/procedures.md."""
     osc: Text | None = None
-    """The tree as OpenSCENARIO 2 text, with conditions only. See docs/procedures.md."""
+    """The tree as OpenSCENARIO 2 text, with condition nodes only. See docs/procedures.md."""
     period: Duration = "1s"
     """Time between two evaluations."""

@@ -29,10 +29,10 @@ class BlackBox(Model):
     """Recording of each failure: what the monitor received before and during it, as an MCAP file."""
 
     window: Duration = "30s"
-    """How much time before a failure is recorded."""
+    """Length of the recorded time before the detection of a failure. The recording ends 2 s after the recovery."""
     memory: Size = "16Mi"
-    """Memory that the monitor may use for recent messages. Topics that need more, such as images, are left out; the
-    recordings and understudy blackbox list them."""
+    """Memory that the monitor may use for recent messages. Topics that need more, such as images, are left out. The
+    recording and `understudy blackbox` list these topics."""
     max_recordings: int = Field(default=5, ge=1, le=100)
     """Maximum number of recordings of a workload. The oldest is deleted first."""
     max_size: Size = "64Mi"

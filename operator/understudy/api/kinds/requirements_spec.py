@@ -13,15 +13,17 @@ class Requirements(Model):
     """How important each of the paper's factors is (section III, taxonomy). docs/choosing.md explains each level."""
 
     safety: Level = "Low"
-    """What must be known about the instance that takes over. Low: only what is checked before every recovery counts as
-    complete. Medium: instances that are already running are tried first (Initialized, Executing). High: an instance
-    that was observed to be healthy while it waited is tried first (Executing), at any cost."""
+    """What must be known about the instance that takes over. Low: nothing more than the check that ends every recovery.
+    Medium: pools with readiness Initialized or Executing are tried first, because their instances already run. High:
+    Executing pools are tried first, because their standbys were observed to be healthy while they waited; resourceUsage
+    then counts as High."""
     availability: Level = "Medium"
-    """How soon after its detection a failure must be recovered from. Low: no limit. Medium: within 2 s. High: within
-    500 ms."""
+    """Maximum time from the detection of a failure to the end of the recovery. Low: no limit. Medium: 2 s. High: 500
+    ms."""
     resource_usage: Level = "Medium"
-    """How many resources the standbys may use. Low: almost none (one tenth of the CPU of a working instance). Medium:
-    what is needed to recover in time. High: everything that the pools offer."""
+    """CPU that the standbys of a workload may use. Low: for each strategy, at most one tenth of a working instance's
+    CPU. Medium: for the first strategy, as much as it needs to be as fast as required; for each other one, at most one
+    tenth. High: no limit, and the fastest strategy comes first."""
     task_criticality: Level = "Low"
-    """How much an interruption of the robot's work costs. Low: no more than availability states. Medium: at least as
-    much as with availability Medium. High: as much as with availability High, and resources do not matter."""
+    """How much an interruption of the robot's task costs. The shorter time of this field and availability is required.
+    Low: no limit. Medium: 2 s. High: 500 ms, and resourceUsage counts as High."""

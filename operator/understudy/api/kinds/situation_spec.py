@@ -26,10 +26,10 @@ class When(Written):
     """Condition of a situation: an action has an active goal, or a tree succeeds."""
 
     task: ActiveTask | None = None
-    """The situation applies while this action has an active goal."""
+    """A task, which is a ROS action. The situation applies while the action has an active goal."""
     yaml: ShortForm | None = None
-    """The situation applies while this tree succeeds, in the short form with the leaves of health trees. See
-    docs/trees.md."""
+    """A tree in the short form (YAML), with the leaf nodes of health trees. The situation applies while the tree
+    succeeds. See docs/trees.md."""
     xml: Text | None = None
     """The tree as a BehaviorTree.CPP 4 XML document."""
     osc: Text | None = None

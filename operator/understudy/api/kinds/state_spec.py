@@ -22,12 +22,12 @@ class CarriedBy(Model):
     """Odometry that brings a kept pose up to date when the pose is restored."""
 
     topic: RosName
-    """The robot's odometry topic, such as /odom. It must describe the same body as the pose, and its publisher must
-    keep running when the instance fails."""
+    """The robot's odometry topic, such as /odom. It must describe the motion of the same frame as the kept pose, such
+    as base_link. Its publisher must keep running when the instance fails."""
     type: str = Field(default=ODOMETRY, max_length=256, description=f"Type of the odometry topic: {_POSES}.")
     required: bool = False
-    """True: do not restore a pose that cannot be brought up to date. False: restore it as it was kept, and report
-    that."""
+    """True: a pose that cannot be brought up to date is not restored. False: it is restored as it was kept. The
+    condition StateRestored and an Event report either."""
 
 
 @with_rules(
@@ -49,7 +49,7 @@ class CarriedBy(Model):
     ),
 )
 class KeptTopic(Model):
-    """A topic whose last healthy message is kept, as serialized bytes with its type and times."""
+    """A topic whose last message is kept while the workload is healthy."""
 
     topic: RosName
     """Fully qualified name of the topic to keep, such as /amcl_pose."""
@@ -58,17 +58,18 @@ class KeptTopic(Model):
     graph."""
     restore_to: RosName | None = None
     """Topic on which the kept message is published to the instance that takes over, such as /initialpose. Absent: the
-    message is kept for trees only."""
+    message is kept but not restored."""
     stamp: Literal["now", "kept"] = "kept"
     """Time stamp of a restored message that has a header. now: the current time. kept: the original stamp."""
     max_age: Duration = "1m"
-    """A message that was older than this when the failure began is not restored, and that is reported."""
+    """A message that was older than this when the failure began is not restored. The condition StateRestored and an
+    Event report that."""
     confirm: RosName | None = None
-    """The restoration is complete when the new instance publishes on this topic. Absent: when a subscriber has received
-    the message."""
+    """The restoration is complete when the new instance publishes on this topic. Absent: it is complete when the
+    subscribers of restoreTo have acknowledged the message."""
     carried_by: CarriedBy | None = None
-    """Odometry that brings a kept pose up to date, because the robot may have moved since. Absent: the pose is restored
-    as it was kept."""
+    """Odometry topic. The robot's motion since the pose was kept is added to the pose when it is restored. Absent: the
+    pose is restored as it was kept."""
 
 
 class KeptParameters(Model):
@@ -111,12 +112,13 @@ class State(Model):
     """Managed nodes whose lifecycle state is kept. The instance that takes over is brought to the same states, in this
     order."""
     margin: Duration = "500ms"
-    """Only state from at least this long before the failure began is restored. The health tree succeeded when it was
-    taken."""
+    """Only state that was kept at least this long before the failure began is restored, because newer state may already
+    be wrong."""
     period: Duration = "200ms"
     """Minimum time between two kept messages of a topic."""
     max_bytes: int = Field(default=16 * 1024 * 1024, ge=1024, le=256 * 1024 * 1024)
-    """Maximum size of all kept state in bytes. A message that does not fit is not kept, and that is reported."""
+    """Maximum size of all kept state in bytes. A message that does not fit is not kept, and the condition StateKept
+    reports that."""
     within: Duration = "5s"
     """The restoration fails if it takes longer than this."""
     storage: Storage = Field(default_factory=Storage)

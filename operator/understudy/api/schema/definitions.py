@@ -69,7 +69,7 @@ def definition(kind: Kind) -> dict[str, Any]:
             for c in kind.columns
         ],
         "subresources": {"status": {}},
-        "schema": {"openAPIV3Schema": root(kind)},
+        "schema": {"openAPIV3Schema": _with_defaults_in_words(root(kind))},
     }
     if kind.scales:
         version["subresources"]["scale"] = {
@@ -214,6 +214,20 @@ def _with_fields_default(schema: Schema) -> Schema:
         return schema
     defaults = {name: child["default"] for name, child in schema.get("properties", {}).items() if "default" in child}
     return _ordered(schema | {"default": defaults}) if defaults else schema
+
+
+def _with_defaults_in_words(schema: Schema) -> Schema:
+    """Return the schema with the defaults of its fields in their descriptions too, because ``kubectl explain`` prints only these."""
+    result = dict(schema)
+    if "properties" in result:
+        result["properties"] = {name: _with_defaults_in_words(child) for name, child in result["properties"].items()}
+    if "items" in result:
+        result["items"] = _with_defaults_in_words(result["items"])
+    default = result.get("default")
+    if "description" in result and default not in (None, "") and not isinstance(default, list | dict):
+        shown = str(default).lower() if isinstance(default, bool) else default
+        result["description"] = f"{result['description']} Default: {shown}."
+    return result
 
 
 def _without_defaults(schema: Schema) -> Schema:

@@ -121,7 +121,7 @@ KINDS = (
                 "Whether the policy is valid; see the condition's message.",
             ),
             Column("Workloads", ".status.workloads", "Number of RobotWorkloads that use the policy.", "integer"),
-            Column("Strategies", ".status.strategies", "The strategies in short form, in order."),
+            Column("Strategies", ".status.strategies", "Summary of the strategies, in order."),
             AGE,
         ),
     ),

@@ -78,7 +78,7 @@ def test_more_is_a_text_and_not_nothing() -> None:
     number = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {cpu: 2}"))
     assert number.field == "spec.degraded.actions[0].resize.cpu"
     assert "in quotes if it looks like a number" in number.message
-    assert "write cores as a text" in number.message
+    assert "write the number of cores as a string" in number.message
     nothing = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {container: app}"))
     assert "give the new amount" in nothing.message
 

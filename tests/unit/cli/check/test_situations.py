@@ -66,8 +66,8 @@ def test_a_mistake_in_a_procedure_is_placed() -> None:
 def test_what_is_in_force_must_be_said_as_the_policy_says_it() -> None:
     finding = only(CARRYING + "      requirements: {taskCriticality: High}\n", POOL, WORKLOAD)
     assert finding.field == "spec.situations[0]"
-    assert "give the strategies of the situation; or, if spec.strategies is Auto, its requirements" in finding.message
+    assert "a situation must have either strategies or, if spec.strategies is Auto, requirements" in finding.message
     auto = CARRYING.replace(
         "    - {type: Restart}\n  situations", "    - {type: Auto}\n  requirements: {}\n  situations", 1
     )
-    assert "each situation must state what to choose by" in only(auto, POOL, WORKLOAD).message
+    assert "each situation must set requirements" in only(auto, POOL, WORKLOAD).message
