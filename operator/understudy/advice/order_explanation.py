@@ -12,7 +12,9 @@ from understudy.advice.strategy_order import (
     RatedStrategy,
     effective_resource_usage,
     required_time,
+    safety_gap,
 )
+from understudy.api.kinds.fallback_pool import LEVELS
 from understudy.api.kinds.requirements_spec import Requirements
 from understudy.trees.core.leaf import duration
 
@@ -83,7 +85,7 @@ def unmet_requirements(order: Order) -> list[str]:
             f"{_time(first.seconds.value)} ({first.seconds.source}): {_remedy(order)}"
         )
     if not order.is_safe_enough:
-        wanted = "Executing" if order.requirements.safety == "High" else "Executing or Initialized"
+        wanted = " or ".join(name for name in reversed(LEVELS) if safety_gap(order.requirements, name) == 0)
         found.append(
             f"safety {order.requirements.safety} requires a standby that is {wanted}, but none is available: "
             "add a FallbackPool that serves the workload"
@@ -126,7 +128,8 @@ def _remedy(order: Order) -> str:
     sooner = [one for one in order.costly if one.seconds.value < order.first.seconds.value]
     if sooner:
         return f"{strategy_name(sooner[0].candidate)} would be fast enough with a higher resourceUsage"
-    if order.first.candidate.way == "Executing":
+    way = order.first.candidate.way
+    if way != "Restart" and LEVELS[way].runs_in_full:
         return "check in its recoveries what takes this long, or lower the requirement"
     return "add a FallbackPool with a higher readiness that serves the workload, or lower the requirement"
 

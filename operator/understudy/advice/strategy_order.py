@@ -21,6 +21,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from understudy.advice.strategy_figures import Figure, Figures, Way
+from understudy.api.kinds.fallback_pool import LEVELS, ReadinessLevel
 from understudy.api.kinds.requirements_spec import Level, Requirements
 
 SOON: Mapping[Level, float] = {"Low": math.inf, "Medium": 2.0, "High": 0.5}
@@ -31,8 +32,15 @@ command, so that they hardly stop.
 NEGLIGIBLE = 0.1
 """Negligible CPU of standbys, as a share of a working instance's: processes that only wait."""
 
-_UP: Mapping[Way, int] = {"Executing": 0, "Initialized": 1, "Uninitialized": 2, "Restart": 2}
-"""Rank of confidence that the new instance is healthy: 0 means that it was observed to be healthy."""
+
+def _doubt(level: ReadinessLevel) -> int:
+    if level.runs_in_full:
+        return 0
+    return 1 if level.has_standbys else 2
+
+
+_DOUBT: Mapping[Way, int] = {**{name: _doubt(level) for name, level in reversed(LEVELS.items())}, "Restart": 2}
+"""How doubtful it is that the new instance is healthy: 0 means that it was observed to be healthy. The most prepared comes first."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +80,7 @@ class RatedStrategy:
 
     @property
     def _name(self) -> tuple[int, str]:
-        return list(_UP).index(self.candidate.way), self.candidate.pool
+        return list(_DOUBT).index(self.candidate.way), self.candidate.pool
 
 
 @dataclass(frozen=True)
@@ -130,7 +138,7 @@ def most_cost(requirements: Requirements) -> float:
 def safety_gap(requirements: Requirements, way: Way) -> int:
     """Return how far a strategy is from the safety requirement; 0 if it meets it."""
     allowed = {"High": 0, "Medium": 1, "Low": 2}[requirements.safety]
-    return max(0, _UP[way] - allowed)
+    return max(0, _DOUBT[way] - allowed)
 
 
 def order_strategies(

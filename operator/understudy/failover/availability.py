@@ -6,8 +6,10 @@ during a recovery, the operator for the condition Protected, and ``understudy ex
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+from understudy.api.kinds.fallback_pool import has_standbys, is_shared
 
 NO_POOL = "NoPool"
 POOL_DOES_NOT_SERVE = "PoolDoesNotServe"
@@ -107,11 +109,12 @@ def fallback(name: str, there: Resources) -> Availability:
             "Put them on its metadata, or correct the selector"
         )
         return Availability(False, POOL_DOES_NOT_SERVE, text)
-    if (check := _FALLBACKS.get(pool.readiness)) is None:
-        return Availability(
-            False, POOL_NOT_ACCEPTED, f"FallbackPool {name} was not accepted: kubectl describe fbp {name}"
-        )
-    return check(name, pool, there)
+    if has_standbys(pool.readiness):
+        return _standby(name, pool, there)
+    if is_shared(pool.readiness):
+        return _shared(name, pool, there)
+    text = f"FallbackPool {name} was not accepted: kubectl describe fbp {name}"
+    return Availability(False, POOL_NOT_ACCEPTED, text)
 
 
 def _standby(name: str, pool: Pool, there: Resources) -> Availability:
@@ -151,11 +154,3 @@ def _shared(name: str, pool: Pool, there: Resources) -> Availability:
     if pool.pod_problem is not None:
         return Availability.missing(pool.pod_problem)
     return Availability(False, STANDBY_NOT_READY, f"no pod of FallbackPool {name} is ready")
-
-
-_FALLBACKS: Mapping[str, Callable[[str, Pool, Resources], Availability]] = {
-    "Uninitialized": _shared,
-    "Initialized": _standby,
-    "Executing": _standby,
-}
-"""The rule for each readiness of a pool."""

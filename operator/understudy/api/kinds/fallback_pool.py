@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -12,6 +14,64 @@ from understudy.api.kinds.pod_template import pod_template
 from understudy.api.kinds.procedure_spec import Check, Procedure
 
 Readiness = Literal["Uninitialized", "Initialized", "Executing"]
+
+
+@dataclass(frozen=True)
+class ReadinessLevel:
+    """What a readiness means. Whoever treats pools differently asks here, and never compares the names of levels."""
+
+    shared: bool = False
+    """Whether a pod belongs to no robot until a workload claims it. Otherwise every workload has standbys of its own."""
+    runs_in_full: bool = False
+    """Whether a standby runs as the active instance does, so that the workload's bringUp and health tree apply to it."""
+
+    @property
+    def has_standbys(self) -> bool:
+        """Whether every workload has standbys of its own."""
+        return not self.shared
+
+    @property
+    def is_prepared(self) -> bool:
+        """Whether a procedure of the pool brings its standbys to this readiness, and the rest follows at a failover."""
+        return self.has_standbys and not self.runs_in_full
+
+
+LEVELS: dict[Readiness, ReadinessLevel] = {
+    "Uninitialized": ReadinessLevel(shared=True),
+    "Initialized": ReadinessLevel(),
+    "Executing": ReadinessLevel(runs_in_full=True),
+}
+"""Every readiness, from the one that needs most at a failover to the one that needs least."""
+
+
+_SHARED = [name for name, level in LEVELS.items() if level.shared]
+_STANDBYS = [name for name, level in LEVELS.items() if level.has_standbys]
+_PREPARED = [name for name, level in LEVELS.items() if level.is_prepared]
+
+
+def _either(levels: Iterable[str]) -> str:
+    *others, last = levels
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+SHARED_NAMES, STANDBY_NAMES = _either(_SHARED), _either(_STANDBYS)
+"""The levels of shared pools, and of pools with standbys, for messages."""
+
+
+def is_shared(readiness: object) -> bool:
+    """Return whether a pool with this readiness is shared; False if the readiness of a stored object is unknown."""
+    return readiness in _SHARED
+
+
+def has_standbys(readiness: object) -> bool:
+    """Return whether every workload has standbys of its own from a pool with this readiness; False if it is unknown."""
+    return readiness in _STANDBYS
+
+
+def _is(levels: Iterable[str]) -> str:
+    """Return the CEL expression for a pool of one of these levels."""
+    return f"self.readiness in [{', '.join(repr(name) for name in levels)}]"
+
 
 WARM_PATH_PATTERN = r"^/[^\x00-\x1f]+$"
 
@@ -115,10 +175,10 @@ class UpdateStrategy(Model):
 
 @with_rules(
     (
-        "self.readiness == 'Uninitialized' ? (has(self.replicas) || has(self.sizing)) && !has(self.perWorkload) "
+        f"{_is(_SHARED)} ? (has(self.replicas) || has(self.sizing)) && !has(self.perWorkload) "
         ": has(self.perWorkload) && !has(self.replicas) && !has(self.sizing)",
-        "an Uninitialized pool is shared and needs replicas or sizing; an Initialized or Executing pool "
-        "needs perWorkload, because its standbys belong to one robot's ROS graph",
+        f"a pool with readiness {SHARED_NAMES} is shared and needs replicas or sizing; a pool with readiness "
+        f"{STANDBY_NAMES} needs perWorkload, because its standbys belong to one robot's ROS graph",
     ),
     (
         "!has(self.replicas) || !has(self.sizing)",
@@ -127,33 +187,33 @@ class UpdateStrategy(Model):
         ".replicas",
     ),
     (
-        "self.readiness == 'Uninitialized' ? has(self.template) != has(self.templateFrom) "
+        f"{_is(_SHARED)} ? has(self.template) != has(self.templateFrom) "
         ": !has(self.template) && !has(self.templateFrom)",
-        "an Uninitialized pool needs exactly one of template and templateFrom; an Initialized or "
-        "Executing pool has neither, because it uses the template of each workload",
+        f"a pool with readiness {SHARED_NAMES} needs exactly one of template and templateFrom; a pool with readiness "
+        f"{STANDBY_NAMES} has neither, because it uses the template of each workload",
     ),
     *(
         (
-            f"self.readiness != 'Uninitialized' || !has(self.{field})",
-            f"{field} is allowed only for pools with readiness Initialized or Executing",
+            f"{_is(_STANDBYS)} || !has(self.{field})",
+            f"{field} is allowed only for pools with readiness {STANDBY_NAMES}",
             f".{field}",
         )
         for field in ("initialization", "readinessCheck", "keepUp")
     ),
     (
-        "self.readiness == 'Uninitialized' || !has(self.reserve)",
-        "reserve is allowed only for pools with readiness Uninitialized, because other standbys belong to one workload",
+        f"{_is(_SHARED)} || !has(self.reserve)",
+        f"reserve is allowed only for pools with readiness {SHARED_NAMES}, because other standbys belong to one workload",
         ".reserve",
     ),
     (
-        "self.readiness == 'Uninitialized' || !has(self.updateStrategy)",
-        "updateStrategy is allowed only for pools with readiness Uninitialized: other standbys use "
+        f"{_is(_SHARED)} || !has(self.updateStrategy)",
+        f"updateStrategy is allowed only for pools with readiness {SHARED_NAMES}: other standbys use "
         "their workload's template, and an old one stays until the new one is ready",
         ".updateStrategy",
     ),
     (
-        "self.readiness != 'Initialized' || has(self.initialization)",
-        "an Initialized pool needs an initialization, which brings its standbys to the readiness",
+        f"!({_is(_PREPARED)}) || has(self.initialization)",
+        f"a pool with readiness {_either(_PREPARED)} needs an initialization, which brings its standbys to the readiness",
         ".initialization",
     ),
     ("self.readiness == oldSelf.readiness", "readiness is immutable: create another pool", ".readiness"),
@@ -205,6 +265,11 @@ class FallbackPoolSpec(Model):
     warm_paths: list[WarmPath] = Field(default_factory=list, max_length=16)
     """Files and folders in the containers to read once while the containers are held, so that they are in the page
     cache."""
+
+    @property
+    def level(self) -> ReadinessLevel:
+        """What its readiness means."""
+        return LEVELS[self.readiness]
 
     def kept_from(self, priority: int) -> int:
         """Return how many of the ready pods a workload with this poolPriority may not claim."""

@@ -338,8 +338,8 @@ class Attempt(Model):
     """One strategy that a recovery tried."""
 
     strategy: str
-    """Fallback/Executing, Fallback/Executing (reflex), Fallback/Initialized, Fallback/Uninitialized or Restart. After
-    the recovery of another workload also Reinitialize or Procedure."""
+    """Restart, or Fallback/ and the readiness of the pool, such as Fallback/Initialized; with a reflex, Fallback/Executing
+    (reflex). After the recovery of another workload also Reinitialize or Procedure."""
     pod: str = ""
     """Name of the understudy's pod."""
     result: Literal["Verified", "NotVerified", "NotAvailable"]

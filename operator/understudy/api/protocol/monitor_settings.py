@@ -9,7 +9,7 @@ from pydantic import Field
 
 from understudy.api.base import Model
 from understudy.api.kinds.failure_policy import Strategy
-from understudy.api.kinds.fallback_pool import Readiness
+from understudy.api.kinds.fallback_pool import LEVELS, Readiness, ReadinessLevel
 from understudy.api.kinds.procedure_spec import Check, Procedure
 from understudy.api.kinds.switchover_spec import Drain
 
@@ -28,6 +28,11 @@ class PoolChoice(Model):
     keep_up: str | None = Field(
         default=None, description="Time between two transfers of the kept state to the pool's standbys. Absent: none."
     )
+
+    @property
+    def level(self) -> ReadinessLevel:
+        """What its readiness means."""
+        return LEVELS[self.readiness]
 
 
 class Upstream(Model):

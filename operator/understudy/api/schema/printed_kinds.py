@@ -133,7 +133,7 @@ KINDS = (
         spec=FallbackPoolSpec,
         status=FallbackPoolStatus,
         columns=(
-            Column("Readiness", ".spec.readiness", "Uninitialized, Initialized or Executing."),
+            Column("Readiness", ".spec.readiness", "How far the pool's instances are prepared."),
             Column("Desired", ".status.desired", "Number of pods that should exist.", "integer"),
             Column("Ready", ".status.ready", "Number of pods that could take over now.", "integer"),
             Column("Claimed", ".status.claimed", "Number of this pool's pods that control a robot.", "integer"),

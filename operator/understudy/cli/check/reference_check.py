@@ -9,6 +9,7 @@ from pydantic import ValidationError
 
 from understudy.advice import order_explanation
 from understudy.api.kinds.failure_policy import Monitoring
+from understudy.api.kinds.fallback_pool import has_standbys, is_shared
 from understudy.cli.check import situation_check
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.config_map_trees import IN_THE_CLUSTER, missing
@@ -173,7 +174,7 @@ def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Find
     kinds = {one.name: at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
     for index, action in enumerate(items(policy.data, "spec", "degraded", "actions")):
         name = at(action, "prewarm", "poolRef", "name")
-        if isinstance(name, str) and kinds.get(name) == "Uninitialized":
+        if isinstance(name, str) and is_shared(kinds.get(name)):
             yield policy.finding(f"spec.degraded.actions[{index}].prewarm.poolRef.name", shared(name))
 
 
@@ -182,9 +183,9 @@ def _wait_without_shared_pool(policy: Manifest, pools: Sequence[Manifest]) -> It
     kinds = {one.name: at(one.data, "spec", "readiness") for one in pools if policy.together(one)}
     for index, strategy in enumerate(items(policy.data, "spec", "strategies")):
         readiness = kinds.get(at(strategy, "poolRef", "name"))
-        if at(strategy, "waitFor") is not None and readiness in ("Initialized", "Executing"):
+        if at(strategy, "waitFor") is not None and has_standbys(readiness):
             name = at(strategy, "poolRef", "name")
-            yield policy.finding(f"spec.strategies[{index}].waitFor", unshared(name, readiness), warning=True)
+            yield policy.finding(f"spec.strategies[{index}].waitFor", unshared(name, str(readiness)), warning=True)
 
 
 def _serves(pool: Manifest, workload: Manifest) -> bool:

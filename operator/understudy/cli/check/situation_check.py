@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from understudy.api.kinds.fallback_pool import has_standbys
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.manifest_reader import Manifest, at, items
 
@@ -37,7 +38,7 @@ def empty(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
     near = {one.name: one.data for one in pools if policy.together(one)}
     for path, name in paths(policy):
         spec = at(near, name, "spec")
-        if at(spec, "readiness") != "Uninitialized" and at(spec, "perWorkload") == 0:
+        if has_standbys(at(spec, "readiness")) and at(spec, "perWorkload") == 0:
             message = (
                 f"FallbackPool {name} has perWorkload 0, so it has no standby in this situation either; set perWorkload: 1. "
                 f"Standbys exist only while the applicable strategies name their pool"

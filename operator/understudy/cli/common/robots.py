@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError
 from understudy.api.base import Model
 from understudy.api.conditions import Condition
 from understudy.api.health_reasons import PAST
-from understudy.api.kinds.fallback_pool import FallbackPoolStatus
+from understudy.api.kinds.fallback_pool import FallbackPoolStatus, has_standbys
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.recovery_under_way import UnderWay, under_way
@@ -149,7 +149,7 @@ class Pool(Model):
     @property
     def is_short(self) -> bool:
         """Whether fewer pods than desired are ready. A standby that became the active instance counts as ready."""
-        return self.ready + (self.claimed if self.readiness != "Uninitialized" else 0) < self.desired
+        return self.ready + (self.claimed if has_standbys(self.readiness) else 0) < self.desired
 
 
 def summary(robots: Sequence[Robot]) -> str:

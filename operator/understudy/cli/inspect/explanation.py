@@ -31,7 +31,7 @@ from understudy.controller.observed import (
     pool_reader,
     situation_strategies,
 )
-from understudy.controller.observed.observation import WAITING, Observed
+from understudy.controller.observed.observation import Observed
 from understudy.controller.observed.pod_diagnosis import trouble
 from understudy.controller.plan import Images
 from understudy.controller.pods import pool_pods as pools
@@ -89,7 +89,7 @@ class Known:
         return any(
             one.availability.available
             and one.strategy.pool_ref is not None
-            and pool_reader.readiness(self.observed.pools[one.strategy.pool_ref.name]) in WAITING
+            and pool_reader.has_standbys(self.observed.pools[one.strategy.pool_ref.name])
             for one in self.considered
         )
 
@@ -414,7 +414,7 @@ def _pools(known: Known) -> Iterator[_Entry]:
         item = observed.pools.get(name)
         if item is None or not pool_reader.serves(item, observed.workload):
             continue  # it is reported above
-        if pool_reader.readiness(item) == "Uninitialized":
+        if pool_reader.is_shared(item):
             yield from _shared(name, item, observed)
         else:
             yield from _own(name, item, observed)
@@ -425,7 +425,7 @@ def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
     ready = pools.claimable_now(held, observed.held_policies.get(name))
     want, claimed = pool_size.size(item), pool(item).claimed
     taken = f"; {claimed} of its pods {'drives a robot' if claimed == 1 else 'drive robots'}" if claimed else ""
-    yield _Entry(f"{name} (Uninitialized, shared): {len(ready)} of {want} ready{taken}")
+    yield _Entry(f"{name} ({pool_reader.readiness(item)}, shared): {len(ready)} of {want} ready{taken}")
     conditions = (item.get("status") or {}).get("conditions") or []
     yield from (_Entry(one["message"], depth=1) for one in conditions if one["type"] in _TOLD)
     taking = {kube_objects.uid(pod) for pod in ready}

@@ -13,7 +13,7 @@ from understudy.api import names
 from understudy.api.kinds.failure_policy import Strategy
 from understudy.controller.desired import strategy_selection
 from understudy.controller.observed import kube_objects, policy_reader, pool_reader, situation_strategies
-from understudy.controller.observed.observation import WAITING, Observed
+from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import pool_pods, pool_size
 from understudy.kube.client import Object
 
@@ -148,7 +148,7 @@ def _lacking(observed: Observed, policy: Object, name: str) -> str | None:
     if first is None or first.pool_ref is None:
         return None
     pool, least = first.pool_ref.name, 0
-    if pool_reader.readiness(served[pool]) in WAITING:
+    if pool_reader.has_standbys(served[pool]):
         ready = [
             pod
             for pod in observed.pods

@@ -74,12 +74,11 @@ def choices(observed: Observed, workload_plan: WorkloadPlan) -> list[PoolChoice]
             found += [present[name]] if name in present else []
             continue
         pool = pool_reader.spec(served[name])
-        readiness = pool.readiness
-        keep_up = pool.keep_up.period if pool.keep_up and readiness == "Initialized" else None
-        allowed = pool_pods.claimable_hash(observed.held_policies.get(name)) if readiness == "Uninitialized" else ""
+        keep_up = pool.keep_up.period if pool.keep_up and pool.level.is_prepared else None
+        allowed = pool_pods.claimable_hash(observed.held_policies.get(name)) if pool.level.shared else ""
         choice = PoolChoice(
             name=name,
-            readiness=readiness,
+            readiness=pool.readiness,
             template_hash=allowed,
             reserved=pool.kept_from(workload_plan.spec.pool_priority),
             initialization=pool.initialization,

@@ -94,8 +94,7 @@ def _candidate(name: str, pool: Object, sharing: int) -> Candidate | None:
         spec = FallbackPoolSpec.model_validate(pool.get("spec") or {})
     except ValidationError:
         return None
-    shared = spec.readiness == "Uninitialized"
-    standbys = pool_size.size(pool) / sharing if shared else float(spec.per_workload or 0)
+    standbys = pool_size.size(pool) / sharing if spec.level.shared else float(spec.per_workload or 0)
     return Candidate(spec.readiness, name, standbys) if standbys else None
 
 

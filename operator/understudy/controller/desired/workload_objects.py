@@ -211,9 +211,7 @@ def _commanded(observed: Observed, workload_plan: WorkloadPlan) -> list[str]:
     The labels that a monitor may write on its pods give it no new right: the pools of these pods count only if it had
     the right before, or if the pool's selector gives it.
     """
-    chosen = {
-        choice.name for choice in monitor_config.choices(observed, workload_plan) if choice.readiness == "Uninitialized"
-    }
+    chosen = {choice.name for choice in monitor_config.choices(observed, workload_plan) if choice.level.shared}
     had = monitor_deployment.commanded(
         observed.owned.get((ROLES.plural, names.monitor(kube_objects.name(observed.workload))))
     )

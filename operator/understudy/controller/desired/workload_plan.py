@@ -131,5 +131,5 @@ def _procedure(observed: Observed, spec: RobotWorkloadSpec, pool: str) -> str:
     if observed.refused(pool) is not None:
         return ""
     parsed = pool_reader.spec(observed.pools[pool])
-    found = parsed.initialization or (spec.bring_up if parsed.readiness == "Executing" else None)
+    found = parsed.initialization or (spec.bring_up if parsed.level.runs_in_full else None)
     return json.dumps(composed(found, path=pool).node, sort_keys=True) if found is not None else ""

@@ -16,7 +16,6 @@ from understudy.controller.plan import Problem
 from understudy.kube.client import CONFIG_MAPS, Object
 from understudy.kube.gates import registry
 
-WAITING = ("Initialized", "Executing")
 """The readiness levels of a workload's own standbys."""
 
 _UNDER_WAY: tuple[Phase, ...] = ("Preparing", "Switching")
@@ -84,7 +83,7 @@ class Observed:
     @property
     def standby_pools(self) -> dict[str, Object]:
         """The pools that keep standbys of the workload's own template."""
-        return {name: pool for name, pool in self.serving.items() if pool_reader.readiness(pool) in WAITING}
+        return {name: pool for name, pool in self.serving.items() if pool_reader.has_standbys(pool)}
 
     def refused(self, pool: str) -> Problem | None:
         """Return why a pool is not accepted, or None.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import ValidationError
 
+from understudy.api.kinds import fallback_pool
 from understudy.api.kinds.fallback_pool import FallbackPoolSpec
 from understudy.controller.observed import kube_objects, policy_reader
 from understudy.controller.plan import Problem
@@ -28,6 +29,16 @@ def readiness(pool: Object) -> str:
     """Return the pool's readiness."""
     found: str = (pool.get("spec") or {}).get("readiness", "")
     return found
+
+
+def is_shared(pool: Object) -> bool:
+    """Return whether the pool's pods belong to no workload until one claims them."""
+    return fallback_pool.is_shared(readiness(pool))
+
+
+def has_standbys(pool: Object) -> bool:
+    """Return whether every workload has standbys of its own from this pool."""
+    return fallback_pool.has_standbys(readiness(pool))
 
 
 def spec(pool: Object) -> FallbackPoolSpec:

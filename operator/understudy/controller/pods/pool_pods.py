@@ -110,7 +110,7 @@ def evaluate(observed: Observed, images: Images) -> PoolPlan:
     sized = pool_size.sized(pool, spec, observed.asking, observed.now)
     if refused is not None:
         return PoolPlan(spec, refused, sized=sized)
-    if spec.readiness != "Uninitialized":
+    if not spec.level.shared:
         return PoolPlan(spec)
     template, path, image = spec.template, "spec.template", images
     if spec.template_from is not None:

@@ -15,7 +15,7 @@ from understudy.advice.adaptive_size import COUNTED, REST, CurrentSize, Decision
 from understudy.advice.failure_rate import SURE, Rate, estimate_rate
 from understudy.api.base import fraction, seconds
 from understudy.api.conditions import Condition, condition
-from understudy.api.kinds.fallback_pool import FallbackPoolSpec, Sizing, SizingStatus
+from understudy.api.kinds.fallback_pool import LEVELS, FallbackPoolSpec, Sizing, SizingStatus
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 
@@ -28,8 +28,8 @@ LOOK_AGAIN = 60.0
 _HOUR = 3600.0
 _LITTLE = 0.1
 """Figures that change only with time are not written again while the rate has changed by at most this share."""
-_SHARED = "Fallback/Uninitialized"
-"""The strategy that uses a shared pool's pod, as named in the record of a recovery."""
+_SHARED = frozenset(f"Fallback/{name}" for name, level in LEVELS.items() if level.shared)
+"""The strategies that use a shared pool's pod, as named in the record of a recovery."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def _asked(pool: str, recovery: Object) -> bool:
     A pod's name starts with that of its pool. If no pod was available, the recovery may have asked another shared pool
     as well.
     """
-    tried = [one for one in recovery.get("attempts") or [] if one.get("strategy") == _SHARED]
+    tried = [one for one in recovery.get("attempts") or [] if one.get("strategy") in _SHARED]
     return any(not one.get("pod") or one["pod"].rpartition("-")[0] == pool for one in tried)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 
 from understudy.api.conditions import Condition, condition
+from understudy.api.kinds.fallback_pool import SHARED_NAMES, STANDBY_NAMES
 from understudy.controller.observed import kube_objects, policy_reader, pool_reader, situation_strategies
 from understudy.controller.plan import Problem
 from understudy.kube.client import Object
@@ -53,7 +54,7 @@ def _prewarm_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | N
     degraded = policy_reader.spec(policy).degraded
     for index, action in enumerate(degraded.actions if degraded is not None else ()):
         name = action.prewarm.pool_ref.name if action.prewarm is not None else ""
-        if name in pools and pool_reader.readiness(pools[name]) == "Uninitialized":
+        if name in pools and pool_reader.is_shared(pools[name]):
             return Problem("PoolNotPrewarmed", f"spec.degraded.actions[{index}].prewarm.poolRef.name: {shared(name)}")
     return None
 
@@ -61,7 +62,7 @@ def _prewarm_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | N
 def shared(pool: str) -> str:
     """Return why a pool cannot be pre-warmed for a workload."""
     return (
-        f"FallbackPool {pool} is Uninitialized, so its pods belong to no workload. Name a pool that is Initialized or Executing "
+        f"FallbackPool {pool} is {SHARED_NAMES}, so its pods belong to no workload. Name a pool that is {STANDBY_NAMES} "
         f"(with perWorkload 0 it has no pods until a workload is degraded)"
     )
 
@@ -69,7 +70,7 @@ def shared(pool: str) -> str:
 def _wait_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
     for path, strategy in policy_reader.spec(policy).everywhere:
         name = strategy.pool_ref.name if strategy.pool_ref is not None else ""
-        if strategy.wait_for is not None and name in pools and pool_reader.readiness(pools[name]) != "Uninitialized":
+        if strategy.wait_for is not None and name in pools and not pool_reader.is_shared(pools[name]):
             text = unshared(name, pool_reader.readiness(pools[name]))
             return Problem("PoolNotShared", f"spec.{path}.waitFor: {text}")
     return None
@@ -79,7 +80,7 @@ def unshared(pool: str, readiness: str) -> str:
     """Return why no workload waits for a pod of a pool."""
     return (
         f"FallbackPool {pool} is {readiness}, so each workload has its own standbys and none to wait for. Remove waitFor, or "
-        f"name a pool that is Uninitialized"
+        f"name a pool that is {SHARED_NAMES}"
     )
 
 

@@ -34,7 +34,7 @@ class Counts:
 def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | None = None) -> Counts:
     """Return the numbers of a pool's status."""
     living = [pod for pod in observed.pods if kube_objects.alive(pod)]
-    if spec.readiness == "Uninitialized":
+    if spec.level.shared:
         held = _held(observed)
         policy = observed.owned.get((isolation.RESOURCE.plural, names.held(kube_objects.name(observed.pool))))
         return Counts(
@@ -82,7 +82,7 @@ def status(observed: pool_pods.Observed, pool_plan: pool_pods.PoolPlan, problems
             "selector": _selector(kube_objects.name(pool), spec),
         }
         conditions = [accepted, _reconciled(observed, problems, found), _ready(observed, counts, found)]
-        if spec.readiness == "Uninitialized":
+        if spec.level.shared:
             result["waiting"] = len(observed.waiting)
             conditions.append(_available(observed, spec, counts))
             if pool_plan.built is not None:
@@ -117,7 +117,7 @@ def _reconciled(observed: pool_pods.Observed, problems: Sequence[Problem], found
 
 def _selector(name: str, spec: FallbackPoolSpec) -> str:
     text = f"{names.POOL}={name}"
-    return f"{text},{names.HELD}=true" if spec.readiness == "Uninitialized" else text
+    return f"{text},{names.HELD}=true" if spec.level.shared else text
 
 
 def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None) -> Condition:
@@ -145,7 +145,7 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
     state = f"{counts.ready} of {counts.desired} are ready"
-    if pool_reader.readiness(pool) == "Uninitialized":
+    if pool_reader.is_shared(pool):
         return no("PodsNotReady", f"{state}.")
     served = sorted(name for name, workload in observed.workloads.items() if pool_reader.serves(pool, workload))
     return no("PodsNotReady", f"{state}; see the condition BroughtUp of {_named(served)}.")

@@ -16,7 +16,7 @@ from understudy.api.kinds.robot_workload import STOCKED_MOST
 from understudy.controller.desired import effective_policy, standby_pods
 from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import degraded_measures, kube_objects, leaving_nodes, pod_diagnosis, pool_reader
-from understudy.controller.observed.observation import WAITING, Observed
+from understudy.controller.observed.observation import Observed
 from understudy.controller.pods import pool_pods, pool_size
 from understudy.failover import availability
 from understudy.failover.availability import Availability, Pool, Problem, Resources
@@ -120,7 +120,7 @@ def stocked(observed: Observed, workload_plan: WorkloadPlan) -> Object:
 
     The monitor relies on it until it needs a pod, and reads the pool only then.
     """
-    shared = [p for p in observed.pools if pool_reader.readiness(observed.pools[p]) == "Uninitialized"]
+    shared = [p for p in observed.pools if pool_reader.is_shared(observed.pools[p])]
     found = [
         one.strategy.pool_ref.name
         for one in considered(observed, workload_plan)
@@ -140,17 +140,17 @@ def standby(observed: Observed, workload_plan: WorkloadPlan) -> str:
         if name not in served:
             continue
         pool = served[name]
-        if pool_reader.readiness(pool) in WAITING:
+        if pool_reader.has_standbys(pool):
             want = standby_pods.wanted(observed, name)
             have = sum(kube_objects.ready(pod) for pod in waiting(observed, pool))
             return f"{pool_reader.readiness(pool)} ({min(have, want)}/{want})"
-        if pool_reader.readiness(pool) == "Uninitialized":
+        if pool_reader.is_shared(pool):
             # Only one pod of a shared pool counts, because a workload can claim only one. The number of pods changes
             # with each claim of any workload, and would be written to all of them each time.
             want = min(1, pool_size.size(pool))
             held = observed.unclaimed.get(name, ())
             have = len(pool_pods.claimable_now(held, observed.held_policies.get(name)))
-            return f"Uninitialized ({min(have, want)}/{want})"
+            return f"{pool_reader.readiness(pool)} ({min(have, want)}/{want})"
     if workload_plan.policy_problem is not None or workload_plan.spec is None:
         known: str = (observed.workload.get("status") or {}).get("standby") or "Unknown"
         return known
@@ -193,7 +193,7 @@ def _strategies(observed: Observed, workload_plan: WorkloadPlan) -> list[Strateg
 def _asleep(observed: Observed, name: str, on_demand: Sequence[str]) -> bool:
     """Return whether a pool has standbys only while the workload is degraded, and has none now."""
     pool = observed.pools.get(name)
-    if name not in on_demand or pool is None or pool_reader.readiness(pool) not in WAITING:
+    if name not in on_demand or pool is None or not pool_reader.has_standbys(pool):
         return False
     if not pool_reader.serves(pool, observed.workload):
         return False  # reported as PoolDoesNotServe
@@ -212,7 +212,7 @@ def _pool(observed: Observed, workload_plan: WorkloadPlan, item: Object) -> Pool
     """Return what a workload could use from a pool."""
     readiness, serves = pool_reader.readiness(item), pool_reader.serves(item, observed.workload)
     name = kube_objects.name(item)
-    if readiness in WAITING:
+    if pool_reader.has_standbys(item):
         found = waiting(observed, item)
         ready = [pod for pod in found if kube_objects.ready(pod)]
         near = ", on the same node as the active pod" if ready and _beside_active(observed, ready) else ""
@@ -226,7 +226,7 @@ def _pool(observed: Observed, workload_plan: WorkloadPlan, item: Object) -> Pool
             refused=Problem(refused.reason, refused.message) if refused is not None else None,
             pod_problem=_problem(found),
         )
-    if readiness == "Uninitialized":
+    if pool_reader.is_shared(item):
         unclaimed = observed.unclaimed.get(name, ())
         priority = workload_plan.spec.pool_priority if workload_plan.spec is not None else 0
         return Pool(
@@ -238,7 +238,7 @@ def _pool(observed: Observed, workload_plan: WorkloadPlan, item: Object) -> Pool
             reserved=pool_reader.spec(item).kept_from(priority) if observed.refused(name) is None else 0,
             # The number of pods is in the pool's own status. Here, each claim would cause a write for every workload of
             # the pool.
-            uses="it has pods ready (Uninitialized)",
+            uses=f"it has pods ready ({readiness})",
             pod_problem=_problem(unclaimed),
         )
     return Pool(serves=serves)

@@ -96,7 +96,7 @@ def choices(policy: FailurePolicySpec, settings: WorkloadSettings, workload: Rob
     """Return the strategies of the policy in order, each with the time it has."""
     usual = BringUp.of("bringUp", workload.bring_up if workload else None)
     pools = {pool.name: pool for pool in settings.pools}
-    waiting = tuple(pool.name for pool in settings.pools if pool.readiness != "Uninitialized")
+    waiting = tuple(pool.name for pool in settings.pools if pool.level.has_standbys)
     found: list[Choice] = []
     for index, spec in enumerate(policy.strategies):
         own = BringUp.of(f"strategies[{index}].recovery", spec.recovery)

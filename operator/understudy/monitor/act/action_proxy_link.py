@@ -113,7 +113,7 @@ class ActionProxyLink:
         """The present situation, as the proxy's Situation has it on the wire."""
         state = self._gate.state
         settings = self._view.settings
-        full = {choice.name for choice in settings.pools if choice.readiness == "Executing"} if settings else set[str]()
+        full = {choice.name for choice in settings.pools if choice.level.runs_in_full} if settings else set[str]()
         peers = []
         for instance in self._fleet.of_workload():
             if not reachable(instance, state):

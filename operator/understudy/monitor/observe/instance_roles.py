@@ -58,7 +58,7 @@ def role_of(
     bring_up = BringUp.of("bringUp", spec.bring_up)
     if instance.uid == active_uid:
         pool = pool_of(instance, settings)
-        drives = brought.startswith(DRIVING) or (brought and pool is not None and pool.readiness == "Executing")
+        drives = brought.startswith(DRIVING) or (brought and pool is not None and pool.level.runs_in_full)
         if bring_up is None or drives:
             return Role()
         return Role(bring_up, _token(DRIVING, bring_up, instance), origin=BRING_UP)
@@ -69,14 +69,14 @@ def role_of(
         token = _token(DRIVING, bring_up, instance)
         return Role(bring_up, token, {"brought": token}, BRING_UP)
     initialization = BringUp.of("initialization", choice.initialization)
-    procedure = initialization or (bring_up if choice.readiness == "Executing" else None)
+    procedure = initialization or (bring_up if choice.level.runs_in_full else None)
     token = _token("init:" if initialization else DRIVING, procedure, instance) if procedure else ""
     if outdated := ready and brought != token and (not brought or _alike(brought, token)):
         token = brought
     check = choice.readiness_check
     if procedure is None and check is None:
         return Role()
-    standby: dict[str, Any] = {"brought": token, "tree": choice.readiness == "Executing"}
+    standby: dict[str, Any] = {"brought": token, "tree": choice.level.runs_in_full}
     if check is not None:
         standby |= {**_on_the_wire(check), "period": seconds(check.period)}
     origin = f"spec.initialization of FallbackPool {choice.name}" if initialization else BRING_UP
@@ -103,7 +103,7 @@ def managed(spec: RobotWorkloadSpec, settings: WorkloadSettings, policy: Failure
 
 def pool_of(instance: Instance, settings: WorkloadSettings) -> PoolChoice | None:
     """Return the pool whose standby an instance is. A pod of the workload's own controller counts as one of the first pool."""
-    waiting = [pool for pool in settings.pools if pool.readiness != "Uninitialized"]
+    waiting = [pool for pool in settings.pools if pool.level.has_standbys]
     if instance.from_source:
         return waiting[0] if waiting else None
     return next((pool for pool in waiting if pool.name == instance.pool), None)

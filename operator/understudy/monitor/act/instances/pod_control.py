@@ -150,7 +150,7 @@ class PodControl:
         """Delete a failed pod for good: its controller creates another only if that is still needed."""
         self._crash_points.step("before retire")
         settings = self._settings
-        wanted = any(pool.readiness != "Uninitialized" for pool in settings.pools)
+        wanted = any(pool.level.has_standbys for pool in settings.pools)
         if instance.from_source and settings.source_kind == "ReplicaSet" and not wanted:
             await self._scale(0)
         else:

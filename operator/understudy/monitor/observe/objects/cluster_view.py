@@ -136,7 +136,7 @@ class ClusterView:
         settings = self.settings
         if self._group is None or settings is None:
             return
-        shared = any(pool.readiness == "Uninitialized" for pool in settings.pools)
+        shared = any(pool.level.shared for pool in settings.pools)
         if shared and not self._waiting_watches:
             self._waiting_watches = [self._group.create_task(one.run()) for one in self.waiting_gates]
         elif not shared:
