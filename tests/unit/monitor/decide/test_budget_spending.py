@@ -2,36 +2,34 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import pytest
 
 from tests.support.notices import RecordedNotices
+from tests.unit.monitor.cluster_objects import ClusterObjects, policy_of
 from understudy.api import names
-from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.monitor.decide.budget_spending import BudgetSpending
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 BUDGET = {"recoveries": 2, "within": "10m"}
 
 
-def policy(**limits: Any) -> FailurePolicySpec:
-    tree = {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}}
-    return FailurePolicySpec.model_validate({"monitoring": tree, "strategies": [{"type": "Restart"}], "limits": limits})
-
-
 class World:
-    """A monitor's notices and view, without a cluster."""
+    """A monitor's notices and view, and the workload that a user gives its budget back."""
 
     def __init__(self, status: dict[str, Any] | None = None) -> None:
-        self.item: dict[str, Any] = {"metadata": {"name": "w", "namespace": "fleet", "uid": "u"}}
-        self.view = SimpleNamespace(policy=policy(budget=BUDGET), object=self.item, namespace="fleet", workload="w")
         self.notices = RecordedNotices(PublishedStatus.adopt({"status": status or {}}))
-        self.spending = BudgetSpending(cast(ClusterView, self.view), self.notices)
+        self._objects = ClusterObjects(notices=self.notices)
+        self._objects.put_workload()
+        self.limit(budget=BUDGET)
+        self.spending = BudgetSpending(self._objects.view, self.notices)
+
+    def limit(self, **limits: Any) -> None:
+        """Have a policy with these limits."""
+        self._objects.put_policy(policy_of(limits=limits))
 
     def recover(
         self, at: float, result: Literal["Verified", "NotVerified", "NotAvailable"] = "Verified", **more: Any
@@ -40,8 +38,8 @@ class World:
         progress.attempts.append(Attempt(strategy="Restart", result=result))
         self.spending.count(progress, at + 1)
 
-    def resume(self, at: float) -> None:
-        self.item["metadata"]["annotations"] = {names.RESUMED: rfc3339(at)}
+    def resume(self, at: str) -> None:
+        self._objects.put_workload(annotations={names.RESUMED: at})
 
     @property
     def events(self) -> list[tuple[str, str]]:
@@ -95,7 +93,7 @@ def test_when_the_window_has_moved_on_that_is_told(world: World) -> None:
 def test_a_users_word_gives_all_of_it_back(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
-    world.resume(1100.0)
+    world.resume(rfc3339(1100.0))
     assert world.spending.resumed == 1100.0
     assert world.spending.spent_until(1101.0) is None
     world.recover(1200.0)
@@ -106,7 +104,7 @@ def test_a_users_word_gives_all_of_it_back(world: World) -> None:
 
 @pytest.mark.parametrize("said", ["", "soon", "2026-02-30T00:00:00Z"])
 def test_a_word_that_is_no_moment_is_none(world: World, said: str) -> None:
-    world.item["metadata"]["annotations"] = {names.RESUMED: said}
+    world.resume(said)
     assert world.spending.resumed is None
 
 
@@ -141,7 +139,7 @@ def test_only_as_many_as_the_budget_has_are_kept(world: World) -> None:
 def test_without_a_budget_nothing_is_kept_nor_said(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
-    world.view.policy = policy()
+    world.limit()
     world.spending.say(1061.0)
     assert world.spending.spent_until(1061.0) is None
     assert world.notices.status.find("WithinBudget") is None

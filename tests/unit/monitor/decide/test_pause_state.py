@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-from typing import Any, cast
+from collections.abc import Mapping
+from typing import Any
 
 import pytest
 
 from tests.support.notices import RecordedNotices
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.api import names
 from understudy.api.kinds.pause_spec import Pause
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 UNTIL = "1970-01-01T00:20:00Z"
 END = 1200.0
@@ -20,12 +20,18 @@ GIVEN = Pause(reason="a new gripper", owner="ann", until=UNTIL)
 
 
 class World:
-    """A monitor's notices and view, without a cluster."""
+    """A monitor's notices and view, and the workload that a user pauses."""
 
     def __init__(self, pause: Pause | None = None, status: dict[str, Any] | None = None) -> None:
-        self.view = SimpleNamespace(spec=SimpleNamespace(pause=pause), namespace="fleet", workload="w", object={})
         self.notices = RecordedNotices(PublishedStatus.adopt({"status": status or {}}))
-        self.pauses = PauseState(cast(ClusterView, self.view), self.notices)
+        self._objects = ClusterObjects(notices=self.notices)
+        self.pause(pause)
+        self.pauses = PauseState(self._objects.view, self.notices)
+
+    def pause(self, pause: Pause | None, annotations: Mapping[str, str] | None = None) -> None:
+        """Pause the workload, or end its pause."""
+        given = pause.to_wire() if pause is not None else None
+        self._objects.put_workload(annotations=annotations, pause=given)
 
     @property
     def events(self) -> list[tuple[str, str]]:
@@ -67,7 +73,7 @@ def test_it_ends_by_itself() -> None:
 def test_it_ends_when_it_is_taken_away() -> None:
     world = World(Pause(reason="a new gripper", owner="ann"))
     world.pauses.look(1000.0)
-    world.view.spec = SimpleNamespace(pause=None)
+    world.pause(None)
     world.pauses.look(5000.0)
     assert world.pauses.on is None
     assert world.said is None
@@ -83,20 +89,19 @@ def test_it_ends_when_it_is_taken_away() -> None:
     ],
 )
 def test_who_ends_it_and_why_is_told(before: dict[str, str], after: dict[str, str], words: str) -> None:
-    world = World(GIVEN)
-    world.view.object = {"metadata": {"annotations": before}}
+    world = World()
+    world.pause(GIVEN, before)
     world.pauses.look(1000.0)
-    world.view.spec = SimpleNamespace(pause=None)
-    world.view.object = {"metadata": {"annotations": after}}
+    world.pause(None, after)
     world.pauses.look(1001.0)
     assert world.events[-1][1].endswith(words)
 
 
 def test_what_was_said_at_an_earlier_end_is_not_said_of_this_one() -> None:
-    world = World(GIVEN)
-    world.view.object = {"metadata": {"annotations": {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}}}
+    world, said = World(), {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}
+    world.pause(GIVEN, said)
     world.pauses.look(1000.0)
-    world.view.spec = SimpleNamespace(pause=None)
+    world.pause(None, said)
     world.pauses.look(1001.0)
     assert world.events[-1][1].endswith("it was removed")
 
@@ -104,7 +109,7 @@ def test_what_was_said_at_an_earlier_end_is_not_said_of_this_one() -> None:
 def test_another_pause_is_told_too() -> None:
     world = World(GIVEN)
     world.pauses.look(1000.0)
-    world.view.spec = SimpleNamespace(pause=Pause(reason="and a new arm", owner="bob"))
+    world.pause(Pause(reason="and a new arm", owner="bob"))
     world.pauses.look(1001.0)
     assert [reason for reason, _ in world.events] == ["Paused", "Paused"]
     assert world.said is not None

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from tests.support.clock import Clock
 from tests.support.notices import RecordedNotices
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.takeovers import policy, took_over
 from understudy.api.kinds.robot_workload import Attempt, Recovery
 from understudy.failover.limits.backoff import FIRST as BACKOFF_FIRST
@@ -23,17 +24,30 @@ NOW = 1_000_000.0
 
 @pytest.fixture(autouse=True)
 def clock(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retry_backoff, "time", SimpleNamespace(time=lambda: NOW))
+    monkeypatch.setattr(retry_backoff, "time", Clock(NOW))
 
 
 class World:
     """The retries of a workload whose policy has two strategies."""
 
     def __init__(self, **more: Any) -> None:
-        self.view: Any = SimpleNamespace(policy=policy(**more), settings={"pools": 1}, spec={"bringUp": 1})
         self.told = RecordedNotices()
-        self.retries = RetryBackoff(self.view, self.told)
+        self.objects = ClusterObjects(notices=self.told)
+        self.policy = policy(**more)
+        self.objects.put_policy(self.policy)
+        self.objects.put_workload()
+        self.objects.put_settings()
+        self.retries = RetryBackoff(self.objects.view, self.told)
         self.retries.look(None, NOW)
+
+    def correct(self, what: str) -> None:
+        """Change one of the objects that a failure may come from."""
+        if what == "policy":
+            self.objects.put_policy(policy(priority="Safety"))
+        elif what == "spec":
+            self.objects.put_workload(bringUp={"yaml": {"wait_for": {"node": "/nav"}}})
+        else:
+            self.objects.put_settings(pools=[{"name": "hot", "readiness": "Executing"}])
 
     def first(self, onset: float) -> int | None:
         """The strategy with which a recovery begins, or that is put off, as the monitor does it."""
@@ -50,7 +64,7 @@ class World:
 
     def in_vain(self, times: int) -> None:
         for _ in range(times):
-            self.retries.after_nothing_verified(self.view.policy)
+            self.retries.after_nothing_verified(self.policy)
 
 
 def test_what_comes_to_nothing_is_put_off_longer_each_time_until_it_has_worked() -> None:
@@ -69,7 +83,7 @@ def test_what_comes_to_nothing_is_put_off_longer_each_time_until_it_has_worked()
 def test_a_correction_is_tried_at_once(what: str) -> None:
     world = World()
     world.in_vain(3)
-    setattr(world.view, what, {"corrected": 1} if what != "policy" else policy(priority="Safety"))
+    world.correct(what)
     world.retries.look(None, NOW + 1)
     assert world.waits() == 1
     world.in_vain(1)
@@ -80,7 +94,7 @@ def test_the_same_once_more_is_no_correction() -> None:
     world = World()
     world.in_vain(3)
     before = world.retries.not_before
-    world.view.policy = world.view.policy.model_copy()  # as after a change of its status
+    world.objects.put_policy(world.policy)  # as after a change of its status
     world.retries.look(None, NOW)
     assert world.retries.not_before == before
 
@@ -88,7 +102,7 @@ def test_the_same_once_more_is_no_correction() -> None:
 def test_the_cooldown_after_a_recovery_stays() -> None:
     world = World()
     world.retries.after(60.0)
-    world.view.policy = policy(priority="Safety")
+    world.correct("policy")
     world.retries.look(None, NOW)
     assert world.waits() == 60
 
