@@ -94,12 +94,16 @@ class Reflector:
         async with contextlib.aclosing(events):  # type: ignore[type-var]
             async for kind, item in events:
                 version = item["metadata"]["resourceVersion"]
-                self._reported = max(self._reported, version_of(item))
-                if kind == "BOOKMARK" or version_of(self.items.get(item["metadata"]["name"])) > version_of(item):
-                    continue
-                self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
-                self._notify()
+                self.apply_event(kind, item)
         return version
+
+    def apply_event(self, kind: str, item: Object) -> None:
+        """Apply an event of the watch. It is ignored if a later state of the object is known."""
+        self._reported = max(self._reported, version_of(item))
+        if kind == "BOOKMARK" or version_of(self.items.get(item["metadata"]["name"])) > version_of(item):
+            return
+        self._set(item["metadata"]["name"], None if kind == "DELETED" else item)
+        self._notify()
 
     def put(self, item: Object) -> None:
         """Store an object that a write of ours returned.

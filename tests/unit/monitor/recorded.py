@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import time
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from geometry_msgs.msg import Twist
@@ -13,14 +12,18 @@ from mcap.reader import make_reader
 from rclpy.serialization import serialize_message
 
 from tests.support.notices import RecordedNotices
+from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.kinds.robot_workload import GateStatus, RobotWorkloadSpec
+from understudy.api.kinds.robot_workload import GateStatus
+from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.kube.client import ApiError
+from understudy.kube.client import ApiError, Object, Resource
 from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.report.black_box import BlackBox
 from understudy.monitor.report.recording_archive import RecordingArchive
+from understudy.ros.observe.sample_rings import SampleRing
 
 BOX: dict[str, Any] = {"window": "10s"}
 
@@ -37,45 +40,56 @@ def policy(black_box: dict[str, Any] | None) -> FailurePolicySpec:
     return FailurePolicySpec.model_validate(spec)
 
 
-SPEC = RobotWorkloadSpec.model_validate(
-    {
-        "template": {"spec": {}},
-        "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
-        "failurePolicyRef": {"name": "p"},
-    }
-)
+class Recorded(HealthObserver):
+    """A real observer whose ring a test can look into."""
+
+    ring: SampleRing | None = None
+
+    def record(self, ring: SampleRing | None) -> None:
+        self.ring = ring
+        super().record(ring)
 
 
-class Cluster:
-    """Tells Events, as an API server does."""
+class Cluster(MemoryClient):
+    """Has Events, as an API server does."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.asked: list[str] = []
         self.refuses = False
 
-    async def list(self, resource: Any, namespace: str, *, fields: str) -> dict[str, Any]:
-        self.asked.append(fields)
+    async def list(
+        self,
+        resource: Resource,
+        namespace: str | None = None,
+        *,
+        labels: str | None = None,
+        fields: str | None = None,
+        cached: bool = False,
+    ) -> Object:
+        self.asked.append(fields or "")
         if self.refuses:
             raise ApiError(403, "Forbidden", "events is forbidden")
         now = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        return {"items": [{**EVENT, "lastTimestamp": now}] if "RobotWorkload" in fields else []}
+        return {"items": [{**EVENT, "lastTimestamp": now}] if "RobotWorkload" in (fields or "") else []}
 
 
 class Monitored:
     """A monitor's black box, a real node that commands beside it, and what the monitor's loop does with both."""
 
     def __init__(self, folder: Path) -> None:
-        self.observer, self.cluster = HealthObserver(), Cluster()
+        self.observer, self.cluster = Recorded(), Cluster()
         self.said = RecordedNotices(PublishedStatus(health="Healthy", active="a", gate=GateStatus(epoch=3)))
-        pods = SimpleNamespace(items={"a": {"metadata": {"name": "a"}}})
-        self.view: Any = SimpleNamespace(
-            namespace="fleet", workload="robot-1", policy=policy(BOX), pods=pods, client=self.cluster
-        )
+        self.objects = ClusterObjects(workload="robot-1", client=self.cluster, notices=self.said)
+        self.view = self.objects.view
+        self.objects.put_workload()
+        self.objects.put_policy(policy(BOX))
+        self.objects.put_pods(Instance("a", "1"))
         self.archive = RecordingArchive(folder)
         self.box = BlackBox(self.view, self.observer, self.said, self.archive)
         self.publisher = self.observer.graph.node.create_publisher(Twist, "/cmd_vel", 10)
         self.sent: list[bytes] = []
-        self.observer.follow(self.view.policy, SPEC)
+        self.observer.follow(policy(BOX), parsed_spec())
 
     def drive(self, speed: float) -> None:
         message = Twist()

@@ -161,8 +161,8 @@ class GivenAgents(AgentConnections):
 class GivenSenses:
     """All that a monitor observes of one workload beside its objects."""
 
-    def __init__(self, objects: ClusterObjects) -> None:
-        self.observer = GivenObserver()
+    def __init__(self, objects: ClusterObjects, observer: GivenObserver | None = None) -> None:
+        self.observer = observer or GivenObserver()
         self.current = CurrentRecovery()
         self.roles = InstanceRoles(objects.view, objects.gate, self.current)
         self.agents = GivenAgents(objects, self.roles)

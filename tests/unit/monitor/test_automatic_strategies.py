@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 from tests.unit.controller import world as cluster
 from tests.unit.controller.strategy_policies import auto, warm
 from tests.unit.failover.world import Store, World
+from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
@@ -23,10 +22,10 @@ def followed(policy: Object) -> list[Choice]:
     made.own(cluster.gate(made.workload))
     made.held_policies = {"spare": {"metadata": {"annotations": {names.TEMPLATE_HASH: "h"}}}}
     settings = cluster.applied(made.plan(), "configmaps")[names.settings("w")]
-    view = ClusterView(None, cluster.NAMESPACE, "w", Wakeups())  # type: ignore[arg-type]
-    view.workloads = SimpleNamespace(revision=1, items={"w": made.workload})  # type: ignore[assignment]
-    view.policies = SimpleNamespace(items={"policy": policy})  # type: ignore[assignment]
-    view.settings_maps = SimpleNamespace(revision=1, items={names.settings("w"): settings})  # type: ignore[assignment]
+    view = ClusterView(MemoryClient(), cluster.NAMESPACE, "w", Wakeups())
+    view.workloads.put(made.workload)
+    view.policies.put(policy)
+    view.settings_maps.put(settings)
     assert view.policy is not None
     assert view.settings is not None
     return choices(view.policy, view.settings, view.spec)

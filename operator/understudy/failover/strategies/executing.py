@@ -33,11 +33,11 @@ class ExecutingFallback(Strategy):
         """``others`` are the pools whose standbys are not candidates. ``with_source`` is whether those that the workload's own
         controller creates are.
         """
-        self.pool, self._recovery = pool, recovery
-        self._others, self._with_source = frozenset(others), with_source
+        self.pool, self.recovery = pool, recovery
+        self._others, self.with_source = frozenset(others), with_source
 
     def _is_standby(self, instance: Instance) -> bool:
-        return instance.pool not in self._others and (self._with_source or not instance.from_source)
+        return instance.pool not in self._others and (self.with_source or not instance.from_source)
 
     def _candidates(self, means: Means, progress: Progress | None) -> list[Instance]:
         active = means.gate.state.active_uid
@@ -73,7 +73,7 @@ class ExecutingFallback(Strategy):
             candidates = self._candidates(means, progress)
             if not candidates:
                 raise NotAvailable(self.available(means, progress) or "no standby is ready")
-            if self._recovery is not None:
+            if self.recovery is not None:
                 return await self._behind_the_gate(candidates, progress, means, within)
             # Readers with exclusive ownership may follow the admitted standby already. Otherwise a pod of the pool comes first:
             # the workload's own controller may be about to replace its pod.
@@ -84,8 +84,8 @@ class ExecutingFallback(Strategy):
 
     async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
         target = self._fitting(progress, means, unfit)
-        if self._recovery is not None:
-            await make_drivable(target, progress, means, self._recovery, within=within)
+        if self.recovery is not None:
+            await make_drivable(target, progress, means, self.recovery, within=within)
         return target
 
     def _best(self, candidates: Collection[Instance], means: Means) -> Instance:
@@ -113,5 +113,5 @@ class ExecutingFallback(Strategy):
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         progress.charge("cluster", means.clock())
         means.save(progress)
-        await bring_up_and_open(target, progress, means, self._recovery, end=end)
+        await bring_up_and_open(target, progress, means, self.recovery, end=end)
         return target

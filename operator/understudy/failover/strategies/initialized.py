@@ -27,7 +27,7 @@ class InitializedFallback(ExecutingFallback):
 
     async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
         target = self._fitting(progress, means, unfit)
-        await make_drivable(target, progress, means, self._recovery, within=within)
+        await make_drivable(target, progress, means, self.recovery, within=within)
         return target
 
     def _begun(self, progress: Progress, means: Means) -> list[Instance]:

@@ -24,7 +24,7 @@ class Restart(Strategy):
     name = "Restart"
 
     def __init__(self, *, recovery: BringUp | None = None) -> None:
-        self._recovery = recovery
+        self.recovery = recovery
 
     def availability(self, means: Means, progress: Progress | None = None) -> Availability:
         # A pod that does not start may start the next time: during a recovery the last resort is tried in any case.
@@ -47,7 +47,7 @@ class Restart(Strategy):
         progress.charge("cluster", means.clock())
         means.save(progress)
         await started(target, progress, means)
-        await bring_up_and_open(target, progress, means, self._recovery, end=end)
+        await bring_up_and_open(target, progress, means, self.recovery, end=end)
         return target
 
     async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
@@ -71,5 +71,5 @@ class Restart(Strategy):
             await started(target, progress, means)
         # A pod that has run for a while was brought up already (monitor/act/instances/standby_lifecycle.py).
         standing = bool(own) and means.agents.is_ready(target)[0]
-        await make_drivable(target, progress, means, None if standing else self._recovery, within=end - loop_time())
+        await make_drivable(target, progress, means, None if standing else self.recovery, within=end - loop_time())
         return target

@@ -33,7 +33,7 @@ class UninitializedFallback(Strategy):
 
     def __init__(self, pool: str, *, recovery: BringUp | None = None, wait_for: float = 0.0, reserved: int = 0) -> None:
         """``wait_for`` is how many seconds to wait if the pool has no pod; ``reserved`` ready pods are kept for other workloads."""
-        self.pool, self._recovery, self._wait_for, self._reserved = pool, recovery, wait_for, reserved
+        self.pool, self.recovery, self.wait_for, self.reserved = pool, recovery, wait_for, reserved
         self._lost: set[str] = set()
         """UIDs of pods that other workloads claimed. The watch may not show this yet."""
 
@@ -42,7 +42,7 @@ class UninitializedFallback(Strategy):
         pool = Pool(
             readiness="Uninitialized",
             ready=len(self._unclaimed(progress, means)),
-            reserved=self._reserved,
+            reserved=self.reserved,
             ahead=tuple(waiter.workload for waiter in waiting),
             pod_problem=Problem(PODS_CLAIMED, self._overtaken) if self._lost else None,
         )
@@ -57,7 +57,7 @@ class UninitializedFallback(Strategy):
 
     async def look(self, means: Means, progress: Progress | None = None) -> None:
         # If some pods are reserved, or other workloads wait, the number of pods matters.
-        if not self._reserved and not means.queue.others(self.pool):
+        if not self.reserved and not means.queue.others(self.pool):
             await means.instances.look(self.pool, part=True)
             if self._free(progress, means):
                 return
@@ -70,7 +70,7 @@ class UninitializedFallback(Strategy):
     def _free(self, progress: Progress | None, means: Means) -> list[Instance]:
         """Return the pods that this workload may take if no other workload is ahead of it."""
         unclaimed = self._unclaimed(progress, means)
-        return unclaimed[: max(0, len(unclaimed) - self._reserved)]
+        return unclaimed[: max(0, len(unclaimed) - self.reserved)]
 
     async def wait(self, progress: Progress, means: Means) -> None:
         if committed_target(progress, means) is not None or self._claimed(progress, means) is not None:
@@ -105,10 +105,10 @@ class UninitializedFallback(Strategy):
         if served:
             return
         reasons = [self.available(means, progress) or f"pool {self.pool} could not be claimed from"]
-        if (restarted := self._restarted(progress, means)) is not None and self._wait_for:
+        if (restarted := self._restarted(progress, means)) is not None and self.wait_for:
             reasons.append(f"{restarted.name} is up already")
         elif progress.waiting is not None:
-            reasons.append(f"it got none in {self._wait_for:g} s")
+            reasons.append(f"it got none in {self.wait_for:g} s")
         if progress.waiting is not None:
             means.queue.gave_up(me)
         progress.waiting = None
@@ -129,7 +129,7 @@ class UninitializedFallback(Strategy):
             pool=self.pool,
             priority=means.queue.priority,
             since=since,
-            until=since + self._wait_for,
+            until=since + self.wait_for,
         )
 
     async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
@@ -151,7 +151,7 @@ class UninitializedFallback(Strategy):
             # Other workloads in the queue learn from the gate that this one no longer waits; meanwhile the processes start.
             await both(means.agents.start(target), means.gate.commit(None, progress))
         await started(target, progress, means)
-        await bring_up_and_open(target, progress, means, self._recovery, end=end)
+        await bring_up_and_open(target, progress, means, self.recovery, end=end)
         return target
 
     async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
@@ -169,7 +169,7 @@ class UninitializedFallback(Strategy):
         progress.moments["claimed"] = means.clock()
         await means.agents.start(target)
         await started(target, progress, means)
-        await make_drivable(target, progress, means, self._recovery, within=end - loop_time())
+        await make_drivable(target, progress, means, self.recovery, within=end - loop_time())
         return target
 
     def _claimed(self, progress: Progress, means: Means) -> Instance | None:

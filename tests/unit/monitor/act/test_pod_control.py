@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects, pod_of
 from understudy.api import names
 from understudy.failover.interfaces import Instance
-from understudy.kube.client import ApiError
-from understudy.monitor.act.instances.pod_control import PodControl, instance_of
-from understudy.monitor.crash_points import CrashPoints
-from understudy.monitor.notices import Notices
+from understudy.kube.client import REPLICA_SETS, ApiError
+from understudy.monitor.act.instances.pod_control import instance_of
 
 EVICTION = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
 DELETED = {"deletionTimestamp": "2026-01-01T00:00:30Z"}
@@ -60,6 +56,18 @@ def test_a_pod_that_is_deleted_otherwise_is_leaving(conditions: list[dict[str, A
     assert (found.terminating, found.evicted, found.leaving) == (True, False, True)
 
 
+@pytest.mark.parametrize(
+    "instance",
+    [
+        Instance("w-1", "u1", ip="10.0.0.1", running=True, ready=True, node="n", created="2026-01-01T00:00:00Z"),
+        Instance("s-1", "u2", pool="spare", held=True, claim="u/1", template_hash="h", has_agent=False),
+        Instance("w-2", "u3", running=True, terminating=True, evicted=True, restarts=2, crashing=True),
+    ],
+)
+def test_the_pods_of_these_tests_are_seen_as_the_instances_that_they_stand_for(instance: Instance) -> None:
+    assert instance_of(pod_of(instance)) == instance
+
+
 def test_a_pod_that_stays_is_neither() -> None:
     found = instance_of(pod(conditions=[EVICTION]))
     assert (found.terminating, found.evicted, found.leaving) == (False, False, False)
@@ -81,39 +89,35 @@ def test_what_its_status_says_is_known_and_restarts_of_the_agent_are_not_the_app
     assert found.restarts == 3
 
 
-class Controller(MemoryClient):
-    """An API server that answers each request but the first ones, which fail."""
-
-    def __init__(self, *errors: Exception) -> None:
-        super().__init__()
-        left, self.done = list(errors), list[str]()
-        self.failing = lambda method, name: left.pop() if left else None
-        self.items["replicasets", "fleet", "w"] = {"metadata": {}, "spec": {}}
-
-    def _note(self, method: str, name: str, body: Any = None) -> None:
-        super()._note(method, name, body)
-        what = {"PATCH": lambda: f"scale {name} to {body['spec']['replicas']}", "DELETE": lambda: f"delete {name}"}
-        self.done.append(what[method]())
+FAILED = Instance("w-1", "u1", running=True)
 
 
-def fleet(client: Controller, steps: Path) -> PodControl:
-    settings = SimpleNamespace(source_kind="ReplicaSet", source_name="w", pools=())
-    view: Any = SimpleNamespace(settings=settings, namespace="fleet", pods_revision=(0, 0), all_pods=lambda: [])
-    return PodControl(client, view, CrashPoints(steps), Notices())
+def objects(*errors: Exception) -> ClusterObjects:
+    """A pod and its ReplicaSet, which runs none. The first requests fail by these errors."""
+    found, left = ClusterObjects(), list(errors)
+    found.put_settings()
+    found.put_pods(FAILED)
+    found.client.store(REPLICA_SETS, NAMESPACE, {"metadata": {"name": "w"}, "spec": {"replicas": 0}})
+    found.client.failing = lambda method, name: left.pop() if left else None
+    return found
 
 
 @pytest.mark.parametrize(
     "error",
     [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()],
 )
-async def test_a_pod_is_replaced_though_the_api_server_is_busy_for_a_moment(tmp_path: Path, error: Exception) -> None:
-    client = Controller(error, error)
-    await fleet(client, tmp_path).replace([Instance("w-1", "u1")])
-    assert client.done == ["scale w to 1", "delete w-1"]
+async def test_a_pod_is_replaced_though_the_api_server_is_busy_for_a_moment(error: Exception) -> None:
+    found = objects(error, error)
+    await found.pods.replace([FAILED])
+    scaled = [body["spec"]["replicas"] for method, name, body in found.client.requests if method == "PATCH"]
+    assert (scaled, found.deleted) == ([1, 1, 1], ["w-1"])
+    assert found.client.items[REPLICA_SETS.plural, NAMESPACE, "w"]["spec"] == {"replicas": 1}
+    assert found.client.requests[-1][0] == "DELETE", "there is room for another one before"
 
 
-async def test_a_pod_that_may_not_be_replaced_is_not_asked_for_again(tmp_path: Path) -> None:
-    client = Controller(ApiError(403, "Forbidden", "no"))
+async def test_a_pod_that_may_not_be_replaced_is_not_requested_again() -> None:
+    found = objects(ApiError(403, "Forbidden", "no"))
     with pytest.raises(ApiError, match="Forbidden"):
-        await fleet(client, tmp_path).replace([Instance("w-1", "u1")])
-    assert client.done == []
+        await found.pods.replace([FAILED])
+    assert len(found.client.requests) == 1
+    assert found.client.items[REPLICA_SETS.plural, NAMESPACE, "w"]["spec"] == {"replicas": 0}

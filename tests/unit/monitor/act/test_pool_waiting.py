@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from tests.support.notices import RecordedNotices
 from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.cluster_objects import ClusterObjects, pod_of, policy_of, settings_of
 from tests.unit.monitor.gates import gate
 from tests.unit.monitor.pool_views import view
 from understudy.api import names
-from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
 from understudy.failover.interfaces import Instance
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.registry import choices
-from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
+from understudy.failover.strategies.uninitialized import UninitializedFallback
+from understudy.kube.client import NETWORK_POLICIES, PODS, ApiError, Object
 from understudy.monitor.act.recovery.pool_waiting import PoolQueue
 from understudy.monitor.act.recovery.recovery_messages import describe
 
@@ -73,16 +70,15 @@ async def test_a_pod_whose_labels_can_not_be_written_for_a_moment_is_let_through
     tmp_path: Path, error: Exception
 ) -> None:
     client, refusals = MemoryClient(), [error, error]
-    switch = await gate(client, view(client, "w"), tmp_path)
-
-    async def label(instance: Instance) -> None:
-        if refusals:
-            raise refusals.pop()
-
-    fleet: Any = SimpleNamespace(label=label)
-    switch._fleet = fleet
-    await switch.commit(Instance(name="w-2", uid="u2"), None)
+    found, instance = view(client, "w"), Instance(name="w-2", uid="u2")
+    switch = await gate(client, found, tmp_path)
+    unlabelled = pod_of(instance)
+    unlabelled["metadata"]["labels"] = {}
+    found.pods.put(client.store(PODS, "fleet", unlabelled))
+    client.failing = lambda method, name: refusals.pop() if name == "w-2" and refusals else None
+    await switch.commit(instance, None)
     assert switch.state.active == "w-2"
+    assert client.items[PODS.plural, "fleet", "w-2"]["metadata"]["labels"][names.INSTANCE] == "w-2"
 
 
 def noted(gate_name: str, waiter: Waiter, **annotations: str) -> Object:
@@ -144,29 +140,16 @@ def test_a_recovery_tells_how_long_it_waited() -> None:
 
 
 def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_its_priority() -> None:
-    policy = FailurePolicySpec.model_validate(
-        {
-            "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
-            "strategies": [
-                {"type": "Fallback", "poolRef": {"name": "spare"}, "waitFor": "2.5s"},
-                {"type": "Fallback", "poolRef": {"name": "spare"}},
-            ],
-        }
-    )
-    settings = WorkloadSettings(
-        workload="w",
-        namespace="fleet",
-        uid="u",
-        source_kind="ReplicaSet",
-        source_name="w",
-        pools=[PoolChoice(name="spare", readiness="Uninitialized", reserved=2)],
-    )
-    found = choices(policy, settings, None)
-    assert [choice.strategy._wait_for for choice in found] == [2.5, 0.0]  # type: ignore[attr-defined]
-    assert [choice.strategy._reserved for choice in found] == [2, 2]  # type: ignore[attr-defined]
-    spec = RobotWorkloadSpec.model_validate(
-        {"template": {}, "outputs": [{"topic": "/cmd_vel", "type": "a/msg/B"}], "failurePolicyRef": {"name": "p"}}
-    )
-    assert PoolQueue(SimpleNamespace(workload="w", spec=spec), RecordedNotices()).priority == 0  # type: ignore[arg-type]
-    given = spec.model_copy(update={"pool_priority": 100})
-    assert PoolQueue(SimpleNamespace(workload="w", spec=given), RecordedNotices()).priority == 100  # type: ignore[arg-type]
+    waiting = {"type": "Fallback", "poolRef": {"name": "spare"}}
+    policy = policy_of({**waiting, "waitFor": "2.5s"}, waiting)
+    settings = settings_of(pools=[{"name": "spare", "readiness": "Uninitialized", "reserved": 2}])
+    found = [choice.strategy for choice in choices(policy, settings, None)]
+    assert [(one.wait_for, one.reserved) for one in found if isinstance(one, UninitializedFallback)] == [
+        (2.5, 2),
+        (0.0, 2),
+    ]
+    objects = ClusterObjects()
+    queue = PoolQueue(objects.view, objects.notices)
+    for given, priority in (({}, 0), ({"poolPriority": 100}, 100)):
+        objects.put_workload(**given)
+        assert queue.priority == priority

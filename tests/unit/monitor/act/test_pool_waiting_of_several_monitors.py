@@ -258,8 +258,7 @@ def _watched(known: Reflector, item: Object, *, selected: bool) -> None:
     if selected:
         known.put(item)
     elif item["metadata"]["name"] in known.items:
-        known._set(item["metadata"]["name"], None)
-        known._notify()
+        known.apply_event("DELETED", item)
 
 
 async def fleet(cluster: Cluster, priorities: Sequence[int], state: Path) -> list[Monitor]:

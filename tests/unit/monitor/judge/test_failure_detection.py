@@ -4,26 +4,41 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.senses import GivenObserver, GivenSenses
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge.failure_detection import FailureDetector
+from understudy.trees.core.health_tree import HealthTree, Verdict
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import load_monitoring
 
 ACTIVE = Instance(name="w-1", uid="uid-1", ip="10.0.0.1", running=True, ready=True)
 
 
-def detector(*instances: Instance, last_output: float | None = None) -> FailureDetector:
-    fleet: Any = SimpleNamespace(of_workload=lambda: instances)
-    gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1"))
-    observer: Any = SimpleNamespace(last_from=lambda pod: last_output, last_well=lambda pod: last_output)
-    agents: Any = SimpleNamespace()
-    return FailureDetector(fleet, gate, agents, observer)
+def detector(
+    *instances: Instance, last_output: float | None = None, observer: GivenObserver | None = None
+) -> FailureDetector:
+    objects = ClusterObjects()
+    objects.put_pods(*instances)
+    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
+    senses = GivenSenses(objects, observer)
+    senses.observer.heard_at = {"w-1": last_output} if last_output is not None else {}
+    return FailureDetector(objects.pods, objects.gate, senses.agents, senses.observer)
+
+
+class Evaluating(GivenObserver):
+    """Evaluates a health tree over what a record has."""
+
+    def __init__(self, tree: HealthTree, record: TopicRecord) -> None:
+        super().__init__()
+        self._evaluated, self._observations = tree, RecordedObservations({"/cmd_vel": record})
+
+    def verdict(self, *, now: float, since: float) -> Verdict:
+        return self._evaluated.evaluate(self._observations, now=now, since=since)
 
 
 def test_a_pod_that_is_evicted_from_a_lost_node_is_not_lost_while_it_lives() -> None:
@@ -60,12 +75,7 @@ def test_what_fails_after_the_clock_was_set_back_is_noticed_in_the_usual_time() 
     # The times of what was received are moved with the clock (ros/watching.py); the tree's grace is 30 s.
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})
     tree, record = load_monitoring(monitoring), TopicRecord()
-    judging = detector()
-    observer: Any = SimpleNamespace(
-        verdict=lambda now, since: tree.evaluate(RecordedObservations({"/cmd_vel": record}), now=now, since=since)
-    )
-    judging._observer = observer
-    judging._agents = cast(Any, SimpleNamespace(status=lambda _: None))
+    judging = detector(observer=Evaluating(tree, record))
     before = judging.since
     tree.begin(before)
     record.add(before + 5)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
-from tests.support.notices import RecordedNotices
-from tests.unit.monitor.gates import Packets
+from tests.support.clock import Clock
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge import gate_enforcement
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT, GateEnforcement, judge
-from understudy.monitor.notices import Notices
 
 NOW = 1000.0
 SINCE = NOW - 60
@@ -90,23 +86,22 @@ def test_a_standby_that_is_let_through_is_no_leak() -> None:
 def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once_that_can_be_told(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
-    last = {"uid-w-1": NOW, "uid-w-2": NOW}
-    probes = Packets(last)
-    told = RecordedNotices()
-    clock = [NOW]
-    monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
-    enforced = GateEnforcement(gate, probes, told, Readers())
+    objects, clock = ClusterObjects(), Clock(NOW)
+    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    last, told = objects.packets, objects.notices
+    last.update({"uid-w-1": NOW, "uid-w-2": NOW})
+    monkeypatch.setattr(gate_enforcement, "time", clock)
+    enforced = GateEnforcement(objects.gate, objects.proof, told, Readers())
     enforced.look(NOW)
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
     assert (found[1], told.conditions) == ("Settling", {})
-    clock[0] = last["uid-w-1"] = last["uid-w-2"] = NOW + SETTLE + 1
-    enforced.look(clock[0])
+    clock.now = last["uid-w-1"] = last["uid-w-2"] = NOW + SETTLE + 1
+    enforced.look(clock.now)
     enforced.say(enforced.judge([ACTIVE, STANDBY]))
     assert told.conditions["GateEnforced"][:2] == ("False", "NotEnforced")
     assert [reason for _, reason, _ in told.events] == ["GateNotEnforced"]
-    gate.state = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
-    enforced.look(clock[0])
+    objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-w-2"))
+    enforced.look(clock.now)
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
     assert found[1] == "Settling"
     assert told.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
@@ -115,36 +110,34 @@ def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once
 def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_packets_say(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    gate: Any = SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
-    last = {"uid-w-1": NOW + SETTLE}
-    probes = Packets(last)
-    clock = [NOW]
-    monkeypatch.setattr(gate_enforcement, "time", SimpleNamespace(time=lambda: clock[0]))
-    told = RecordedNotices()
-    readers = Readers()
-    enforced = GateEnforcement(gate, probes, told, readers)
+    objects, clock, readers = ClusterObjects(), Clock(NOW), Readers()
+    objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-w-1"))
+    last, told = objects.packets, objects.notices
+    last["uid-w-1"] = NOW + SETTLE
+    monkeypatch.setattr(gate_enforcement, "time", clock)
+    enforced = GateEnforcement(objects.gate, objects.proof, told, readers)
     enforced.look(NOW)
-    clock[0] = NOW + SETTLE + 1
+    clock.now = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
     readers.ungated = "The gate does not reach who reads /cmd_vel."
     assert enforced.judge([ACTIVE, STANDBY]) == ("False", "ReaderWithoutProfile", readers.ungated)
     assert enforced.judge([ACTIVE])[:2] == ("False", "ReaderWithoutProfile"), "where there is no standby too"
     enforced.say(enforced.judge([ACTIVE, STANDBY]))
     assert [reason for _, reason, _ in told.events] == ["GateReaderWithoutProfile"]
-    last["uid-w-2"] = clock[0]
+    last["uid-w-2"] = clock.now
     assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"
 
 
 def test_after_the_clock_was_set_back_it_is_judged_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
-    gate: Any = SimpleNamespace(state=GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
-    last = {"uid-w-1": NOW + 3600, "uid-w-2": NOW + 3600}  # the standby's is of when it was let through
-    probes = Packets(last)
-    clock = [NOW + 3600.0]
-    monkeypatch.setattr(time, "time", lambda: clock[0])
-    enforced = GateEnforcement(gate, probes, Notices(), Readers())
+    objects, clock = ClusterObjects(), Clock(NOW + 3600)
+    objects.put_gate(GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
+    last = objects.packets
+    last.update({"uid-w-1": NOW + 3600, "uid-w-2": NOW + 3600})  # the standby's is of when it was let through
+    monkeypatch.setattr(gate_enforcement, "time", clock)
+    enforced = GateEnforcement(objects.gate, objects.proof, objects.notices, Readers())
     enforced.look(NOW + 3600)
-    clock[0] = NOW
+    clock.now = NOW
     enforced.look(NOW)
-    clock[0] += SETTLE + 1
-    last["uid-w-1"] = clock[0]
+    clock.now += SETTLE + 1
+    last["uid-w-1"] = clock.now
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")

@@ -6,22 +6,20 @@ import asyncio
 import base64
 import contextlib
 from collections.abc import AsyncIterator, Callable
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.api import names
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import SECRETS
-from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe import agent_connections as module
 from understudy.monitor.observe.agent_connections import AgentConnections
-from understudy.monitor.observe.wakeups import Wakeups
+from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.observe.instance_roles import InstanceRoles
 
 INSTANCE = Instance("w-1", "uid-1", ip="127.0.0.1", running=True, has_agent=True)
 SECRET = names.agent_secret("w")
@@ -79,13 +77,12 @@ def reads(client: MemoryClient) -> int:
 
 
 async def test_a_secret_that_was_made_anew_is_read_again_when_an_agent_refuses_its_token(
-    agent: Agent, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "READ_AGAIN", 2.5, raising=False)
-    client = MemoryClient()
-    view: Any = SimpleNamespace(workload="w", namespace="fleet", policy=None, spec=None, settings=None)
-    roles: Any = None
-    agents = AgentConnections(client, view, "127.0.0.1", CrashPoints(tmp_path), roles, Wakeups())
+    objects = ClusterObjects()
+    client, roles = objects.client, InstanceRoles(objects.view, objects.gate, CurrentRecovery())
+    agents = AgentConnections(client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
     await keep(client, b"first")
     agents.follow([INSTANCE])
     await eventually(lambda: agent.refused >= 2)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from types import SimpleNamespace
-from typing import Any
+from pathlib import Path
+from typing import Literal
 
 import pytest
 
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.takeovers import took_over
+from understudy.api.kinds.robot_workload import Moments, Recovery
 from understudy.failover.interfaces import GateState
+from understudy.failover.journal import Journal
 from understudy.failover.progress import Progress, rfc3339
+from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.objects.interrupted_recovery import concluded, interrupted
 
 
@@ -18,70 +22,93 @@ def begun(at: float) -> Progress:
     return Progress.begin("it ended", last_healthy=at - 1, detected=at)
 
 
-def found(
-    journal: Progress | None,
-    gate: Progress | None,
-    recorded: Sequence[Progress] = (),
-    given_up: Sequence[Progress] = (),
-) -> Progress | None:
-    parts: list[Any] = [
-        SimpleNamespace(load=lambda: journal),
-        SimpleNamespace(state=GateState(epoch=4, recovery=gate)),
-        SimpleNamespace(recorded={progress.id for progress in recorded}),
-    ]
-    return interrupted(*parts, {progress.id for progress in given_up})
+class Left:
+    """What an earlier monitor has left in the journal, at the gate and in the status."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def found(
+        self,
+        journal: Progress | None,
+        gate: Progress | None,
+        recorded: Sequence[Progress] = (),
+        given_up: Sequence[Progress] = (),
+    ) -> Progress | None:
+        """The recovery that a new monitor continues."""
+        kept, objects = Journal(self._folder / "recovery.json"), ClusterObjects(self._folder)
+        if journal is not None:
+            kept.save(journal)
+        else:
+            kept.clear()
+        objects.put_gate(GateState(epoch=4, recovery=gate))
+        for progress in recorded:
+            objects.notices.record(progress)
+        return interrupted(kept, objects.gate, objects.notices.status, {progress.id for progress in given_up})
 
 
-def test_a_recovery_that_was_not_recorded_is_gone_on_with_as_the_journal_has_it() -> None:
+@pytest.fixture
+def left(tmp_path: Path) -> Left:
+    return Left(tmp_path)
+
+
+def test_a_recovery_that_was_not_recorded_is_gone_on_with_as_the_journal_has_it(left: Left) -> None:
     committed = begun(100.0)
     saved = committed.model_copy(update={"index": 1})
     for journal, index in ((saved, 1), (None, 0)):
-        progress = found(journal, committed)
+        progress = left.found(journal, committed)
         assert progress is not None
         assert (progress.id, progress.index, progress.resumed) == (committed.id, index, True)
         assert not committed.resumed, "it is a copy"
 
 
-def test_where_the_journal_is_of_an_older_one_the_gate_knows_better() -> None:
+def test_where_the_journal_is_of_an_older_one_the_gate_knows_better(left: Left) -> None:
     older, newer = begun(100.0), begun(200.0)
-    progress = found(older, newer)
+    progress = left.found(older, newer)
     assert progress is not None
     assert progress.id == newer.id
-    progress = found(newer, older, recorded=[older])
+    progress = left.found(newer, older, recorded=[older])
     assert progress is not None
     assert progress.id == newer.id, "it hadn't come to the gate yet"
 
 
-def test_one_that_was_given_up_is_not_gone_on_with_once_another_is_over() -> None:
+def test_one_that_was_given_up_is_not_gone_on_with_once_another_is_over(left: Left) -> None:
     given_up, done = begun(100.0), begun(200.0)
-    assert found(given_up, done, recorded=[done]) is None
+    assert left.found(given_up, done, recorded=[done]) is None
     ended = given_up.model_copy(update={"result": "Failed"})
-    assert found(given_up, ended) is None, "somebody was put in control since"
+    assert left.found(given_up, ended) is None, "somebody was put in control since"
 
 
-def test_one_that_an_error_had_stopped_is_not_gone_on_with_although_the_gate_tells_of_it_and_a_later_one_is() -> None:
+def test_one_that_an_error_had_stopped_is_not_gone_on_with_although_the_gate_tells_of_it_and_a_later_one_is(
+    left: Left,
+) -> None:
     stopped, later = begun(100.0), begun(200.0)
-    assert found(None, stopped, given_up=[stopped]) is None
-    assert found(stopped, stopped, given_up=[stopped]) is None
-    progress = found(later, stopped, given_up=[stopped])
+    assert left.found(None, stopped, given_up=[stopped]) is None
+    assert left.found(stopped, stopped, given_up=[stopped]) is None
+    progress = left.found(later, stopped, given_up=[stopped])
     assert progress is not None
     assert progress.id == later.id, "it hadn't come to the gate yet"
 
 
-def test_what_was_recorded_or_came_to_nothing_is_not_gone_on_with() -> None:
+def test_what_was_recorded_or_came_to_nothing_is_not_gone_on_with(left: Left) -> None:
     done, failed = begun(100.0), begun(200.0).model_copy(update={"result": "Failed"})
-    assert found(done, failed, recorded=[done]) is None
-    assert found(None, None) is None
+    assert left.found(done, failed, recorded=[done]) is None
+    assert left.found(None, None) is None
 
 
-@pytest.mark.parametrize(("id_", "result", "known"), [("", "Recovered", True), ("", "Failed", False), ("x", "", False)])
-def test_a_new_monitor_knows_which_instance_took_over_last(id_: str, result: str, known: bool) -> None:
+@pytest.mark.parametrize(
+    ("id_", "result", "known"), [("", "Recovered", True), ("", "Failed", False), ("x", "Recovered", False)]
+)
+def test_a_new_monitor_knows_which_instance_took_over_last(
+    id_: str, result: Literal["Recovered", "Failed"], known: bool
+) -> None:
     left = took_over(1, 100.0).model_copy(update={"result": "Running"})
     left.moments.pop("verified")
-    gate: Any = SimpleNamespace(state=GateState(epoch=4, active="w-1", active_uid="uid-1", recovery=left))
-    moments = SimpleNamespace(verified=rfc3339(123.0))
-    published: Any = SimpleNamespace(last=SimpleNamespace(id=id_ or left.id, result=result, moments=moments))
-    done = concluded(gate, published)
+    objects = ClusterObjects()
+    objects.put_gate(GateState(epoch=4, active="w-1", active_uid="uid-1", recovery=left))
+    moments = Moments(verified=rfc3339(123.0))
+    last = Recovery(id=id_ or left.id, reason="it ended", result=result, moments=moments)
+    done = concluded(objects.gate, PublishedStatus(recoveries=(last,)))
     assert (done is not None) == known
     if done is not None:
         assert (done.result, done.index, done.moments["verified"]) == ("Recovered", 1, 123.0)

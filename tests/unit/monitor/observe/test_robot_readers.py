@@ -6,34 +6,34 @@ import asyncio
 import contextlib
 import socket
 from collections.abc import Iterator
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
 pytest.importorskip("rclpy")
 
 from tests.support.notices import RecordedNotices
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.senses import GivenGraph, GivenObserver
 from understudy.api.conditions import condition
 from understudy.api.kinds.robot_workload import Output
 from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.robot import robot_readers
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
-from understudy.ros.runtime.graph_node import Endpoint
+from understudy.ros.runtime.graph_node import Endpoint, Graph
 
 CMD_VEL = Output(topic="/cmd_vel", type="geometry_msgs/msg/Twist")
 READER = Endpoint("geometry_msgs/msg/Twist", bytes(15) + b"\x04", "/base")
 
 
-class Server:
-    """A discovery server that never answers, and readers of which it doesn't tell."""
+class Server(GivenGraph):
+    """A discovery server that never answers, and a graph of readers of which it doesn't tell."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self.address = f"127.0.0.1:{self._socket.getsockname()[1]}"
-        self.readers: list[Endpoint] = []
 
     def asked(self) -> bool:
         """Whether somebody has since the last time."""
@@ -42,9 +42,6 @@ class Server:
             while self._socket.recv(2000):
                 found = True
         return found
-
-    def subscribers(self, topic: str) -> list[Endpoint]:
-        return self.readers
 
     def close(self) -> None:
         self._socket.close()
@@ -60,11 +57,11 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     made.close()
 
 
-def looking(server: Any, told: RecordedNotices, outputs: list[Output]) -> RobotReaders:
-    spec = SimpleNamespace(outputs=outputs, gate=SimpleNamespace(robots=[]))
-    view: Any = SimpleNamespace(spec=spec, retired=False, workload="robot-17")
-    observer: Any = SimpleNamespace(graph=server, addresses={})
-    return RobotReaders(view, observer, told, "127.0.0.1")
+def looking(graph: Graph, told: RecordedNotices, outputs: list[Output]) -> RobotReaders:
+    objects, observer = ClusterObjects(workload="robot-17", notices=told), GivenObserver()
+    objects.put_workload(outputs=[output.to_wire() for output in outputs])
+    observer.graph = graph
+    return RobotReaders(objects.view, observer, told, "127.0.0.1")
 
 
 def looks(one: RobotReaders, times: int) -> None:
@@ -81,13 +78,13 @@ def test_dds_is_asked_once_for_a_reader_and_what_it_does_not_tell_is_said(server
     looks(one, 2)
     assert not server.asked(), "where nobody reads there is nothing to ask"
     assert told.conditions["OutputsRead"][:2] == ("Unknown", "NobodyReads")
-    server.readers = [READER]
+    server.readers["/cmd_vel"] = [READER]
     looks(one, 2)
     assert server.asked()
     assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
     looks(one, 3)
     assert not server.asked()
-    server.readers = [READER, Endpoint(READER.type, bytes(14) + b"\x01\x04", "/other")]
+    server.readers["/cmd_vel"] = [READER, Endpoint(READER.type, bytes(14) + b"\x01\x04", "/other")]
     looks(one, 1)
     assert server.asked(), "another one is asked for at once"
 
@@ -118,7 +115,7 @@ def test_a_workload_without_topics_says_nothing_of_them(server: Server) -> None:
 def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DISCOVERY_SERVER", "not a port:eleven")
     told = RecordedNotices()
-    server.readers = [READER]
+    server.readers["/cmd_vel"] = [READER]
     looks(looking(server, told, [CMD_VEL]), 2)
     assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
 
@@ -126,20 +123,21 @@ def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, m
 def test_an_error_does_not_end_it(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_readers, "AGAIN", 0.01)
     monkeypatch.setattr(robot_readers, "PERIOD", 0.01)
-    looked = 0
 
-    def broken(topic: str) -> list[Endpoint]:
-        nonlocal looked
-        looked += 1
-        raise RuntimeError("the graph is being closed")
+    class Broken(GivenGraph):
+        looked = 0
 
-    told = RecordedNotices()
-    one = looking(SimpleNamespace(subscribers=broken), told, [CMD_VEL])
+        def subscribers(self, topic: str) -> list[Endpoint]:
+            self.looked += 1
+            raise RuntimeError("the graph is being closed")
+
+    told, graph = RecordedNotices(), Broken()
+    one = looking(graph, told, [CMD_VEL])
 
     async def run() -> None:
         with contextlib.suppress(TimeoutError):
             await asyncio.wait_for(one.run(), 0.5)
 
     asyncio.run(run())
-    assert looked > 1
+    assert graph.looked > 1
     assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")

@@ -68,7 +68,7 @@ async def test_what_was_received_before_and_after_a_failure_is_kept(monitored: M
 
 
 async def test_without_being_asked_for_it_keeps_nothing(monitored: Monitored) -> None:
-    monitored.view.policy = policy(None)
+    monitored.objects.put_policy(policy(None))
     await monitored.look(0.2)
     await monitored.driven(5)
     monitored.recovered(monitored.fail())
@@ -113,7 +113,7 @@ async def test_two_failures_one_after_the_other_are_two_recordings(monitored: Mo
 async def test_what_was_given_up_is_not_held_for_ever(monitored: Monitored) -> None:
     progress = monitored.fail()
     monitored.box.end(progress)  # superseded
-    ring = monitored.box._ring
+    ring = monitored.observer.ring
     assert ring is not None
     assert ring.since is None
     assert not monitored.archive.recordings
@@ -142,7 +142,7 @@ async def test_without_the_events_the_rest_is_kept(monitored: Monitored) -> None
 
 
 async def test_a_topic_that_is_too_much_is_named(monitored: Monitored) -> None:
-    ring = monitored.box._ring
+    ring = monitored.observer.ring
     assert ring is not None
     ring.limit = 1000
     await monitored.driven(20)

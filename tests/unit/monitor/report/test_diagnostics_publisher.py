@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 from collections.abc import AsyncIterator, Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,9 +13,11 @@ import pytest
 pytest.importorskip("rclpy")
 
 from tests.unit.dds import keep_to_itself
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.diagnosed import TREE
+from tests.unit.monitor.senses import GivenObserver
 from tests.unit.ros.processes import Processes
-from understudy.api.kinds.robot_workload import GateStatus, MonitorSettings
+from understudy.api.kinds.robot_workload import GateStatus
 from understudy.monitor.notices import Notices
 from understudy.monitor.report.diagnostics_publisher import DiagnosticsPublisher, namespace_of
 from understudy.ros.actions import snapshot_streams
@@ -45,16 +46,16 @@ class Monitor:
     """A monitor without a cluster: what it tells, and what there is to tell."""
 
     def __init__(self, graph: Any) -> None:
-        self.spec = SimpleNamespace(monitor=MonitorSettings(), failure_policy_ref=SimpleNamespace(name="navigation"))
-        item = {"status": {"standby": "Executing (1/1)"}}
-        view: Any = SimpleNamespace(spec=self.spec, object=item, namespace="fleet", workload="robot-1-drive")
-        observer: Any = SimpleNamespace(graph=graph, snapshot=lambda: TREE)
+        self._objects = ClusterObjects(workload="robot-1-drive")
+        self.ask()
+        observer = GivenObserver()
+        observer.graph, observer.tree = graph, TREE
         self.notices = Notices()
-        self.telling = DiagnosticsPublisher(view, observer, self.notices)
+        self.telling = DiagnosticsPublisher(self._objects.view, observer, self.notices)
 
     def ask(self, **settings: bool) -> None:
         """Change the workload's spec, as a user does."""
-        self.spec.monitor = MonitorSettings(**settings)
+        self._objects.put_workload(status={"standby": "Executing (1/1)"}, monitor=settings)
 
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
@@ -118,7 +119,7 @@ async def test_it_is_told_only_where_it_is_asked_for(graph: Any) -> None:
     async with monitor.running():
         await asyncio.sleep(0.1)
         monitor.notices.set(health="Failed")
-        assert not monitor.telling._pending
+        await asyncio.sleep(0.1)
         assert not graph.publishers("/diagnostics")
         assert not [name for name, _ in graph.node.get_topic_names_and_types() if name.startswith("/understudy")]
         monitor.ask(diagnostics=True)

@@ -10,11 +10,12 @@ import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.senses import GivenObserver
 from tests.unit.trees.world import START, World
 from understudy.api.conditions import condition
 from understudy.api.kinds.robot_workload import GateStatus
@@ -38,10 +39,10 @@ def showing(now: float, **more: Any) -> LiveTreePages:
     world.hear("/scan", 1.0).hear("/scan", 1.4).battery(1.0, 0.8)
     world.at(1.4)
     world.battery(1.5, 0.1).at(now)
-    policy = SimpleNamespace(failure_policy_ref=SimpleNamespace(name="navigation"))
-    view: Any = SimpleNamespace(workload="robot-1-drive", namespace="fleet", spec=policy)
-    taken = snapshot(world.tree, world.observed(), START + now)
-    observer: Any = SimpleNamespace(snapshot=lambda: taken, problems=[EVIL], waiting=[])
+    objects, observer = ClusterObjects(workload="robot-1-drive"), GivenObserver()
+    objects.put_workload(failurePolicyRef={"name": "navigation"})
+    observer.tree = snapshot(world.tree, world.observed(), START + now)
+    observer.troubles = [EVIL]
     said = condition("GateEnforced", True, "Enforced", "Two probes of it were seen.")
     published = PublishedStatus(
         health="Failed",
@@ -51,7 +52,7 @@ def showing(now: float, **more: Any) -> LiveTreePages:
         count=2,
         by_type={said.type: said},
     )
-    return LiveTreePages(view, observer, Notices(replace(published, **more)))
+    return LiveTreePages(objects.view, observer, Notices(replace(published, **more)))
 
 
 def test_a_tool_is_told_all_of_it() -> None:

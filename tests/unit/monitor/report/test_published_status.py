@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncIterator, Callable, Iterator
-from types import SimpleNamespace
 from typing import Any, Literal
 
 import pytest
@@ -18,8 +17,11 @@ from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.kube.client import ApiError, Client, Object
+from understudy.kube.events import Recorder
 from understudy.monitor.act.recovery.recovery_messages import describe_switchover
 from understudy.monitor.notices import Notices, PublishedStatus
+from understudy.monitor.observe.objects.cluster_view import ClusterView
+from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report import monitor_metrics, status_writer
 from understudy.monitor.report.status_writer import StatusWriter
 
@@ -148,9 +150,8 @@ class Monitor(Notices):
 
     def __init__(self, api: Applied) -> None:
         super().__init__()
-        view: Any = SimpleNamespace(namespace="fleet", workload="w", object=None)
-        nobody: Any = None
-        self.writer = StatusWriter(api, view, nobody, self)
+        view = ClusterView(api, "fleet", "w", Wakeups())
+        self.writer = StatusWriter(api, view, Recorder(api, "understudy-monitor", "monitor"), self)
 
 
 def monitor_of(api: Applied) -> Monitor:

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.support.notices import RecordedNotices
-from understudy.failover.interfaces import GateState
+from tests.unit.monitor.cluster_objects import policy_of
+from tests.unit.monitor.monitors import GivenMonitor
+from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.judge.stage import Judgement
-from understudy.monitor.report.status_conditions import StatusConditions
 from understudy.trees.core.health_tree import Verdict
+from understudy.trees.core.leaf import State
 
 
-def said(
-    notices: RecordedNotices, *, problems: tuple[str, ...] = (), unsafe: tuple[str, ...] = (), waiting: str = ""
-) -> StatusConditions:
-    parts: list[Any] = [
-        SimpleNamespace(object={"metadata": {"generation": 7}}),
-        SimpleNamespace(state=GateState(epoch=3, active="w-1", active_uid="uid-1")),
-        SimpleNamespace(problems=problems, waiting=[waiting] if waiting else [], summary="Watching /scan."),
-        SimpleNamespace(problems=unsafe),
-        SimpleNamespace(usable=lambda: "Executing"),
-        notices,
-    ]
-    return StatusConditions(*parts)
+@pytest.fixture
+def monitor(tmp_path: Path) -> GivenMonitor:
+    """The monitor of a workload that a ready standby could take over."""
+    found = GivenMonitor(tmp_path)
+    found.objects.put_workload(generation=7)
+    found.objects.put_policy(policy_of({"type": "Fallback", "poolRef": {"name": "hot"}}))
+    found.objects.put_settings(pools=[{"name": "hot", "readiness": "Executing"}])
+    found.objects.put_pods(
+        Instance("w-1", "uid-1", running=True, ready=True),
+        Instance("w-2", "uid-2", pool="hot", running=True, ready=True),
+    )
+    found.objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
+    return found
 
 
 @pytest.mark.parametrize(
@@ -41,12 +43,19 @@ def said(
         ),
     ],
 )
-def test_whether_all_of_it_is_seen(seen: dict[str, Any], condition: tuple[str, str, str], events: list[str]) -> None:
-    notices = RecordedNotices()
-    said(notices, **seen).housekeeping()
+def test_whether_everything_is_received_is_in_the_condition_monitored(
+    monitor: GivenMonitor, seen: dict[str, Any], condition: tuple[str, str, str], events: list[str]
+) -> None:
+    monitor.observer.troubles = list(seen.get("problems", ()))
+    monitor.observer.unpublished = [seen["waiting"]] if "waiting" in seen else []
+    monitor.loop.act.safety.problems = list(seen.get("unsafe", ()))
+    monitor.loop.report.status_conditions.housekeeping()
+    notices = monitor.notices
     assert notices.conditions["Monitored"] == condition
-    assert [reason for _, reason, _ in notices.events] == events
-    assert (notices.status.find("Monitored").observed_generation, notices.status.strategy) == (7, "Executing")
+    assert notices.reasons == events
+    said = notices.status.find("Monitored")
+    assert said is not None
+    assert (said.observed_generation, notices.status.strategy) == (7, "Executing")
 
 
 @pytest.mark.parametrize(
@@ -58,8 +67,10 @@ def test_whether_all_of_it_is_seen(seen: dict[str, Any], condition: tuple[str, s
         ("Starting", False, "Starting", "Unknown"),
     ],
 )
-def test_an_instance_that_is_degraded_is_healthy_still(state: Any, degraded: bool, health: str, status: str) -> None:
-    notices = RecordedNotices()
-    said(notices).judged(Judgement(0.0, verdict=Verdict(state, "why", "leaf", None), degraded=degraded))
-    assert (notices.status.health, notices.status.active) == (health, "w-1")
-    assert notices.conditions["Healthy"] == (status, state, "why")
+def test_an_instance_that_is_degraded_is_still_healthy(
+    monitor: GivenMonitor, state: State, degraded: bool, health: str, status: str
+) -> None:
+    verdict = Verdict(state, "why", "leaf", None)
+    monitor.loop.report.judged(Judgement(0.0, verdict=verdict, degraded=degraded))
+    assert (monitor.notices.status.health, monitor.notices.status.active) == (health, "w-1")
+    assert monitor.notices.conditions["Healthy"] == (status, state, "why")
