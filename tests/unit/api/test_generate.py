@@ -80,7 +80,7 @@ def test_the_reference_has_every_field_and_every_refusal() -> None:
         "| `spec.outputs[].type` | string | required |",
         '| `spec.monitoring.startupGrace` | string | `"30s"` |',
         "| `status.recoveries[].parts.detection` | number |",
-        "- `spec.ros.domainId`: domainId 2 cannot be gated",
+        "- `spec.ros.domainId`: domainId 2 is not allowed",
     ):
         assert text in page
 

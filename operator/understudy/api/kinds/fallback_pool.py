@@ -125,10 +125,10 @@ class KeepUp(Model):
 
 
 class Reserve(Model):
-    """Pods of a shared pool that are reserved for critical workloads."""
+    """Pods of a shared pool that are reserved for workloads with a high spec.poolPriority."""
 
     pods: int = Field(default=1, ge=1, le=1000)
-    """How many ready pods are reserved."""
+    """Number of ready pods that are reserved."""
     pool_priority: int = Field(ge=-999, le=1000)
     """Minimum spec.poolPriority of a RobotWorkload that may claim reserved pods."""
 
@@ -138,13 +138,13 @@ class Sizing(Model):
     """How to compute the size of a shared pool from its workloads' failures. The command `understudy size` uses the same calculation."""
 
     risk: Percentage
-    """The accepted risk, such as 1%. The pool is made large enough to stay below it."""
+    """Accepted share of the failures for which the pool has too few pods (see riskOf), such as 1%. The operator makes
+    the pool large enough for it."""
     risk_of: Literal["Loss", "Waiting"] = "Loss"
-    """What the risk refers to. Loss: a failure finds no ready pod, and the policy's next strategy is used. Waiting: a
-    failure must wait for a pod; for policies with waitFor."""
+    """What the risk is. Loss: a workload fails and no pod is ready, so the policy's next strategy is used. Waiting: a
+    workload fails and has to wait for a pod; for policies with waitFor."""
     failures_per_robot_hour: float = Field(default=1.0, ge=0.0001, le=3600)
-    """Assumed number of failures per robot and hour while none have been observed. It has the weight of one observed
-    failure."""
+    """Prior estimate of the number of failures per robot and hour. It counts as much as one observed failure."""
     refill: Duration = "30s"
     """Time from a claim until a replacement pod is ready. Usually the start-up time of a pod."""
     history: Duration = "24h"
@@ -166,11 +166,12 @@ class UpdateStrategy(Model):
     """What happens to the waiting pods of a shared pool when its template changes. Claimed pods never change."""
 
     type: Literal["Recreate", "OnReplenish"] = "Recreate"
-    """Recreate: new pods are created and replace the waiting ones. OnReplenish: waiting pods stay until they are
-    claimed, and their replacements use the new template."""
+    """Recreate: new pods are created, and replace the waiting ones when they are ready (unlike Recreate of a
+    Deployment). OnReplenish: waiting pods stay until they are claimed, and their replacements use the new template."""
     min_ready: int | None = Field(default=None, ge=0, le=1000)
     """For type Recreate: minimum number of ready pods during the update. Old pods above this number are deleted
-    immediately to make room. Absent: an old pod is deleted only when a new ready pod replaces it."""
+    immediately, which frees resources for the new ones. Absent: an old pod is deleted only when a new ready pod
+    replaces it."""
 
 
 @with_rules(
@@ -207,64 +208,68 @@ class UpdateStrategy(Model):
     ),
     (
         f"{_is(_SHARED)} || !has(self.updateStrategy)",
-        f"updateStrategy is allowed only for pools with readiness {SHARED_NAMES}: other standbys use "
-        "their workload's template, and an old one stays until the new one is ready",
+        f"updateStrategy is allowed only for pools with readiness {SHARED_NAMES}: standbys of other pools use their "
+        "workload's template, and an old standby stays until its replacement is ready",
         ".updateStrategy",
     ),
     (
         f"!({_is(_PREPARED)}) || has(self.initialization)",
-        f"a pool with readiness {_either(_PREPARED)} needs an initialization, which brings its standbys to the readiness",
+        f"a pool with readiness {_either(_PREPARED)} needs an initialization, the procedure that prepares its standbys",
         ".initialization",
     ),
     ("self.readiness == oldSelf.readiness", "readiness is immutable: create another pool", ".readiness"),
 )
 class FallbackPoolSpec(Model):
-    """A pool of warm instances."""
+    """A pool of instances that wait to take over."""
 
     readiness: Readiness
-    """How far the pool's instances are prepared. Uninitialized: pods run, and their processes wait until a robot is
-    assigned. Initialized: the application is running and configured. Executing: the application runs completely, and
-    the gate blocks its outputs."""
+    """How far the pool's instances are prepared. Uninitialized: the pods run, but their processes are held (start
+    later) until a workload claims (takes) the pod; several workloads share the pool. Initialized: the application runs
+    and is configured by spec.initialization. Executing: the application runs completely. The gate blocks the outputs of
+    every instance that waits."""
     replicas: int | None = Field(default=None, ge=0, le=1000)
-    """Number of unclaimed pods to keep (Uninitialized). Set either this field or sizing."""
+    """Only for readiness Uninitialized: number of unclaimed pods to keep. Set either this field or sizing."""
     sizing: Sizing | None = None
-    """Compute the number of unclaimed pods from the failures of the workloads that use the pool (Uninitialized). Set
-    either this field or replicas. See docs/sizing.md."""
+    """Only for readiness Uninitialized: the operator computes the number of unclaimed pods from the failures of the
+    workloads that use the pool. Set either this field or replicas. See docs/sizing.md."""
     per_workload: int | None = Field(default=None, ge=0, le=8)
-    """Number of standbys for each workload (Initialized, Executing)."""
+    """Only for readiness Initialized or Executing: number of standbys for each workload."""
     workload_selector: LabelSelector
-    """Selects the RobotWorkloads that this pool serves by their labels, in the same namespace."""
+    """Labels of the RobotWorkloads that this pool serves, in the same namespace. An empty selector selects all of
+    them."""
     template: dict[str, Any] | None = Field(
         default=None,
         json_schema_extra=pod_template(
             (
                 "has(self.command) && size(self.command) > 0",
-                "command is required in a pool's template: the container is held until the pod is claimed, and "
-                "then runs the command",
+                "command is required in a pool's template: Understudy starts it when the pod is claimed",
                 ".command",
             )
         ),
     )
-    """Pod template of an Uninitialized pool. Every container needs a command, because it is held until the pod is
-    claimed."""
+    """Pod template of an Uninitialized pool. Every container needs a command, which Understudy starts only when the pod
+    is claimed."""
     template_from: TemplateSource | None = None
     """Use the template of a RobotWorkload instead of template."""
     initialization: Procedure | None = None
-    """Procedure that brings a started standby to the pool's readiness, such as lifecycle transitions (Initialized,
-    Executing). Required for Initialized. Absent for Executing: the workload's bringUp is used."""
+    """Only for readiness Initialized (required) or Executing: procedure that brings a started standby to the pool's
+    readiness, such as lifecycle transitions. Absent in an Executing pool: the workload's bringUp is used."""
     readiness_check: Check | None = None
-    """Condition that a standby must meet before it counts as ready (Initialized, Executing). Absent for Executing: the
-    policy's health tree is used. Absent for Initialized: the initialization must have succeeded."""
+    """Only for readiness Initialized or Executing: condition that a standby must meet after its initialization before
+    it counts as ready. Absent in an Executing pool: the policy's health tree must succeed. Absent in an Initialized
+    pool: no condition except the initialization."""
     keep_up: KeepUp | None = None
-    """Transfers current state to waiting standbys (Initialized), so that a failover has less to restore."""
+    """Only for readiness Initialized: waiting standbys periodically receive the kept state (spec.state of the policy),
+    so that a recovery has less to restore. No effect in an Executing pool, whose standbys have state of their own."""
     reserve: Reserve | None = None
-    """Keep the last ready pods for critical workloads (Uninitialized). Absent: any workload may claim the last pod. See
-    docs/waiting.md."""
+    """Only for readiness Uninitialized: ready pods that only workloads with a high spec.poolPriority may claim. Absent:
+    any workload may claim the last pod. See docs/waiting.md."""
     update_strategy: UpdateStrategy | None = None
-    """What happens to waiting pods when the pool's template changes (Uninitialized). Absent: Recreate."""
+    """Only for readiness Uninitialized: what happens to waiting pods when the pool's template changes. Absent:
+    Recreate."""
     warm_paths: list[WarmPath] = Field(default_factory=list, max_length=16)
-    """Files and folders in the containers to read once while the containers are held, so that they are in the page
-    cache."""
+    """Files and folders that each container reads once while it is held, so that they are in the node's page cache when
+    the application starts."""
 
     @property
     def level(self) -> ReadinessLevel:
@@ -284,19 +289,19 @@ class SizingStatus(Model):
     last_change: Time
     """When the size last changed, RFC 3339."""
     needed: int
-    """Size that meets the risk at the expected rate, before min and max are applied."""
+    """Smallest size within spec.sizing.risk at the expected failure rate, before min and max are applied."""
     robots: int
     """Number of workloads that can claim a pod of this pool."""
     failures: int
-    """Number of claims that the workloads needed within the history."""
+    """Number of failures within spec.sizing.history in which a workload claimed a pod of this pool or found none."""
     robot_hours: float
     """Total time for which the workloads were observed, in robot hours."""
     failures_per_robot_hour: float
     """Expected number of failures per robot and hour."""
     low: float
-    """Lower bound of the 95% interval of the rate."""
+    """Lower bound of failuresPerRobotHour: the true rate is higher with a probability of 95%."""
     high: float
-    """Upper bound of the 95% interval of the rate."""
+    """Upper bound of failuresPerRobotHour: the true rate is lower with a probability of 95%."""
 
 
 class FallbackPoolStatus(Model):
@@ -305,24 +310,27 @@ class FallbackPoolStatus(Model):
     observed_generation: int | None = None
     """Generation of the spec that was last reconciled."""
     replicas: int | None = None
-    """Number of unclaimed pods that exist."""
+    """Number of waiting (unclaimed) pods that exist."""
     desired: int | None = None
-    """Number of pods that should exist."""
+    """Number of waiting pods that should exist."""
     ready: int | None = None
-    """Number of pods that could take over now."""
+    """Number of waiting pods that could take over now."""
     claimed: int | None = None
-    """Number of this pool's pods that control a robot."""
+    """Number of this pool's pods that were claimed (taken for a workload) or have taken over."""
     updated: int | None = None
-    """Number of unclaimed pods with the current template; see the condition Updated (Uninitialized)."""
+    """Only for readiness Uninitialized: number of unclaimed pods with the current template; see the condition
+    Updated."""
     waiting: int | None = None
-    """Number of workloads that wait for a pod of this pool; see the condition Available (Uninitialized)."""
+    """Only for readiness Uninitialized: number of workloads that wait for a pod; see the condition Available."""
     sizing: SizingStatus | None = None
     """Result of spec.sizing."""
     selector: str | None = None
     """Label selector of the pool's pods, for the scale subresource."""
     conditions: Conditions | None = None
-    """Accepted: the spec is valid, and pods can be created. Ready: every pod of the desired number could take over now.
-    Available (Uninitialized): a pod could be claimed now; with the reason Dry, the message lists the workloads that
-    wait, in order. Sized (if spec.sizing is set): the computed size and the reason for it; False if max is too small
-    for the risk. Updated (Uninitialized): every unclaimed pod uses the current template, or the update strategy allows
-    an earlier one. Moving: pods are being replaced on other nodes, because their node is being drained or was lost."""
+    """Each is True if the following holds. Accepted: the spec is valid, and pods can be created. Reconciled: all
+    objects match the spec. Ready: every pod of the desired number could take over now. Available (only Uninitialized):
+    a workload that fails now could claim a pod; if not, with the reason Dry, the message lists the waiting workloads in
+    the order in which they will get a pod. Sized (if spec.sizing is set): max is large enough for the risk; the message
+    explains the computed size. Updated (only Uninitialized): every unclaimed pod uses the current template, or
+    updateStrategy OnReplenish lets earlier ones stay. Moving: pods are being replaced on other nodes, because their
+    node is being drained or was lost."""

@@ -29,7 +29,7 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                         (
                             f"self.all(key, !key.startsWith('{GROUP}/'))",
                             f"labels that begin with {GROUP}/ decide which pod controls the robot, "
-                            "so only Understudy sets them: use another",
+                            "so only Understudy sets them: use another prefix",
                         )
                     ),
                     "annotations": _texts("Annotations of the pods."),
@@ -60,7 +60,8 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                                 "command": {
                                     "type": "array",
                                     "items": {"type": "string"},
-                                    "description": "Command of the container. Absent: the entry point of the image.",
+                                    "description": "Command of the container. "
+                                    + ("Required." if container_rules else "Absent: the entry point of the image."),
                                 },
                             },
                         }
@@ -74,7 +75,7 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
                     "restartPolicy": {
                         "type": "string",
                         "enum": ["Always"],
-                        "description": "Always, as in a Deployment.",
+                        "description": "Must be Always, which is also the default.",
                     },
                 },
             }
@@ -82,7 +83,8 @@ def pod_template(*container_rules: tuple[str, str, str]) -> dict[str, Any]:
             | rules(
                 (
                     "!has(self.hostNetwork) || !self.hostNetwork",
-                    "hostNetwork cannot be gated: NetworkPolicies do not apply to a pod in its node's network",
+                    "hostNetwork is not allowed, because NetworkPolicies, and so the gate, do not apply to a pod "
+                    "in its node's network",
                     ".hostNetwork",
                 )
             ),

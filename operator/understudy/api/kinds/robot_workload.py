@@ -100,7 +100,8 @@ class Discovery(Model):
 
     mode: Literal["Managed", "External", "Multicast"] = "Managed"
     """Managed: Understudy runs a Fast DDS discovery server for this robot. External: nodes use the discovery server
-    named in the field server. Multicast: nodes use DDS simple discovery. Most pod networks do not forward multicast."""
+    named in the field server. Multicast: nodes use DDS simple discovery; the pod network must forward multicast, which
+    most do not."""
     server: str | None = matching(
         SERVER_PATTERN, "write host:port, such as 10.0.0.7:11811", default=None, max_length=261
     )
@@ -110,7 +111,8 @@ class Discovery(Model):
 @with_rules(
     (
         "self.domainId != 2",
-        "domainId 2 cannot be gated, because its own ports (7900 to 8149) overlap the gated ports: use another domain",
+        "domainId 2 is not allowed, because its own ports (7900 to 8149) overlap the ports that the gate controls: "
+        "use another domain",
         ".domainId",
     ),
 )
@@ -118,7 +120,7 @@ class Ros(Model):
     """The robot's ROS graph."""
 
     domain_id: int = Field(default=0, ge=0, le=101)
-    """ROS_DOMAIN_ID of this robot's graph. 2 is not allowed."""
+    """ROS_DOMAIN_ID of this robot's graph. 2 is not allowed, because its ports overlap those of the gate."""
     discovery: Discovery = Field(default_factory=Discovery)
     """How the nodes of the graph find each other."""
 
@@ -135,25 +137,25 @@ class Reflex(Model):
     """DDS exclusive ownership in addition to the gate: the robot's own reader switches to the standby without the control plane."""
 
     deadline: Duration = "100ms"
-    """The robot's reader switches to the standby when it has received nothing from the active instance for this long.
-    Must be longer than the period of the outputs."""
+    """The robot's DataReader switches to the standby when it has received nothing from the active instance for this
+    long. Must be longer than the period of the outputs."""
     accept: list[RosName] = Field(default_factory=list, max_length=24)
-    """Outputs that are allowed to switch independently of each other. A reflex for several outputs, or for outputs that
-    include a service or action, is refused unless all of them are listed here."""
+    """Outputs that may switch independently of each other. If there are several outputs, or a service or action, list
+    all of them here to accept that. Otherwise the operator refuses the workload (condition Accepted)."""
 
 
 class Gate(Model):
-    """Decides which instance can reach the robot."""
+    """The gate, which decides which instance can reach the robot."""
 
     kind: Literal["NetworkPolicy"] = "NetworkPolicy"
-    """Kind of gate. NetworkPolicy: network policies open the robot's gated ports for one pod. The cluster's network
-    plugin must enforce them."""
+    """Kind of gate. NetworkPolicy: NetworkPolicies let only one pod send to the ports at which the robot reads the
+    outputs (the gated ports). The cluster's network plugin must enforce them."""
     robots: list[Cidr] = Field(default_factory=list, max_length=16)
-    """CIDRs of robots and other peers outside the cluster. They must not include pod addresses: pods in these ranges
+    """CIDRs of the robot and other peers outside the cluster. They must not include pod addresses: pods in these ranges
     could bypass the gate."""
     reflex: Reflex | None = None
-    """Lets the robot's reader switch to an executing standby by itself, before the gate switches. Absent: only the gate
-    switches."""
+    """Reflex: with DDS exclusive ownership, the robot's own DataReaders switch to a standby of an Executing pool,
+    before the gate does. Absent: only the gate switches. See docs/reflex.md."""
 
 
 class MonitorSettings(Model):
@@ -167,8 +169,8 @@ class MonitorSettings(Model):
     """Publish the state of the workload on /diagnostics, every second and immediately when its level changes, for ROS
     tools. Health trees ignore these messages. See docs/ros-tools.md."""
     snapshots: bool = False
-    """Publish the live health tree below /understudy, for the tools of py_trees_ros. The monitor's image must contain
-    py_trees_ros_interfaces. See docs/ros-tools.md."""
+    """Publish the live health tree in the namespace /understudy, for the tools of py_trees_ros. The monitor's image
+    must contain py_trees_ros_interfaces. See docs/ros-tools.md."""
 
 
 @with_rules(
@@ -186,26 +188,26 @@ class Dependency(Model):
     on_recovery: Literal["Nothing", "Reinitialize", "Restart", "Procedure"] = "Nothing"
     """What to do with the active instance of this workload after the dependency was recovered. Nothing: the application
     handles it. Reinitialize: run bringUp again behind a closed gate. Restart: replace the pod, as the strategy Restart
-    does. Procedure: run the procedure below behind a closed gate."""
+    does. Procedure: run the field procedure behind a closed gate."""
     procedure: Procedure | None = None
-    """What to run on the active instance. Only for onRecovery Procedure."""
+    """Procedure that runs on the active instance. Only for onRecovery Procedure."""
     notice_within: Duration = "300ms"
-    """How long to wait before acting on a failure of this workload, so that a failure of the dependency that may have
-    caused it can be detected first. Increase it if the dependency's timeouts are longer than this workload's. 0s: act
+    """When this workload fails, the monitor waits this long for a failure of the dependency to be detected. If there is
+    none, it then acts. Increase the time if the dependency's timeouts are longer than this workload's. 0s: act
     immediately."""
     settle_within: Duration = "10s"
-    """How long a failure of this workload that a failure of the dependency may have caused may continue after the
-    dependency is healthy again. After this time the failure is acted on."""
+    """If the dependency failed first: how long this workload may take to become healthy by itself after the dependency
+    is healthy again. Then the monitor recovers this workload."""
     wait_for: Duration = "2m"
-    """Maximum time to wait for the dependency to become healthy. After this time a failure of this workload is acted on
-    even if the dependency has not recovered."""
+    """If the dependency failed first: maximum time that the monitor waits, from the failure of this workload. Then it
+    recovers this workload even if the dependency has not recovered."""
 
 
 @with_rules(
     (
         "has(self.template) != has(self.workloadRef)",
-        "give exactly one of template (Understudy runs the pods) and workloadRef (an existing "
-        "Deployment or StatefulSet)",
+        "give exactly one of template (Understudy creates the pods) and workloadRef (an existing Deployment or "
+        "StatefulSet)",
     ),
     (
         "has(self.template) == has(oldSelf.template)",
@@ -254,84 +256,86 @@ class RobotWorkloadSpec(Model):
     """One application of one robot."""
 
     template: dict[str, Any] | None = Field(default=None, json_schema_extra=pod_template())
-    """Pod template, as in a Deployment: metadata.labels, metadata.annotations and spec. Understudy runs the pods."""
+    """Pod template, as in a Deployment: metadata.labels, metadata.annotations and spec. Understudy creates the pod from
+    it, with a ReplicaSet of one replica."""
     workload_ref: WorkloadReference | None = None
     """Existing Deployment or StatefulSet to protect, instead of a template."""
     ros: Ros = Field(default_factory=Ros)
     """The robot's ROS graph."""
     outputs: list[Output] = Field(min_length=1, max_length=24)
-    """Every topic, service and action between the workload and the robot. All of them are gated: only the active
-    instance can reach the robot."""
+    """Every topic that the robot subscribes to, and every service and action between the workload and the robot. The
+    gate controls all of them: only the active instance can reach the robot."""
     tasks: list[Task] = Field(default_factory=list, max_length=8)
-    """Actions that the workload serves and whose goals survive a failover."""
+    """Actions that the workload serves. When another instance takes over, Understudy handles their goals as onFailover
+    says."""
     bring_up: Procedure | None = None
-    """Procedure that makes a started instance drive the robot, such as lifecycle transitions. It runs on the first
-    instance, on executing standbys, and during a failover after state was restored. Absent: the application starts
-    driving without help."""
+    """Procedure (a behaviour tree) that makes a started instance control the robot, such as lifecycle transitions. It
+    runs on the first instance, on the standbys of Executing pools, and in a recovery after state was restored. Absent:
+    the application must control the robot without it."""
     depends_on: list[Dependency] = Field(default_factory=list, max_length=8)
-    """Workloads that this one needs in order to work. A failure that one of them may have caused is not treated as a
-    failure of this workload. See docs/dependencies.md."""
+    """Workloads that this one needs in order to work. If one of them may have caused a failure of this workload, the
+    monitor first waits for its recovery (noticeWithin, settleWithin, waitFor). See docs/dependencies.md."""
     failure_policy_ref: LocalReference
     """The FailurePolicy that protects this workload."""
     pool_priority: int = Field(default=0, ge=-1000, le=1000)
-    """Priority of this workload when several workloads wait for a pod of a shared pool (Uninitialized). The highest
-    number is served first. With equal priority, the workload that has waited longest is served first. See
-    docs/waiting.md."""
+    """Priority of this workload when several workloads wait for a pod of a shared pool (readiness Uninitialized). The
+    highest number gets a pod first, and among equals the workload that has waited longest. See docs/waiting.md."""
     gate: Gate = Field(default_factory=Gate)
-    """Decides which instance can reach the robot."""
+    """The gate, which decides which instance can reach the robot."""
     draining: Draining = Field(default_factory=Draining)
     """What happens to the active instance while its node is drained."""
     monitor: MonitorSettings = Field(default_factory=MonitorSettings)
     """Settings of the workload's monitor."""
     pause: Pause | None = None
     """Maintenance mode. While this field is set, the monitor watches the workload and takes no action: no recovery, no
-    hand-over, no safe command. See docs/limits.md."""
+    hand-over, no safe command (spec.safety of the policy). The gate stays as it is. See docs/limits.md."""
 
 
 class Parts(Model):
-    """The four phases of a recovery in seconds (equation 1 of the paper)."""
+    """The four parts of a recovery in seconds (equation 1 of the paper)."""
 
     detection: float
     """From the last healthy output to the detection of the failure, in seconds."""
     cluster: float
-    """Time for pods, claims and the gate, in seconds."""
+    """Time to get a pod (find, claim or create it) and to switch the gate, in seconds."""
     startup: float
     """Time to start the application's processes, in seconds."""
     reinitialization: float
-    """From the start of the processes to outputs that are ready, in seconds."""
+    """From the start of the processes until the outputs are ready, in seconds."""
 
 
 class Moments(Model):
     """Time of each step of a recovery, RFC 3339 with microseconds. Absent: the recovery did not reach the step."""
 
     last_healthy: Time | None = None
-    """Last healthy output before the failure."""
+    """When the last healthy output before the failure arrived."""
     detected: Time | None = None
-    """The health tree failed."""
+    """When the failure was detected."""
     held: Time | None = None
-    """The policy's budget was used up. The failed instance was fenced and nothing else was done."""
+    """When the recovery was deferred because the policy's budget was used up. The failed instance was fenced (denied
+    access to the robot), and nothing else was done."""
     released: Time | None = None
-    """The budget allowed a recovery again, or a user resumed the workload."""
+    """When the deferred recovery continued, because the budget allowed it again or a user resumed the workload."""
     decided: Time | None = None
-    """The strategy that was verified in the end was chosen."""
+    """When the last strategy was chosen: the one that succeeded, if any did."""
     queued: Time | None = None
-    """The recovery began to wait for a pod of a shared pool."""
+    """When the recovery began to wait for a pod of a shared pool."""
     last_output: Time | None = None
-    """For a planned switchover: last output of the previous instance that the gated readers received."""
+    """For a planned switchover: when the last output of the previous instance arrived through the gate."""
     fenced: Time | None = None
-    """The failed pod could no longer reach the robot."""
+    """When the failed pod could no longer reach the robot."""
     claimed: Time | None = None
-    """The understudy was claimed."""
+    """When a pod of a shared pool was claimed (taken for this workload)."""
     started: Time | None = None
-    """The understudy's processes were running."""
+    """When the understudy's processes were running."""
     ready: Time | None = None
-    """The understudy published its own outputs."""
+    """When the understudy published its outputs, still behind the gate."""
     routed: Time | None = None
-    """The understudy could reach the robot."""
+    """When the understudy could reach the robot."""
     first_output: Time | None = None
-    """The gated readers received the first output of the understudy."""
+    """When the first output of the understudy arrived through the gate."""
     verified: Time | None = None
-    """The gated readers received outputs from the understudy and from no other instance."""
+    """When outputs of the understudy, and of no other instance, arrived through the gate."""
 
 
 class Attempt(Model):
@@ -339,13 +343,14 @@ class Attempt(Model):
 
     strategy: str
     """Restart, or Fallback/ and the readiness of the pool, such as Fallback/Initialized; with a reflex, Fallback/Executing
-    (reflex). After the recovery of another workload also Reinitialize or Procedure."""
+    (reflex). If the recovery follows one of a dependency, also Reinitialize or Procedure."""
     pod: str = ""
     """Name of the understudy's pod."""
     result: Literal["Verified", "NotVerified", "NotAvailable"]
-    """Result of the attempt."""
+    """Verified: the robot receives outputs of the new instance and of no other. NotVerified: it did not in time.
+    NotAvailable: the strategy could not be tried."""
     message: str = ""
-    """Why."""
+    """Reason for the result."""
 
 
 class DependencyRecovery(Model):
@@ -358,29 +363,29 @@ class DependencyRecovery(Model):
 
 
 class Recovery(Model):
-    """One failure and the response to it."""
+    """A recovery, or a planned change of the active instance."""
 
     id: str
     """Identifies the recovery. The id stays the same if the monitor restarts."""
     number: int = 0
     """Number of this recovery, counted from 1 for each workload."""
     reason: str
-    """What failed, as reported by the health tree."""
+    """What failed, as the health tree reports it, or why the change was planned."""
     result: Literal["Running", "Recovered", "Failed"]
     """Running, Recovered or Failed."""
     strategy: str = ""
     """The strategy that recovered the workload."""
     from_pod: str = ""
-    """The pod that failed."""
+    """The pod that failed or was replaced."""
     to_pod: str = ""
     """The pod that took over."""
     epoch: int = 0
-    """Epoch of the gate after the recovery."""
+    """Epoch of the gate (the number of its last change) after the recovery."""
     recovery_seconds: float | None = None
-    """Sum of the phases: seconds from the last healthy output to the moment when the understudy could reach the
-    robot."""
+    """Sum of the four parts: seconds from the last healthy output until the understudy (the instance that took over)
+    could reach the robot."""
     parts: Parts | None = None
-    """The four phases of the recovery time."""
+    """The four parts of the recovery time, in seconds."""
     moments: Moments = Field(default_factory=Moments)
     """Time of each step."""
     attempts: list[Attempt] = Field(default_factory=list)
@@ -390,21 +395,21 @@ class Recovery(Model):
     switchover: Kind | None = None
     """For a planned switchover: why it was done (Failover, Failback or Drain)."""
     follows: list[DependencyRecovery] | None = Field(default=None, max_length=8)
-    """Recoveries of other workloads that this recovery followed, as configured in spec.dependsOn. Absent if this
-    workload itself failed."""
+    """Recoveries of dependencies that caused this one (spec.dependsOn[].onRecovery). Absent if this workload itself
+    failed."""
     resumed: bool = False
     """True if a new monitor completed a recovery that an earlier monitor had begun."""
     state: list[RestoredState] = Field(default_factory=list)
-    """What was restored and how old it was; what was not restored, and why."""
+    """For each item of kept state: whether it was restored, how old it was, and why it was not restored."""
 
 
 class GateStatus(Model):
-    """The instance that can reach the robot."""
+    """State of the gate, which decides which instance can reach the robot."""
 
     epoch: int = 0
-    """Increases by one with every change of control."""
+    """Number of the gate's last change. It increases by one with every change."""
     active: str = ""
-    """The active pod. Empty if there is none."""
+    """The pod for which the gate is open. Empty if the gate is closed."""
 
 
 class MonitorStatus(Model):
@@ -426,40 +431,40 @@ class RobotWorkloadStatus(Model):
     health: Health | None = None
     """Unknown, Starting, Healthy, Degraded, Failed or Recovering."""
     failing_since: Time | None = None
-    """Time of the last healthy output before the current failure. Absent if there is no failure."""
+    """Time of the last healthy output, after which the current failure began. Absent if there is no failure."""
     standby: str | None = None
-    """Readiness of the standbys, and how many of them are ready."""
+    """Readiness level of the standbys, and how many of them could take over now."""
     strategy: str | None = None
     """The strategy that would be used if the workload failed now."""
     stocked: list[str] | None = Field(
         default=None, max_length=STOCKED_MOST, json_schema_extra={"x-kubernetes-list-type": "atomic"}
     )
-    """The policy's shared pools (Uninitialized) that have a pod that this workload could claim now."""
+    """The policy's shared pools (readiness Uninitialized) in which a pod is free for this workload now."""
     strategies: str | None = None
-    """The strategies in short form, in order, with their pools. If Understudy chose the order, the condition
+    """Summary of the strategies in order, with their pools. If Understudy chose the order, the condition
     StrategiesChosen explains it."""
     situation: SituationStatus | None = None
     """The policy's situation that currently applies. Absent if none applies. The condition SituationCovered says
     whether its strategies are in effect."""
     recovery_count: int | None = None
-    """Number of recoveries since the workload was created."""
+    """Number of recoveries and planned switchovers since the workload was created."""
     last_recovery_time: Time | None = None
     """When the last recovery ended."""
     spent: list[Time] | None = Field(
         default=None, max_length=MOST_COUNTED, json_schema_extra={"x-kubernetes-list-type": "atomic"}
     )
-    """Start times of the recoveries that count against the policy's limits.budget, oldest first. Recoveries before the
-    time in the annotation understudy.dev/resumed do not count."""
+    """Start times of the recoveries that count against the policy's limits.budget, oldest first. Recoveries that began
+    before the time in the annotation understudy.dev/resumed do not count."""
     gate: GateStatus | None = None
-    """The instance that can reach the robot."""
+    """State of the gate, which decides which instance can reach the robot."""
     monitor: MonitorStatus | None = None
     """The monitor that wrote this status. Absent if the monitor is older than 0.2.0."""
     switchover: SwitchoverStatus | None = None
-    """The last planned switchover, or the one in progress."""
+    """The last planned switchover (change of the active instance without a failure), or the one in progress."""
     recoveries: list[Recovery] | None = Field(
         default=None, max_length=10, json_schema_extra={"x-kubernetes-list-type": "atomic"}
     )
-    """The last ten recoveries, newest first."""
+    """The last ten recoveries and planned switchovers, newest first."""
     tasks: list[TaskStatus] | None = Field(
         default=None, max_length=8, json_schema_extra={"x-kubernetes-list-type": "atomic"}
     )
@@ -469,7 +474,7 @@ class RobotWorkloadStatus(Model):
         max_length=8,
         json_schema_extra={"x-kubernetes-list-type": "map", "x-kubernetes-list-map-keys": ["name"]},
     )
-    """For each dependency, its last recovery that this workload has responded to as spec.dependsOn says."""
+    """For each dependency, its last recovery to which this workload has reacted (spec.dependsOn[].onRecovery)."""
     kept: str | None = None
     """Summary of the state that is kept of a healthy instance."""
     state: list[KeptStatus] | None = Field(
@@ -477,18 +482,20 @@ class RobotWorkloadStatus(Model):
     )
     """The items of kept state, with their age."""
     conditions: Conditions | None = None
-    """Accepted: the spec and the policy are valid. Reconciled: all objects exist. Protected: the first strategy could
-    take over now. StrategiesChosen (if the policy has a strategy Auto): the order that was chosen, and why; False if it
-    does not meet the policy's spec.requirements. SituationCovered (if the policy has situations): the strategies of the
-    current situation are in effect; False until its first standby is ready. Monitored: the monitor watches every topic
-    of the health tree. Healthy: the health tree succeeds. DependenciesResolved (if spec.dependsOn is set): the
-    workloads exist, and there is no cycle. DependencyFailed: the workload fails, and the monitor waits because a
-    dependency may have caused it. Degraded: the health tree succeeds, and the tree of spec.degraded fails. Resized: the
-    active pod has the resources that the policy sets for a degraded workload. GateEnforced: packets show that only the
-    active pod can reach the robot, and that the robot has no reader at a port without a gate. OutputsRead: the robot
-    reads every topic of spec.outputs at gated ports. Recovering: a recovery is in progress. Paused: spec.pause is in
-    effect. WithinBudget (if the policy has limits.budget): the budget allows another recovery. BroughtUp: bringUp and
-    initializations have succeeded on every instance. Reflex: a standby may also send, so that the robot's readers can
-    switch to it. Draining: the active pod's node is being drained; True while evictions wait for an understudy on
-    another node. StateKept: everything that the policy lists is kept. StateRestored: the last instance that took over
-    received all of it."""
+    """Each is True if the following holds. Accepted: the spec and the policy are valid. Reconciled: all objects match
+    the spec. Protected: the policy's first strategy could run now. StrategiesChosen (if the policy has a strategy
+    Auto): the chosen order meets the policy's spec.requirements; the message explains it. SituationCovered (if the
+    policy has situations): the strategies of the current situation are in effect; False until a pod for its first
+    strategy is ready. Monitored: the monitor watches every topic of the health tree. Healthy: the health tree succeeds.
+    DependenciesResolved (if spec.dependsOn is set): the workloads exist, and there is no cycle. DependencyFailed: the
+    workload fails, and the monitor waits because a dependency may have caused it. Degraded: the health tree succeeds,
+    and the stricter tree of the policy's spec.degraded fails. Resized: the active pod has the resources that the policy
+    sets for a degraded workload. GateEnforced: probe packets show that only the active pod can reach the robot, and the
+    robot reads no output at a port outside the gate. OutputsRead: the robot reads every topic of spec.outputs at gated
+    ports. Recovering: a recovery is in progress. Paused: spec.pause is in effect. WithinBudget (if the policy has
+    limits.budget): the budget allows another recovery. BroughtUp: bringUp and the pools' initializations have succeeded
+    on every instance. Reflex (if spec.gate.reflex is set): the gate also lets a standby through, so the robot's readers
+    would switch to it at a failure. Draining: the active pod's node is being drained, and evictions wait until an
+    instance on another node has taken over. TasksProxied (if spec.tasks is set): the proxy serves all tasks. StateKept:
+    everything in the policy's spec.state is kept. StateRestored: the last instance that took over received all of
+    it."""

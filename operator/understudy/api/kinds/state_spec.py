@@ -133,7 +133,7 @@ class KeptStatus(Model):
     kind: Literal["Topic", "Parameters", "Lifecycle"]
     """Topic, Parameters or Lifecycle."""
     taken_at: Time | None = None
-    """When the message that would be restored now was taken."""
+    """When the message or value that would be restored now was recorded."""
     bytes: int = 0
     """Size in bytes."""
     message: str = ""

@@ -57,18 +57,19 @@ def parse(text: str) -> Request:
 
 
 class SwitchoverStatus(Model):
-    """The last planned switchover, or the one in progress."""
+    """The last planned switchover (change of the active instance without a failure), or the one in progress."""
 
     kind: Kind
     """Failover or Failback: a user requested it. Drain: the node of the active instance is being drained."""
     request: str = ""
     """The annotation that requested the switchover. Empty for Drain."""
     handled: str = ""
-    """The last annotation that was handled. It is not carried out again."""
+    """Annotation of the last request that has ended. The monitor does not carry out this request again."""
     phase: Phase
-    """Waiting: the switchover cannot begin yet. Preparing: the understudy is being prepared. Switching: the gate is
-    open for the understudy, and its outputs are not yet verified at the robot. Done: the understudy controls the robot.
-    NotDone: the previous instance still controls the robot."""
+    """Waiting: the switchover cannot begin yet. Preparing: the understudy (the instance that takes over) is being
+    prepared. Switching: the gate is open for the understudy, and its outputs are not yet verified at the robot. Done:
+    the understudy controls the robot. NotDone: the switchover was given up, and the previous instance still controls
+    the robot."""
     message: str = ""
     """Why the switchover waits or did not happen, or its result."""
     target: str = ""
@@ -83,8 +84,8 @@ class Draining(Model):
     """What happens to the active instance while its node is drained."""
 
     hold_for: Duration = "5m"
-    """How long evictions of the active instance wait for an understudy on another node to take over, from the moment
-    when the operator saw that the node was cordoned. 0s: evictions do not wait. See docs/switchover.md."""
+    """Maximum time for which evictions of the active instance are refused after its node was cordoned. In this time,
+    the monitor switches to an instance on another node. 0s: evictions are not refused. See docs/switchover.md."""
 
 
 class Drain(Model):

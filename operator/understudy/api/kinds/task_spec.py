@@ -11,7 +11,8 @@ ACTION_TYPE_PATTERN = r"^[a-zA-Z][a-zA-Z0-9_]*/action/[A-Z][a-zA-Z0-9]*$"
 
 
 class Task(Model):
-    """An action that the workload serves. Clients send goals to a proxy of the same name, which survives every instance."""
+    """An action that the workload serves. Clients send their goals to a proxy of the same name. It runs in the
+    monitor's pod, so it continues when an instance fails."""
 
     action: RosName
     """Fully qualified name of an action that the workload serves, such as /navigate_to_pose."""
@@ -19,11 +20,11 @@ class Task(Model):
     """Type of the action, such as nav2_msgs/action/NavigateToPose. The monitor's image must contain it."""
     on_failover: Literal["Resend", "Abort", "Tree"] = "Resend"
     """What happens to an active goal when another instance takes over. Resend: the goal stays active and is sent to the
-    new instance. Abort: the goal is aborted. Tree: the goal stays active, and the strategy's recovery procedure sends
-    it (resend_goals)."""
+    new instance. Abort: the goal is aborted. Tree: the goal stays active and is sent to the new instance by the step
+    resend_goals of the strategy's recovery procedure, or at the end of the recovery."""
     abort_grace: Duration = "2s"
-    """How long the proxy delays an abort that no client requested. If a failure is detected meanwhile, the client does
-    not receive the abort, because an instance that dies may abort its goals first."""
+    """How long the proxy delays an abort that no client requested, because a failing instance may abort its goals. If a
+    failure is detected in this time, the proxy drops the abort, and the goal continues."""
 
 
 class TaskStatus(Model):
@@ -34,6 +35,6 @@ class TaskStatus(Model):
     active: int = 0
     """Number of active goals."""
     resent: int = 0
-    """Number of goals that another instance took over, since the action proxy's pod started."""
+    """Number of goals that were moved to another instance, since the action proxy's pod started."""
     message: str = ""
     """What is wrong with the task, if anything."""

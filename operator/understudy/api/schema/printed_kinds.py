@@ -53,7 +53,8 @@ AGE = Column("Age", ".metadata.creationTimestamp", "Time since the object was cr
 _SHORT_NAME = (
     (
         f"size(self.metadata.name) <= {LONGEST_NAME}",
-        f"metadata.name is longer than {LONGEST_NAME} characters: names of pods, policies and labels are derived from it and must fit 63",
+        f"metadata.name is longer than {LONGEST_NAME} characters: the names of pods, NetworkPolicies and labels are "
+        "derived from it and may have at most 63",
         ".metadata.name",
     ),
     (
@@ -82,10 +83,17 @@ KINDS = (
         columns=(
             Column("Active", ".status.active", "The pod that controls the robot."),
             Column("Health", ".status.health", "Unknown, Starting, Healthy, Degraded, Failed or Recovering."),
-            Column("Standby", ".status.standby", "Readiness of the standbys, and how many of them are ready."),
+            Column(
+                "Standby",
+                ".status.standby",
+                "Readiness level of the standbys, and how many of them could take over now.",
+            ),
             Column("Strategy", ".status.strategy", "The strategy that would be used if the workload failed now."),
             Column(
-                "Recoveries", ".status.recoveryCount", "Number of recoveries since the workload was created.", "integer"
+                "Recoveries",
+                ".status.recoveryCount",
+                "Number of recoveries and planned switchovers since the workload was created.",
+                "integer",
             ),
             Column("Last", ".status.lastRecoveryTime", "Time since the last recovery.", "date"),
             Column("Order", ".status.strategies", "The strategies in order, with their pools.", wide=True),
@@ -99,7 +107,7 @@ KINDS = (
             Column(
                 "Taken",
                 ".status.state[0].takenAt",
-                "Time since the first item of kept state was taken.",
+                "Age of the first item of kept state (status.state).",
                 "date",
                 wide=True,
             ),
@@ -129,14 +137,20 @@ KINDS = (
         name="FallbackPool",
         plural="fallbackpools",
         short="fbp",
-        description="A pool of warm understudies: how many, at which readiness, for which RobotWorkloads.",
+        description="A pool of instances that wait to take over (standbys): how many, how far they are prepared "
+        "(readiness), and for which RobotWorkloads.",
         spec=FallbackPoolSpec,
         status=FallbackPoolStatus,
         columns=(
             Column("Readiness", ".spec.readiness", "How far the pool's instances are prepared."),
-            Column("Desired", ".status.desired", "Number of pods that should exist.", "integer"),
-            Column("Ready", ".status.ready", "Number of pods that could take over now.", "integer"),
-            Column("Claimed", ".status.claimed", "Number of this pool's pods that control a robot.", "integer"),
+            Column("Desired", ".status.desired", "Number of waiting pods that should exist.", "integer"),
+            Column("Ready", ".status.ready", "Number of waiting pods that could take over now.", "integer"),
+            Column(
+                "Claimed",
+                ".status.claimed",
+                "Number of this pool's pods that were claimed (taken for a workload) or have taken over.",
+                "integer",
+            ),
             Column(
                 "Waiting",
                 ".status.waiting",
