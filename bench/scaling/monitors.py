@@ -35,9 +35,9 @@ from understudy.kube.kubeconfig import load_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.kube.watched_collection import Reflector
 from understudy.monitor import loop
-from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.cluster import Cluster
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts

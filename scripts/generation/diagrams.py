@@ -123,9 +123,10 @@ def failover() -> str:
     """Draw the steps after a failure for each strategy."""
     if set(STEPS) != {*get_args(Readiness), "Restart"} or set(PARTS) != set(NAMES):
         raise ValueError("the strategies or the parts of a recovery are others than the diagram's")
+    end = 42 + _ROW * len(STEPS)
     drawn = Diagram(
         980,
-        402,
+        int(end) + 112,
         "What happens at a failure, by each strategy",
         "In every strategy the failure is detected first. With an executing standby one patch of the gate is all that follows. With an "
         "initialized one the gate is closed, state is restored, and the gate is opened for it. With an uninitialized one a pod is "
@@ -134,7 +135,7 @@ def failover() -> str:
     )
     drawn.part("the failure, and when it is noticed")
     drawn.text((_LEFT, 22), "P fails", RED, anchor="start", size=13, bold=True)
-    drawn.line([(_LEFT, 30), (_LEFT, 344)], RED, 1.6, dashes="4 4")
+    drawn.line([(_LEFT, 30), (_LEFT, end + 54)], RED, 1.6, dashes="4 4")
     ends = []
     for row, (name, (waits, steps)) in enumerate(STEPS.items()):
         drawn.part(name)
@@ -149,22 +150,22 @@ def failover() -> str:
         drawn.line([(at, top + _HIGH / 2), (at + 26, top + _HIGH / 2)], BLUE, 3, head=True)
         drawn.text((at + 34, top + 24), "F drives", BLUE, anchor="start", size=13, bold=True)
     drawn.part("the robot")
-    drawn.line([(_LEFT, 300), (ends[-1][0], 300)], RED, 1.4)
+    drawn.line([(_LEFT, end + 10), (ends[-1][0], end + 10)], RED, 1.4)
     drawn.text(
-        (_LEFT + 8, 318), "so long the robot is told nothing, or the policy's safe command; the rest is its own watchdog's business", RED,
+        (_LEFT + 8, end + 28), "until then the robot receives nothing, or the policy's safe command; its own watchdog does the rest", RED,
         anchor="start",
     )  # fmt: skip
     drawn.text(
-        (_LEFT + 8, 336), "then it is verified that its commands are F's and none are P's, or the next strategy's turn comes", INK,
+        (_LEFT + 8, end + 46), "then it is verified that its commands are F's and none are P's, or the next strategy's turn comes", INK,
         anchor="start",
     )  # fmt: skip
     drawn.part("legend")
     at = _LEFT
     for part, name in NAMES.items():
-        drawn.box((at, 364), (16, 16), PALE, PARTS[part])
-        drawn.text((at + 24, 377), f"t {name}", anchor="start")
+        drawn.box((at, end + 74), (16, 16), PALE, PARTS[part])
+        drawn.text((at + 24, end + 87), f"t {name}", anchor="start")
         at += 132
-    drawn.text((at, 377), "not to scale: a patch takes some ms", PALE, anchor="start")
+    drawn.text((at, end + 87), "not to scale: a patch takes some ms", PALE, anchor="start")
     return drawn.svg()
 
 
@@ -175,7 +176,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     "act": (
         "monitor/act/recovery/recovery_runner", "monitor/act/recovery/deferred_recovery", "failover/protocol",
         "failover/strategies/executing",
-        "monitor/act/gate/gate_control", "kube/gates/network_policy", "kube/client",
+        "monitor/act/objects/gate_control", "kube/gates/kinds/network_policy", "kube/client",
     ),
     "report": ("monitor/report/recovery_report", "monitor/notices", "monitor/report/status_writer"),
 }  # fmt: skip

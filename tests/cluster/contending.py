@@ -19,7 +19,7 @@ from understudy.api import names
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, WORKLOADS, Access, ApiError, Client, Object
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.kubeconfig import load_access
 
 

@@ -28,7 +28,7 @@ from understudy.controller.runtime import process as running
 from understudy.kube import claims
 from understudy.kube.client import Client
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.kubeconfig import load_access
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"

@@ -13,7 +13,7 @@ from understudy.api import names
 from understudy.kube import claims
 from understudy.kube.client import NAMESPACES, NETWORK_POLICIES, PODS, ApiError, Client
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.kubeconfig import load_access
 
 pytestmark = pytest.mark.cluster

@@ -32,8 +32,8 @@ from understudy.api.base import API_VERSION
 from understudy.failover.interfaces import ClaimLost
 from understudy.kube.client import Access, Client
 from understudy.kube.kubeconfig import load_access
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import PodControl as Instances
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl as Instances
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView

@@ -8,13 +8,12 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Coroutine, Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Overtaken, Superseded
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.base import Choice, Means
 
 _logger = logging.getLogger(__name__)
 
@@ -29,14 +28,6 @@ LOST_LOOK = 0.1
 
 QUIET = 0.200
 """Seconds without a sample of any other instance before a leak counts as closed."""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A strategy of the policy, and the time in seconds within which it must be verified."""
-
-    strategy: Strategy
-    verify_within: float
 
 
 async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -> Progress:

@@ -17,8 +17,8 @@ from typing import Literal
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Superseded
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice, alone, retire, unless_lost
-from understudy.failover.strategies.base import Means, Unfit
+from understudy.failover.protocol import alone, retire, unless_lost
+from understudy.failover.strategies.base import Choice, Means, Unfit
 from understudy.failover.strategies.steps import open_for, wait_enforced
 
 _logger = logging.getLogger(__name__)

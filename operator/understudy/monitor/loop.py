@@ -18,8 +18,8 @@ from understudy.failover.decide import Activate, Decision, Hold, Recover, Switch
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Means
 from understudy.failover.switchover import Prepared
-from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.pool_waiting import PoolQueue
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.act.recovery.recovery_runner import ENDS

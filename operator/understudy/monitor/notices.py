@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from understudy.api.conditions import Condition, condition, merged
 from understudy.api.kinds.robot_workload import (
@@ -29,6 +29,9 @@ from understudy.api.kinds.state_spec import KeptStatus
 from understudy.api.kinds.switchover_spec import SwitchoverStatus
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.progress import ListedRecovery, Progress, listed_recoveries, rfc3339
+
+ConditionReport = tuple[Literal["True", "False", "Unknown"], str, str]
+"""Status, reason and message of a condition."""
 
 RECOVERIES_KEPT = 10
 """Recoveries that the status lists."""

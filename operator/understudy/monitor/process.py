@@ -24,11 +24,11 @@ from understudy.kube.gates import registry
 from understudy.kube.kubeconfig import default_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
-from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.gate.gate_control import GateControl
 from understudy.monitor.act.gate.permits import Permits
-from understudy.monitor.act.instances.pod_control import PodControl
 from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.objects.cluster import Cluster
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts

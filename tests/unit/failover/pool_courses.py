@@ -8,7 +8,8 @@ from tests.unit.failover.recoveries import failure
 from tests.unit.failover.world import Store, World
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
-from understudy.failover.protocol import Choice, recover
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.unit.failover.world import Store, World
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice
+from understudy.failover.strategies.base import Choice
 
 VERIFY_WITHIN = 0.3
 

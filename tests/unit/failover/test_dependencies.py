@@ -17,8 +17,8 @@ from understudy.failover.dependency import Due, Held, Outage, Recovered, Seen, d
 from understudy.failover.interfaces import GateState
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
-from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies.base import Strategy
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice, Strategy
 from understudy.failover.strategies.reinitialize import Reinitialize
 from understudy.failover.strategies.restart import Restart
 

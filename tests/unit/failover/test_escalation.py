@@ -11,7 +11,8 @@ from tests.unit.failover.recoveries import VERIFY_WITHIN, failure, protected
 from tests.unit.failover.world import Store, World
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice, recover
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 

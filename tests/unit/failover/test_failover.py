@@ -12,7 +12,8 @@ from tests.unit.failover.recoveries import VERIFY_WITHIN, choices, failure, prot
 from tests.unit.failover.world import Killed, Store, World
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice, recover
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.strategies.uninitialized import UninitializedFallback

@@ -11,7 +11,8 @@ from tests.unit.failover.world import Killed, World
 from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.protocol.kept_state import KeptSample, KeptState
 from understudy.failover.bring_up import BringUp
-from understudy.failover.protocol import Choice, recover
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.restart import Restart

@@ -11,8 +11,9 @@ from tests.unit.failover.world import Killed, Store, World
 from understudy.failover import reflex
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice, recover
+from understudy.failover.protocol import recover
 from understudy.failover.reflex import ReflexFallback, TakenOver, longest_gap, measured, switched
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.restart import Restart
 

@@ -14,8 +14,7 @@ from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance, NotAvailable, Superseded
 from understudy.failover.progress import Progress
-from understudy.failover.protocol import Choice
-from understudy.failover.strategies.base import Strategy
+from understudy.failover.strategies.base import Choice, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.restart import Restart

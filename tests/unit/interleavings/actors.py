@@ -36,9 +36,9 @@ from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, ApiError, Expi
 from understudy.kube.events import Recorder
 from understudy.kube.gates.base import GateRecord
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
-from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.cluster import Cluster
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.loop import MonitorLoop, Parts

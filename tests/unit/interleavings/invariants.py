@@ -17,7 +17,7 @@ from understudy.failover.progress import Committed
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 
 KNOWN = 70.0
 """Seconds within which an operator knows of a pool's new size: two of its lists, and their longest waits."""

@@ -25,7 +25,7 @@ from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Reflex
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.ros.dds import exclusive_ownership
 
 ADDRESS = ROBOTS.partition("/")[0]

@@ -13,7 +13,7 @@ from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.api import names
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 
 BY = "the cluster"
 NODES = ("a", "b", "c")

@@ -21,7 +21,7 @@ from understudy.controller.reconcile.expectations import Expectations
 from understudy.kube import apply, claims
 from understudy.kube.client import Client, Object
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.leader_election import Lease
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.recovery.abandonment import Abandonment

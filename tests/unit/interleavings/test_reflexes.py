@@ -24,7 +24,7 @@ from understudy.api.protocol.ownership_strength import STRONGEST
 from understudy.failover import reflex
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import Client, Object
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.monitor.act.gate import permits
 from understudy.monitor.act.gate.reflex_guard import ReflexGuard
 

@@ -12,7 +12,7 @@ from understudy.api.kinds.robot_workload import Gate
 from understudy.kube.client import ApiError, Object
 from understudy.kube.gates import registry
 from understudy.kube.gates.base import GateKind, GateRecord
-from understudy.kube.gates.network_policy import GATE
+from understudy.kube.gates.kinds.network_policy import GATE
 
 OWNER = {"apiVersion": f"{names.GROUP}/v1alpha1", "kind": "RobotWorkload", "name": "w", "uid": "uid-w"}
 

@@ -18,9 +18,9 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import Progress
 from understudy.kube.client import CONFIG_MAPS, PODS, POLICIES, WORKLOADS, Object
 from understudy.kube.gates.base import GateKind
-from understudy.monitor.act.cluster import Cluster
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import EVICTION, PodControl
+from understudy.monitor.act.objects.cluster import Cluster
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import EVICTION, PodControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups

@@ -11,8 +11,8 @@ from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import NETWORK_POLICIES, Object
 from understudy.kube.gates.base import Proof
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView

@@ -9,11 +9,11 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
-from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.robot.context_detection import Seen
+from understudy.monitor.observe.robot.degraded_tree import Busy
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses

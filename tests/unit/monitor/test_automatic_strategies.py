@@ -9,7 +9,8 @@ from tests.unit.kube.memory import MemoryClient
 from understudy.api import names
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice, recover
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import Object
 from understudy.monitor.observe.objects.cluster_view import ClusterView

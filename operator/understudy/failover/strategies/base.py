@@ -79,3 +79,11 @@ class Strategy(ABC):
     async def look(self, means: Means, progress: Progress | None = None) -> None:
         """Request what ``available`` needs, if that is not known yet."""
         return
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A strategy of the policy, and the time in seconds within which it must be verified."""
+
+    strategy: Strategy
+    verify_within: float

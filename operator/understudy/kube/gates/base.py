@@ -8,8 +8,8 @@ which it was decided, so of two writers one is refused.
 A kind (:class:`GateKind`) says what the gate object does with the instances that the record names, which further objects the gate needs,
 and how it is proven that it works (:class:`Proof`). A kind that routes at the robot does so by orders that carry the epoch of the record.
 
-To add a kind, name it in ``Gate.kind`` (api/kinds/robot_workload.py), and add a module of that name in snake case to this folder, with the
-kind as its ``GATE``.
+To add a kind, name it in ``Gate.kind`` (api/kinds/robot_workload.py), and add a module of that name in snake case to the folder
+kinds/, with the kind as its ``GATE``.
 """
 
 from __future__ import annotations

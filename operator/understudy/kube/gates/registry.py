@@ -14,7 +14,7 @@ from understudy.kube.gates.base import GateKind
 
 def _gate(kind: str) -> GateKind:
     module = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", kind).lower()
-    found: GateKind = import_module(f"understudy.kube.gates.{module}").GATE
+    found: GateKind = import_module(f"understudy.kube.gates.kinds.{module}").GATE
     return found
 
 

@@ -20,7 +20,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.kinds.task_spec import TaskStatus
 from understudy.failover.interfaces import Gate, GateState, Instance
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.objects.cluster_view import ClusterView

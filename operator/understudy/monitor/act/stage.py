@@ -5,13 +5,13 @@ from __future__ import annotations
 import time
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.gate.gate_opening import GateOpening
 from understudy.monitor.act.gate.reflex_guard import ReflexGuard
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.instances.pod_labels import PodLabels
 from understudy.monitor.act.instances.standby_supervision import StandbySupervision
 from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.act.recovery.deferred_recovery import DeferredRecovery
 from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from understudy.api.base import seconds
-from understudy.failover.protocol import Choice
-from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.base import Choice, Means, Strategy
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import ApiError
 from understudy.monitor.observe.objects.cluster_view import ClusterView

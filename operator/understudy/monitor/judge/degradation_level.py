@@ -15,8 +15,8 @@ from understudy.api.kinds.degraded_spec import Degraded, Reschedule
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.degradation import Level
 from understudy.failover.interfaces import Instance
-from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.notices import BecameDegraded, Notices
+from understudy.monitor.observe.robot.degraded_tree import Busy
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.trees.core.health_tree import Verdict
 

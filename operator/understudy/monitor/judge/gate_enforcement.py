@@ -6,11 +6,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Protocol
 
 from understudy.failover.interfaces import Gate, Instance
 from understudy.kube.gates.base import Proof
-from understudy.monitor.notices import Notices
+from understudy.monitor.notices import ConditionReport, Notices
+from understudy.monitor.observe.robot.reader_ports import UNGATED
 
 SETTLE = 3.0
 """Seconds after a commit (or the start of an instance) before probes are judged; agents probe once a second."""
@@ -19,11 +20,6 @@ SILENT = 5.0
 """Seconds without a probe of the instance in control before its way to the robot counts as blocked."""
 
 CONDITION = "GateEnforced"
-
-UNGATED = "ReaderWithoutProfile"
-"""Reason if a reader of the robot listens at a port that no gate closes."""
-
-Judgement = tuple[Literal["True", "False", "Unknown"], str, str]
 
 
 def judge(
@@ -36,7 +32,7 @@ def judge(
     admitted_uid: str = "",
     leak_hint: str = "",
     block_hint: str = "",
-) -> Judgement:
+) -> ConditionReport:
     """Status, reason and message of the condition GateEnforced.
 
     ``last`` has the time of the last probe of each pod, by UID; ``since`` is when the gate last changed, in Unix seconds;
@@ -107,7 +103,7 @@ class GateEnforcement:
             self._changed = now
         self._changed = min(self._changed, now)  # the clock may have been set back
 
-    def judge(self, instances: Sequence[Instance]) -> Judgement:
+    def judge(self, instances: Sequence[Instance]) -> ConditionReport:
         """Judge the gate by the probes of these instances."""
         state = self._gate.state
         last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
@@ -125,7 +121,7 @@ class GateEnforcement:
             return "False", UNGATED, ungated
         return judged
 
-    def say(self, judged: Judgement) -> None:
+    def say(self, judged: ConditionReport) -> None:
         """Report the judgement, unless it cannot be known for the moment."""
         if (
             judged[1] not in ("Settling", "Admitted")

@@ -24,12 +24,11 @@ from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.journal import Journal
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import LASTS, PodIdentity, Progress, beside
-from understudy.failover.protocol import Choice
-from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.base import Choice, Means, Strategy
 from understudy.kube.client import NETWORK_POLICIES, ApiError, Object
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.network_policy import GATE
-from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.kube.gates.kinds.network_policy import GATE
+from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery import abandonment
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal

@@ -18,12 +18,11 @@ from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice
-from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.base import Choice, Means, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Prepared
-from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery import planned_switchover
 from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
 from understudy.monitor.observe.current_recovery import CurrentRecovery

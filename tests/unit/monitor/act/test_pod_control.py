@@ -10,7 +10,7 @@ from tests.unit.monitor.cluster_objects import NAMESPACE, ClusterObjects, pod_of
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import REPLICA_SETS, ApiError
-from understudy.monitor.act.instances.pod_control import instance_of
+from understudy.monitor.act.objects.pod_control import instance_of
 
 EVICTION = {"type": "DisruptionTarget", "status": "True", "reason": "DeletionByTaintManager"}
 DELETED = {"deletionTimestamp": "2026-01-01T00:00:30Z"}

@@ -21,14 +21,14 @@ from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSetting
 from understudy.failover import pool_queue
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice, recover
-from understudy.failover.strategies.base import Means
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice, Means
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
 from understudy.kube.watched_collection import Reflector
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.act.recovery.pool_waiting import REASON, PoolQueue
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import Notices

@@ -17,12 +17,11 @@ from understudy.failover.availability import Availability
 from understudy.failover.decide import Recover, Trigger
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import Progress
-from understudy.failover.protocol import Choice
-from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.base import Choice, Means
 from understudy.failover.strategies.restart import Restart
 from understudy.monitor.decide import strategy_options
-from understudy.monitor.judge.degraded_tree import Busy
 from understudy.monitor.judge.stage import Judgement
+from understudy.monitor.observe.robot.degraded_tree import Busy
 
 
 @pytest.fixture

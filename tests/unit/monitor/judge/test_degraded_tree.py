@@ -13,7 +13,7 @@ from tests.unit.dds import keep_to_itself
 from understudy.api.kinds.degraded_spec import InlineTree
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.monitor.judge.degraded_tree import Wellness
+from understudy.monitor.observe.robot.degraded_tree import Wellness
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import load_inline
 

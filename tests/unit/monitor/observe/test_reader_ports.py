@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from understudy.api import names
-from understudy.monitor.judge.gate_enforcement import Judgement
+from understudy.monitor.notices import ConditionReport
 from understudy.monitor.observe.robot.reader_ports import Reading, judge
 from understudy.ros.middleware import Locator
 
@@ -19,7 +19,7 @@ def reading(host: str, port: int = GATED, *, node: str = "/base", topic: str = C
 
 def judged(
     *readings: Reading, topics: tuple[str, ...] = (CMD_VEL,), untold: tuple[str, ...] = (), robots: tuple[str, ...] = ()
-) -> Judgement:
+) -> ConditionReport:
     return judge("robot-17", topics, readings, untold, robots)
 
 

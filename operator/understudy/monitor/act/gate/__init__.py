@@ -1,4 +1,4 @@
-"""The gate, and who may drive: commits, the first opening, permits and the reflex.
+"""Who may drive: the first opening of the gate, permits and the reflex.
 
-What happens to pods is in `instances`.
+The commits themselves are in `objects`, and what happens to pods is in `instances`.
 """

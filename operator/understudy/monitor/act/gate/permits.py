@@ -25,7 +25,7 @@ from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.kube.client import PODS, ApiError, Object
-from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery

@@ -19,7 +19,7 @@ import aiohttp
 from understudy.failover.interfaces import Instance
 from understudy.failover.reflex import longest_gap, measured
 from understudy.kube.client import ApiError
-from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
 from understudy.monitor.notices import Notices

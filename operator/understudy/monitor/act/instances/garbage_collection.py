@@ -17,8 +17,8 @@ import aiohttp
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity
 from understudy.kube.client import ApiError
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ import aiohttp
 
 from understudy.failover.interfaces import Instance
 from understudy.kube.client import ApiError
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.pod_control import PodControl
 
 
 class PodLabels:

@@ -23,7 +23,7 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.client import ApiError
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.instance_roles import InstanceRoles, Role, managed, pool_of, role_of

@@ -9,9 +9,9 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import Agents, Instance
-from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.instances.standby_lifecycle import Bringing
 from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery

@@ -17,7 +17,7 @@ import time
 
 from understudy.failover.abandoned import GivenUp
 from understudy.failover.progress import LASTS, Committed, Progress, beside, under_way
-from understudy.monitor.act.gate.gate_control import GateControl
+from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.notices import Notices
 

@@ -14,7 +14,7 @@ from understudy.api.kinds.robot_workload import GateStatus
 from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Superseded
 from understudy.failover.progress import Progress
-from understudy.monitor.act.cluster import Cluster
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.notices import Notices

@@ -22,13 +22,13 @@ from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable, Superseded
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.switchover import Prepared
 from understudy.kube.client import ApiError
-from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.current_recovery import CurrentRecovery

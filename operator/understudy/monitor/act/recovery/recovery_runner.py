@@ -11,11 +11,12 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover import reflex
 from understudy.failover.interfaces import Superseded
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice, recover
+from understudy.failover.protocol import recover
+from understudy.failover.strategies.base import Choice
 from understudy.kube.client import ApiError
-from understudy.monitor.act.cluster import Cluster
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
 from understudy.monitor.decide.retry_backoff import RetryBackoff

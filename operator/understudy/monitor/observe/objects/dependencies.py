@@ -20,7 +20,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.dependency import Due, Held, Outage, Seen, due, held, outage
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.protocol import Choice
+from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.reinitialize import Reinitialize
 from understudy.failover.strategies.restart import Restart
 from understudy.kube.client import WORKLOADS, Resource

@@ -11,9 +11,9 @@ from dataclasses import replace
 from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
 from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
-from understudy.monitor.judge.degraded_tree import Busy, Wellness
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
 from understudy.monitor.observe.robot.context_detection import Seen, Situating
+from understudy.monitor.observe.robot.degraded_tree import Busy, Wellness
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch

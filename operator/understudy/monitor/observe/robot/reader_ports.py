@@ -7,11 +7,15 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.monitor.judge.gate_enforcement import UNGATED, Judgement
+from understudy.monitor.notices import ConditionReport
 from understudy.ros.middleware import Locator
 
 TOOLS = ("_", "rosbag2_recorder", "understudy_watch_")
 """How the names of nodes begin that only look: hidden ones, as those of ROS's command line, rosbag2's, and those of understudy watch."""
+
+
+UNGATED = "ReaderWithoutProfile"
+"""Reason if a reader of the robot listens at a port that no gate closes."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ def judge(
     readings: Sequence[Reading],
     unreported: Collection[str],
     robots: Sequence[str],
-) -> Judgement:
+) -> ConditionReport:
     """Status, reason and message of the condition OutputsRead.
 
     ``unreported`` are the topics with readers whose locators DDS has not reported; ``robots`` the addresses of robots outside the

@@ -11,11 +11,10 @@ import logging
 import os
 import time
 
-from understudy.monitor.judge.gate_enforcement import UNGATED, Judgement
-from understudy.monitor.notices import Notices
+from understudy.monitor.notices import ConditionReport, Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
-from understudy.monitor.observe.robot.reader_ports import Reading, judge
+from understudy.monitor.observe.robot.reader_ports import UNGATED, Reading, judge
 from understudy.ros.middleware import Locator
 from understudy.ros.rmw import MIDDLEWARE
 
@@ -47,7 +46,7 @@ class RobotReaders:
         self._places: dict[bytes, tuple[Locator, ...]] = {}
         self._asked: set[bytes] = set()
         self._again = 0.0
-        self._judged: tuple[Judgement | None, float] = (None, 0.0)
+        self._judged: tuple[ConditionReport | None, float] = (None, 0.0)
         said = notices.status.find(CONDITION)
         self.ungated = said.message if said is not None and said.reason == UNGATED else ""
         """What is wrong with the readers that the gate does not reach; empty for nothing."""
@@ -106,7 +105,7 @@ class RobotReaders:
         self._places |= found
         self._again = time.monotonic() + AGAIN
 
-    def _settle(self, judged: Judgement, now: float) -> None:
+    def _settle(self, judged: ConditionReport, now: float) -> None:
         before, since = self._judged
         if judged != before:
             self._judged = (judged, now)

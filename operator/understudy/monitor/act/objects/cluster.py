@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from understudy.monitor.act.gate.gate_control import GateControl
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 

@@ -17,7 +17,7 @@ from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
 from understudy.kube.client import ApiError, Client
 from understudy.kube.gates.base import GateRecord, Proof
-from understudy.monitor.act.instances.pod_control import PodControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.notices import GateCommitted, Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
