@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 from bench.results import Report
 from tests.unit.interleavings import reflexes, simulation
-from tests.unit.interleavings.simulation import Outcome
+from tests.unit.interleavings.scenes import Outcome
 
 CHUNK = 100
 """Runs of which the figures are taken together."""

@@ -78,26 +78,33 @@ class Isolation:
         apiserver: Address | None = None,
         on_change: Callable[[], None] = lambda: None,
         nudge: Callable[[], None] = lambda: None,
+        attempts: Callable[[], ConnectionAttempts] | None = None,
     ) -> None:
-        """``on_change`` is called when the containers are frozen or continue, ``nudge`` to have something sent in every session."""
+        """``on_change`` is called when the containers are frozen or continue, ``nudge`` to have something sent in every session.
+
+        ``attempts`` makes the connections that show whether somebody answers.
+        """
         self.containers = tuple(containers)
         self._unfenced = tuple(unfenced)
         self._directory, self._on_change, self._nudge = directory, on_change, nudge
         self._apiserver = apiserver
-        self._monitor: Address | None = None
+        self.monitor: Address | None = None
+        """The monitor that renewed the permit last; None if none did."""
         self._witnesses: tuple[Address, ...] = ()
         self._favourite: Address | None = None
-        self._attempts = ConnectionAttempts()
+        self._make_attempts = attempts or ConnectionAttempts
+        self._attempts = self._make_attempts()
         self._asked_apiserver = 0.0
         self._logged_at = -LOG_PERIOD
         self.contacts: MonitorSessions | None = None
         self.since: float | None = None
         """Since when the containers are frozen, in Unix seconds; None while they run."""
-        self._permit = Permit()
-        self._applied = self._permit.state
+        self.permit = Permit()
+        """The permit to act."""
+        self._applied = self.permit.state
         with contextlib.suppress(OSError):
             self.since = self._marker.stat().st_mtime
-            self._permit = Permit(state="Isolated")
+            self.permit = Permit(state="Isolated")
 
     @property
     def _marker(self) -> Path:
@@ -109,7 +116,7 @@ class Isolation:
         if self.since is None:
             return ""
         since = datetime.fromtimestamp(self.since, UTC).strftime("%H:%M:%S UTC")
-        match self._permit.state:
+        match self.permit.state:
             case "Isolated":
                 return f"frozen: isolated since {since}, nobody answers"
             case "Replaced":
@@ -122,7 +129,7 @@ class Isolation:
         """Why the application could not be frozen if it were isolated; empty if it could, or need not be."""
         if self._unfenced:
             return f"container {', '.join(self._unfenced)} has no command in the template"
-        if self.containers and self._permit.state == "Idle":
+        if self.containers and self.permit.state == "Idle":
             return "nobody has answered its agent yet"
         return ""
 
@@ -146,10 +153,10 @@ class Isolation:
             raise Refused(f"witnesses: expected a list of addresses, not {found!r:.100}")
         if word not in ("Go", "Stay", None):
             raise Refused(f"word {word!r:.100}: expected Go or Stay")
-        self._monitor = self._favourite = Address(peer.host, names.PROBE_PORT)
+        self.monitor = self._favourite = Address(peer.host, names.PROBE_PORT)
         self._witnesses = tuple(Address(host, names.PROBE_PORT) for host in found[:MOST_WITNESSES])
         if word is not None:
-            self._permit.instruct(word, time.monotonic())
+            self.permit.instruct(word, time.monotonic())
             self._apply()
 
     async def run(self) -> None:
@@ -158,7 +165,7 @@ class Isolation:
             while True:
                 if self.containers:
                     self._evaluate_safely(time.monotonic())
-                await asyncio.sleep(self._permit.wait)
+                await asyncio.sleep(self.permit.wait)
         finally:
             self._attempts.close()
 
@@ -179,14 +186,14 @@ class Isolation:
     def _evaluate_without_answers(self, now: float) -> None:
         """Evaluate as if nobody answered, because nobody can be asked."""
         self._attempts.close()
-        self._attempts = ConnectionAttempts()
-        self._permit.evaluate(now)
-        if self._permit.asked_at != now:
-            self._permit.ask(now)
+        self._attempts = self._make_attempts()
+        self.permit.evaluate(now)
+        if self.permit.asked_at != now:
+            self.permit.ask(now)
         self._apply()
 
     def _evaluate(self, now: float) -> None:
-        permit, contacts = self._permit, self.contacts
+        permit, contacts = self.permit, self.contacts
         self._take_answers(now)
         if permit.rounds and permit.state != "Idle" and contacts is not None and contacts.taken_in():
             permit.answered(now)
@@ -198,7 +205,7 @@ class Isolation:
             case "Everybody":
                 if permit.state != "Idle":
                     self._nudge()
-                self._ask(now, self._monitor, *self._witnesses)
+                self._ask(now, self.monitor, *self._witnesses)
                 # The API server logs its connections, so it is asked only if nobody else answers.
                 if permit.rounds > 1 and permit.state != "Idle":
                     self._ask(now, self._apiserver)
@@ -211,14 +218,14 @@ class Isolation:
 
     def _apply(self) -> None:
         """Apply the state of the permit."""
-        state, before = self._permit.state, self._applied
+        state, before = self.permit.state, self._applied
         self._applied = state
         if (before, state) == ("Isolated", "Reconnected") and self.contacts is not None:
             # TCP repeats what was sent meanwhile only after seconds; a monitor whose session ends connects again at once.
             self.contacts.abort()
-        if self._permit.frozen != (self.since is not None):
+        if self.permit.frozen != (self.since is not None):
             try:
-                self._mark(self._permit.frozen)
+                self._mark(self.permit.frozen)
             except OSError as error:
                 _logger.error("%s: the application cannot be frozen or continued: %s", self._marker, error)
         if state != before:
@@ -247,10 +254,10 @@ class Isolation:
     def _take_answers(self, now: float) -> None:
         for address, asked_at, answer in self._attempts.answers(now):
             if address == self._apiserver:
-                self._permit.apiserver(now, answer)
-            if answer and address in (self._monitor, *self._witnesses, self._apiserver):
+                self.permit.apiserver(now, answer)
+            if answer and address in (self.monitor, *self._witnesses, self._apiserver):
                 self._favourite = address
-                self._permit.answered(asked_at)
+                self.permit.answered(asked_at)
 
 
 class ConnectionAttempts:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import itertools
 import random
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -19,11 +18,8 @@ from tests.unit.interleavings.scheduling import Killed, Process
 from tests.unit.interleavings.senses import AgentConnections, HealthObserver, Probes
 from understudy.api import names
 from understudy.controller.plan import Images
-from understudy.controller.pods.pool_pods import Fresh
-from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
-from understudy.controller.reconcile.object_store import ObservedChange as Seen
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
@@ -209,7 +205,6 @@ class OperatorProcess:
         process: Process,
         network: Network,
         replica: str,
-        numbers: itertools.count[int],
         choices: random.Random,
         kill: Callable[[Process], None],
     ) -> None:
@@ -230,16 +225,10 @@ class OperatorProcess:
             Images("registry/understudy:1"),
             Rollouts(self._store, clock=clock),
         )
-        reconciler._fresh = Fresh(name=lambda prefix: f"{prefix}-{next(numbers):04}", token=lambda: "token")
         self._operator = Operator(client, self._store, reconciler, namespaces=[NAMESPACE], resync_every=RESYNC)
-        self._store.noticed = self._enqueue
         self.silent: set[str] = set()
         """Resources whose watch says nothing any more, without an error."""
         self._told_to_end = network.loop.create_future()
-
-    def _enqueue(self, observer: Seen) -> None:
-        for key in sorted(change_index.keys(observer, self._store)):  # a set's order differs from run to run
-            self._operator._add(key)
 
     def mistaken(self, server: ApiServer) -> Iterator[str]:
         """What it takes to be so of pods and gates, and isn't."""
@@ -253,7 +242,7 @@ class OperatorProcess:
         watched = [*kopf_handlers.WATCHED, *(resource for resource, labels in watches.WATCHED if labels is None)]
         work = [*map(self._watch, watched), self._operator.keep_listing()]
         tasks = [
-            asyncio.create_task(one) for one in (*work, running._lead(self._lease, self._operator), self._until_told())
+            asyncio.create_task(one) for one in (*work, running.lead(self._lease, self._operator), self._until_told())
         ]
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         ended = [task.exception() for task in tasks if task.done()]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from tests.unit.interleavings.ownership import PERIOD, Writer
 from understudy.agent import prepare as preparing
-from understudy.agent.isolation import ANSWER, Address, Isolation
+from understudy.agent.isolation import ANSWER, Address, ConnectionAttempts, Isolation
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 
@@ -24,27 +24,28 @@ ANSWERS = 0.002
 _STRENGTH = re.compile(r"<ownershipStrength><value>(\d+)</value>")
 
 
-class Questions:
+class Questions(ConnectionAttempts):
     """Connections to whoever may answer."""
 
     def __init__(self, reaches: Callable[[str], bool]) -> None:
         """``reaches`` tells whether an address is reached now."""
+        super().__init__()
         self._reaches = reaches
-        self._open: list[tuple[Address, float, bool]] = []
+        self._asked: list[tuple[Address, float, bool]] = []
 
     def ask(self, address: Address, now: float) -> None:
         """Begin to connect."""
-        self._open.append((address, now, self._reaches(address.host)))
+        self._asked.append((address, now, self._reaches(address.host)))
 
     def answers(self, now: float) -> list[tuple[Address, float, bool]]:
         """The results of those that have ended."""
-        ended = [one for one in self._open if now - one[1] >= (ANSWERS if one[2] else ANSWER)]
-        self._open = [one for one in self._open if one not in ended]
+        ended = [one for one in self._asked if now - one[1] >= (ANSWERS if one[2] else ANSWER)]
+        self._asked = [one for one in self._asked if one not in ended]
         return ended
 
     def close(self) -> None:
         """Give them all up."""
-        self._open.clear()
+        self._asked.clear()
 
 
 @dataclass

@@ -54,21 +54,23 @@ class Event(NamedTuple):
 class ApiServer:
     """Objects by plural, namespace and name."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(
+        self, clock: Callable[[], float], applied: Mapping[tuple[str, Place, str, str], Object] | None = None
+    ) -> None:
+        """``applied`` is what each writer has applied before."""
         self._clock = clock
         self.version = 1000
         self.items: dict[str, dict[Place, Object]] = defaultdict(dict)
-        self._applied: dict[tuple[str, Place, str, str], Object] = {}
+        self._applied = dict(applied or {})
         self.history: dict[str, list[Event]] = defaultdict(list)
         self.changed: Callable[[str, Object | None, Object | None, str], None] = lambda plural, old, new, by: None
         """Called after every write: plural, what was, what is, and who wrote."""
 
     def restored(self, clock: Callable[[], float]) -> ApiServer:
         """Another server that has the same objects, and whose history begins here."""
-        made = ApiServer(clock)
+        made = ApiServer(clock, self._applied)
         made.version = self.version
         made.items = defaultdict(dict, {plural: dict(items) for plural, items in self.items.items()})
-        made._applied = dict(self._applied)
         return made
 
     # -- requests ---------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ class Keeping:
     def take(self, *_: Any) -> None:
         return
 
-    follow = judge = tell = housekeeping = take
+    follow = judge = report_restored = housekeeping = take
 
     def select(self, onset: float) -> KeptState:
         return KeptState()

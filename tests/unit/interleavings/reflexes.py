@@ -11,7 +11,6 @@ import functools
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
 from tests.unit.interleavings import simulation
@@ -23,8 +22,11 @@ from tests.unit.interleavings.reflexinvariants import LOOK, ReflexInvariants
 from tests.unit.interleavings.reflexrobots import EVERYBODY, ReflexRobots
 from tests.unit.interleavings.reflexsenses import ReflexMonitor, ReflexSidecars
 from tests.unit.interleavings.robots import Robots
+from tests.unit.interleavings.scenes import Outcome, Scene
 from tests.unit.interleavings.scheduling import Process
-from tests.unit.interleavings.simulation import TROUBLES, Outcome, Scene, Simulation
+from tests.unit.interleavings.simulation import Simulation
+from tests.unit.interleavings.troubles import TROUBLES
+from tests.unit.interleavings.virtual_time import Clock
 from understudy.agent import prepare
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Reflex
@@ -105,7 +107,7 @@ class Reflexive(Simulation):
 
     def patches(self) -> Iterator[tuple[Any, str, Any]]:
         yield ownership_strength, "BEGIN", EPOCH - 3600.0
-        yield prepare, "time", SimpleNamespace(time=lambda: self.mine.prepared_at)
+        yield prepare, "time", Clock(lambda: self.mine.prepared_at)
 
     def _told(self, robot: str) -> None:
         for monitor in self.monitors:
@@ -233,14 +235,14 @@ class Reflexive(Simulation):
         else:
             self.mine.apart.discard(workload)
             self.network.cut_off -= processes
-        self.mine._route(workload)
+        self.mine.route(workload)
         self._told(workload)
 
     def _robot_restarts(self) -> None:
         workload = self.choices.choice(self.workloads)
         self.note(f"{workload}: the robot's own process is restarted")
         del self.mine.readers[workload]
-        self.mine._route(workload)
+        self.mine.route(workload)
 
     def _end_of_trouble(self) -> None:
         self._away = 0

@@ -23,8 +23,8 @@ from typing import Any, cast
 
 from tests.unit.interleavings.invariants import Invariants, leaving
 from tests.unit.interleavings.ownership import PERIOD
+from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.reflexrobots import TOLD_AGAIN, ReflexRobots
-from tests.unit.interleavings.robots import Running
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.failover.progress import Progress

@@ -11,15 +11,16 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.agents import Agent, Questions, Sessions
 from tests.unit.interleavings.apiserver import Place
 from tests.unit.interleavings.ownership import Reader, Writer
-from tests.unit.interleavings.robots import NODES, Robots, Running
+from tests.unit.interleavings.pods import Running
+from tests.unit.interleavings.robots import NODES, Robots
+from tests.unit.interleavings.scenes import ROBOTS
 from tests.unit.interleavings.scheduling import Process
-from tests.unit.interleavings.simulation import ROBOTS
 from understudy.agent.isolation import Isolation
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
@@ -99,7 +100,7 @@ class ReflexRobots(Robots):
         for robot in self.let_through:
             for node in NODES:
                 self._enforced[node, robot] = self.let_through[robot]
-            self._route(robot)
+            self.route(robot)
 
     def clock(self, node: str) -> float:
         """The time by a node's clock."""
@@ -119,7 +120,7 @@ class ReflexRobots(Robots):
         """A new monitor's reader."""
         made = Watching(process, self._reader(robot), self.now)
         self.watching[robot] = [w for w in self.watching.get(robot, []) if w.process.alive] + [made]
-        self._route(robot)
+        self.route(robot)
         return made.reader
 
     # -- who reaches whom -------------------------------------------------------------------------------------------
@@ -166,18 +167,18 @@ class ReflexRobots(Robots):
 
     def _reroute(self) -> None:
         for robot in sorted({found.robot for found in self.running.values() if found.robot}):
-            self._route(robot)
+            self.route(robot)
 
     def _ask(self, found: Running) -> None:
         """Its agent's fence has something to do. Until now everybody has answered it."""
         agent = self.agents.get(found.uid)
         if agent is None or agent.asking:
             return
-        agent.unfenced = agent.isolation._monitor is None
+        agent.unfenced = agent.isolation.monitor is None
         if agent.unfenced:
             return
         agent.asking = True
-        agent.isolation._permit.answered(self.loop.time())
+        agent.isolation.permit.answered(self.loop.time())
         task = self.loop.start(self.process, agent.isolation.run())
 
         def rest() -> None:
@@ -195,7 +196,7 @@ class ReflexRobots(Robots):
         if self.agents[uid].holds:
             self.seen["held"] += 1
         self.noted(f"pod {found.name}: {self.agents[uid].isolation.reason or 'goes on'}")
-        self._route(found.robot)
+        self.route(found.robot)
         self.told(found.robot)
 
     # -- nodes ------------------------------------------------------------------------------------------------------
@@ -219,8 +220,12 @@ class ReflexRobots(Robots):
         folder = self.folder / found.uid
         folder.mkdir(exist_ok=True)
         sessions = Sessions(lambda: self.reaches(found.node, "monitor", found.robot))
-        isolation = Isolation(folder, ("app",), on_change=functools.partial(self._changed, found.uid))
-        isolation._attempts = cast(Any, Questions(functools.partial(self._answers, found.uid)))
+        isolation = Isolation(
+            folder,
+            ("app",),
+            on_change=functools.partial(self._changed, found.uid),
+            attempts=functools.partial(Questions, functools.partial(self._answers, found.uid)),
+        )
         isolation.contacts = sessions
         strengths = WriterStrengths(folder, clock=functools.partial(self.clock, found.node))
         agent = Agent(found.uid, folder, strengths, isolation, sessions, self.choices.random)
@@ -289,7 +294,7 @@ class ReflexRobots(Robots):
         if agent is None or agent.hangs:
             return
         agent.hangs, agent.silent_since = True, self.now
-        self._route(self.running[uid].robot)
+        self.route(self.running[uid].robot)
         self.later(seconds, self.thaw, uid, agent.process)
 
     def thaw(self, uid: str, process: int) -> None:
@@ -298,7 +303,7 @@ class ReflexRobots(Robots):
         if agent.hangs and agent.process == process:
             self.noted(f"pod {self.running[uid].name}: thaws")
             agent.hangs = False
-            self._route(self.running[uid].robot)
+            self.route(self.running[uid].robot)
             self.told(self.running[uid].robot)
 
     # -- what reaches the robots ------------------------------------------------------------------------------------
@@ -312,7 +317,7 @@ class ReflexRobots(Robots):
         if self.reaches(node, "API server") and node not in self._stale:
             policy = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
             self._enforced[node, workload] = GATE.let_through(policy) if policy is not None else ()
-            self._route(workload)
+            self.route(workload)
 
     def _catch_up(self, node: str) -> None:
         if not self.reaches(node, "API server"):
@@ -345,5 +350,5 @@ class ReflexRobots(Robots):
             new = self.now - watching.since < DISCOVERY
             watching.known[writer] = self.now + (self.between(0.0, DISCOVERY) if new else 0.0)
             if new:
-                self.later(watching.known[writer] - self.now, self._route, robot)
+                self.later(watching.known[writer] - self.now, self.route, robot)
         return watching.known[writer] <= self.now

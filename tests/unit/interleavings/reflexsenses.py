@@ -5,13 +5,13 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any, cast
 
 from tests.unit.interleavings.actors import Monitor
 from tests.unit.interleavings.ownership import PERIOD, Reader
+from tests.unit.interleavings.pods import Running
 from tests.unit.interleavings.reflexrobots import ReflexRobots
-from tests.unit.interleavings.robots import Robots, Running
+from tests.unit.interleavings.robots import Robots
 from tests.unit.interleavings.scheduling import Process
 from tests.unit.interleavings.senses import GAP, AgentConnections, HealthObserver, Outputs, Probes
 from understudy.agent.control_channel import Peer
@@ -21,6 +21,7 @@ from understudy.kube.agent_client import AgentGone
 from understudy.monitor.act.gate.permits import Permits
 from understudy.monitor.loop import Parts
 from understudy.monitor.observe.agent_connections import ANSWER_LATE
+from understudy.ros.runtime.graph_node import Endpoint, Graph
 
 
 class ReflexSight(HealthObserver):
@@ -139,6 +140,13 @@ class ReflexSidecars(AgentConnections):
             self._robots.later(self._robots.network.delay(), agent.give_way)
 
 
+class NoReaders:
+    """A graph in which nobody reads: the robot is known by its address."""
+
+    def subscribers(self, topic: str) -> tuple[Endpoint, ...]:
+        return ()
+
+
 class ReflexMonitor(Monitor):
     """One whose reader is like the robot's."""
 
@@ -158,7 +166,7 @@ class ReflexMonitor(Monitor):
         return ReflexProbes(self._robots, self.workload)
 
     def _beside(self, parts: Parts, group: asyncio.TaskGroup) -> None:
-        graph: Any = SimpleNamespace(subscribers=lambda topic: ())  # the robot is known by its address
+        graph = cast(Graph, NoReaders())
         permits = Permits(parts.cluster, parts.senses.agents, graph, self.current, self.wakeups, parts.notices)
 
         def believed(uid: str) -> bool:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import random
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from tests.unit.interleavings.apiserver import EPOCH, ApiServer, Place, stamp
 from tests.unit.interleavings.network import Network
+from tests.unit.interleavings.pods import REFERRED, Luck, Running
 from tests.unit.interleavings.scheduling import Process, VirtualLoop
 from understudy.api import names
 from understudy.kube.apply import controller_of
@@ -17,56 +18,6 @@ from understudy.kube.gates.kinds.network_policy import GATE
 
 BY = "the cluster"
 NODES = ("a", "b", "c")
-REFERRED = "of"
-"""Label of pods that a Deployment or StatefulSet makes, with the workload that refers to it: they have none of ours at first."""
-
-
-@dataclass
-class Running:
-    """A pod's processes on its node."""
-
-    uid: str
-    name: str
-    place: Place
-    node: str
-    robot: str
-    """The workload whose robot it sends to; empty while it's held."""
-    held: bool
-    ip: str
-    up: bool = False
-    """Whether its containers run."""
-    sends: bool = False
-    """Whether its application is healthy: what it sends, it sends now."""
-    sends_since: float = 0.0
-    broken: bool = False
-    """Whether it will never send."""
-    ended: bool = False
-    up_at: float | None = None
-    exists: bool = True
-    """Whether there is an object of it still."""
-    through: bool = False
-    """Whether what it sends reaches the robot."""
-    through_since: float = -1.0
-    through_last: float = -1.0
-    routed_at: float | None = None
-    restarts: int = 0
-    brought: str = ""
-    """What a procedure has brought it to, as its monitor called it."""
-
-    @property
-    def stands_by(self) -> bool:
-        """Whether it is as far as a standby has to be: it may have to be activated before it sends."""
-        return self.sends or (self.up and self.brought.startswith("init:") and not self.broken)
-
-
-@dataclass
-class Luck:
-    """The fates of new pods."""
-
-    broken: float = 0.0
-    slow: float = 0.1
-    failing: float = 0.0
-    """And of procedures."""
 
 
 @dataclass
@@ -92,6 +43,12 @@ class Robots:
     """The nodes that take new pods: all, as where a template tolerates everything."""
     _waiting: dict[str, list[asyncio.Future[None]]] = field(default_factory=dict)
     _addresses: int = 0
+
+    def adopt(self, running: Mapping[str, Running], let_through: Mapping[str, tuple[str, ...]]) -> None:
+        """Go on with the pods of an earlier run."""
+        self.running = {uid: replace(found) for uid, found in running.items()}
+        self.let_through = dict(let_through)
+        self._addresses = 10 * len(running)
 
     @property
     def now(self) -> float:
@@ -129,13 +86,13 @@ class Robots:
         elif new is None:
             if (found := self.running.get(uid)) is not None:
                 found.exists = False
-                self._route(found.robot)
+                self.route(found.robot)
                 # One that was ended already has nothing left; one that was deleted by force lives on for a moment.
                 self.later(self.between(0.02, 0.4), self._end, uid)
         elif "deletionTimestamp" in new["metadata"] and "deletionTimestamp" not in old["metadata"]:
             self.later(self.between(0.02, 1.0), self._end, uid)
         elif uid in self.running and _labels(old) != _labels(new):
-            self.later(self.between(0.001, 0.02), self._route, self.running[uid].robot)
+            self.later(self.between(0.001, 0.02), self.route, self.running[uid].robot)
         owner = controller_of(item)
         if owner is not None and owner["kind"] in ("ReplicaSet", "StatefulSet"):
             place = (item["metadata"]["namespace"], owner["name"])
@@ -275,7 +232,7 @@ class Robots:
             return
         found.sends, found.sends_since = True, self.now
         self.status(uid, "Running", ready=True)
-        self._route(found.robot)
+        self.route(found.robot)
 
     def _end(self, uid: str) -> None:
         """A pod's processes end; what is left of its object goes a moment later."""
@@ -283,7 +240,7 @@ class Robots:
         if found is None:
             return
         found.ended, found.up, found.sends = True, False, False
-        self._route(found.robot)
+        self.route(found.robot)
         self.later(self.between(0.01, 0.1), self._forget, uid)
 
     def _forget(self, uid: str) -> None:
@@ -299,7 +256,7 @@ class Robots:
         found = self.running.get(uid)
         if found is not None:
             found.sends, found.broken = False, True
-            self._route(found.robot)
+            self.route(found.robot)
 
     def crash(self, uid: str) -> None:
         """A container of it ends and is started again, or ends again and again."""
@@ -308,7 +265,7 @@ class Robots:
             return
         found.sends, found.restarts, found.brought = False, found.restarts + 1, ""
         found.broken = self.choices.random() < 0.4
-        self._route(found.robot)
+        self.route(found.robot)
         self.status(uid, "Running", ready=False, reason="CrashLoopBackOff" if found.broken else "")
         if not found.held:
             self.later(self.between(0.5, 3.0), self._send, uid)
@@ -319,7 +276,7 @@ class Robots:
         if found is None or found.ended:
             return
         found.ended, found.up, found.sends = True, False, False
-        self._route(found.robot)
+        self.route(found.robot)
         self.status(uid, "Failed", ready=False)
 
     def heartbeat(self, uid: str) -> None:
@@ -340,7 +297,7 @@ class Robots:
         for found in [f for f in self.running.values() if f.node == node and not f.ended]:
             found.up = found.sends = False
             found.ended = True
-            self._route(found.robot)
+            self.route(found.robot)
             self.later(3.0, self.status, found.uid, "Running", False)
             self.later(6.0, self._evict, found.uid)
 
@@ -373,9 +330,10 @@ class Robots:
             (p for (_, n), p in self.server.items["networkpolicies"].items() if n == names.gate(workload)), None
         )
         self.let_through[workload] = GATE.let_through(policy) if policy is not None else ()
-        self._route(workload)
+        self.route(workload)
 
-    def _route(self, robot: str) -> None:
+    def route(self, robot: str) -> None:
+        """What reaches a robot may be something else now."""
         if robot:
             self._let_flow(robot)
             self._tell(robot)

@@ -63,9 +63,9 @@ def current() -> Process | None:
 class VirtualLoop(asyncio.AbstractEventLoop):
     """Runs processes step by step."""
 
-    def __init__(self, choices: random.Random) -> None:
+    def __init__(self, choices: random.Random, *, now: float = 0.0) -> None:
         self._choices = choices
-        self._now = 0.0
+        self._now = now
         self._timers: list[tuple[float, int, asyncio.TimerHandle]] = []
         self._count = 0
         self.steps = self._asked = 0

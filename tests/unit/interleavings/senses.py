@@ -6,7 +6,8 @@ import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from tests.unit.interleavings.robots import Robots, Running
+from tests.unit.interleavings.pods import Running
+from tests.unit.interleavings.robots import Robots
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp

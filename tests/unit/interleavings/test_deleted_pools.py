@@ -18,7 +18,9 @@ import pytest
 from tests.unit.interleavings import simulation
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.invariants import Invariants, _claimed, _labels, _living
-from tests.unit.interleavings.simulation import SCENES, TROUBLES, Outcome, Scene, Simulation
+from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
+from tests.unit.interleavings.simulation import Simulation
+from tests.unit.interleavings.troubles import TROUBLES
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
 from understudy.controller.observed import kube_objects, ownership

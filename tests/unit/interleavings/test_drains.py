@@ -10,8 +10,10 @@ from typing import Any
 from tests.unit.interleavings import simulation
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.invariants import _labels, _living
-from tests.unit.interleavings.robots import NODES, Luck
-from tests.unit.interleavings.simulation import Outcome, Scene, Simulation
+from tests.unit.interleavings.pods import Luck
+from tests.unit.interleavings.robots import NODES
+from tests.unit.interleavings.scenes import Outcome, Scene
+from tests.unit.interleavings.simulation import Simulation
 from understudy.api import names
 from understudy.kube.client import Object
 

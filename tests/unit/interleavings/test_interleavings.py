@@ -15,7 +15,7 @@ import pytest
 
 from tests.unit.interleavings import simulation
 from tests.unit.interleavings.comparison import told_alike, without
-from tests.unit.interleavings.simulation import SCENES, Outcome, Scene
+from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.kube import apply, claims

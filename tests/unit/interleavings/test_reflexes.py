@@ -17,7 +17,7 @@ from tests.unit.interleavings import reflexes, simulation
 from tests.unit.interleavings.comparison import told_alike, without
 from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
-from tests.unit.interleavings.simulation import Outcome, Scene
+from tests.unit.interleavings.scenes import Outcome, Scene
 from understudy.agent.permit import Permit
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api.protocol.ownership_strength import STRONGEST

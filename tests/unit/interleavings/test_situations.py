@@ -16,7 +16,8 @@ from tests.unit.controller import world
 from tests.unit.interleavings import senses, simulation
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.invariants import Invariants, _labels, _living
-from tests.unit.interleavings.simulation import Outcome, Scene, Simulation
+from tests.unit.interleavings.scenes import Outcome, Scene
+from tests.unit.interleavings.simulation import Simulation
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.observed import kube_objects

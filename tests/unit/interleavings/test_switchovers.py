@@ -13,7 +13,8 @@ from typing import Any
 from tests.unit.interleavings import simulation
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.robots import NODES
-from tests.unit.interleavings.simulation import SCENES, Outcome, Simulation
+from tests.unit.interleavings.scenes import SCENES, Outcome
+from tests.unit.interleavings.simulation import Simulation
 from understudy.api import names
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object

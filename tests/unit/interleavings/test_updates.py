@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from tests.unit.interleavings import simulation
-from tests.unit.interleavings.simulation import Scene
+from tests.unit.interleavings.scenes import Scene
 
 STRATEGIES: dict[str, tuple[tuple[str, str | int], ...]] = {
     "replenished": (("type", "OnReplenish"),),

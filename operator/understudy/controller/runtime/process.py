@@ -87,7 +87,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
             ),
             asyncio.create_task(watches.watch(client, operator.see, options.namespaces), name="watches"),
             asyncio.create_task(operator.keep_listing(), name="lists"),
-            asyncio.create_task(_lead(lease, operator), name="leading"),
+            asyncio.create_task(lead(lease, operator), name="leading"),
         }
         if stop is not None:
             tasks.add(asyncio.create_task(_until(stop), name="stop"))
@@ -105,7 +105,8 @@ async def _until(stop: asyncio.Event) -> None:
     await stop.wait()
 
 
-async def _lead(lease: Lease, operator: Operator) -> None:
+async def lead(lease: Lease, operator: Operator) -> None:
+    """Acquire the lease, and work as the leader while it is held. Raises LeadershipLost."""
     await lease.acquire()
     async with asyncio.TaskGroup() as group:
         group.create_task(lease.keep())

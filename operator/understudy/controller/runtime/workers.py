@@ -80,7 +80,7 @@ class Operator:
     def _enqueue(self, change: ObservedChange) -> None:
         found = change_index.of(change, self._store)
         delays = CLAIMED if found.is_claim else {}
-        for key in found.keys:
+        for key in sorted(found.keys):
             self._add(key, delays.get(key.plural, SOON))
 
     def _add(self, key: Key, delay: float = SOON) -> None:

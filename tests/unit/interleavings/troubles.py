@@ -1,0 +1,258 @@
+"""What goes wrong in a run, and when."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from tests.unit.interleavings import apiserver
+from tests.unit.interleavings.actors import NAMESPACE
+from tests.unit.interleavings.apiserver import EPOCH
+from tests.unit.interleavings.network import Weather
+from tests.unit.interleavings.pods import Luck
+from tests.unit.interleavings.robots import NODES
+from tests.unit.interleavings.scheduling import Process
+from tests.unit.interleavings.simulated_cluster import SimulatedCluster
+from understudy.api import names
+from understudy.api.kinds.switchover_spec import request
+from understudy.controller.observed import kube_objects
+from understudy.kube import apply
+from understudy.kube.client import Object
+from understudy.kube.gates.base import GateRecord
+
+TROUBLE = (4.0, 14.0)
+"""Seconds, at least and at most, for which things go wrong."""
+NOTICES = 0.1
+"""Seconds in which an operator that gets a processor again notices that another one leads."""
+TROUBLES = {
+    "one_fails": 6,
+    "all_fail": 3,
+    "understudy_fails": 3,
+    "monitor_dies": 4,
+    "monitor_dies_at_a_step": 5,
+    "second_monitor": 2,
+    "operator_dies": 3,
+    "operator_is_ended": 1,
+    "somebody_stalls": 3,
+    "somebody_is_cut_off": 2,
+    "monitor_is_denied": 2,
+    "watch_falls_silent": 2,
+    "kubelets_write": 4,
+    "pool_is_resized": 3,
+    "template_changes": 2,
+    "something_is_deleted": 1,
+    "node": 1,
+}
+"""What goes wrong, and how often in comparison."""
+
+
+class Troubles(SimulatedCluster):
+    """A cluster in which something goes wrong for a while."""
+
+    causes: Mapping[str, int] = TROUBLES
+    """What may go wrong, and how often in comparison."""
+
+    def _plan_trouble(self) -> float:
+        """Have things go wrong for a while; until when."""
+        choices = self.choices
+        bad = choices.choice(self.scene.weather)
+        # Not before the operator has listed everything, which it does again and again where any of it fails.
+        self.later(0.5, setattr, self.network, "weather", Weather.of(bad))
+        failing = choices.choice([0.0, 0.2, 0.5])
+        self.robots.luck = Luck(broken=choices.choice([0.0, 0.0, 0.1, 0.3]), failing=failing)
+        self.note(f"weather {bad}, {self.robots.luck}")
+        lasts = TROUBLE[0] + (TROUBLE[1] - TROUBLE[0]) * choices.random()
+        causes = self.causes
+        troubles = {name: weight for name, weight in causes.items() if name in (self.scene.troubles or causes)}
+        for name in choices.choices(list(troubles), list(troubles.values()), k=choices.randint(2, 9)):
+            self.later(1 + choices.random() * lasts, getattr(self, f"_{name}"))
+        return lasts
+
+    def _active(self, workload: str) -> str:
+        gate = self.server.get("networkpolicies", (NAMESPACE, names.gate(workload)))
+        return GateRecord.of(gate).active_uid if gate is not None else ""
+
+    def _break(self, uid: str, how: str) -> None:
+        found = self.robots.running.get(uid)
+        if found is None or not found.exists:
+            return
+        self.note(f"pod {found.name}: {how}")
+        pod = self.server.get("pods", found.place)
+        if how in ("deleted", "deleted by force"):
+            if pod is not None and pod["metadata"]["uid"] == uid:
+                self.robots.delete(pod, by="somebody", force=how != "deleted")
+        else:
+            {"freezes": self.robots.freeze, "crashes": self.robots.crash, "fails": self.robots.fail}[how](uid)
+            if found.broken and uid in {self._active(workload) for workload in self.workloads}:
+                self.invariants.failed[uid] = self.robots.now
+
+    def _one_fails(self) -> None:
+        how = self.choices.choice(["freezes", "crashes", "fails", "deleted", "deleted by force"])
+        self._break(self._active(self.choices.choice(self.workloads)), how)
+
+    def _all_fail(self) -> None:
+        how = self.choices.choice(["freezes", "deleted"])
+        for workload in self.workloads:
+            self._break(self._active(workload), how)
+
+    def _understudy_fails(self) -> None:
+        in_control = {self._active(workload) for workload in self.workloads}
+        others = [uid for uid, found in self.robots.running.items() if uid not in in_control and found.exists]
+        if others:
+            how = self.choices.choice(["freezes", "fails", "deleted", "deleted by force"])
+            self._break(self.choices.choice(sorted(others)), how)
+
+    def _monitor_dies(self) -> None:
+        if self.monitors:
+            self.kill(self.choices.choice(self.monitors).process)
+
+    def _monitor_dies_at_a_step(self) -> None:
+        if self.monitors:
+            monitor = self.choices.choice(self.monitors)
+            monitor.fuse.left = self.choices.randint(0, 12)
+            self._break(self._active(monitor.workload), self.choices.choice(["freezes", "deleted"]))
+
+    def _second_monitor(self) -> None:
+        """As when a node is lost with a monitor that lives on: its Deployment makes another one."""
+        workload = self.choices.choice(self.workloads)
+        old = next((m for m in self.monitors if m.workload == workload), None)
+        self.start_monitor(workload, f"other-{next(self._ids)}")
+        if old is not None:
+            self.later(self.choices.random() * 8, self.kill, old.process)
+
+    def _operator_dies(self) -> None:
+        if self.operators:
+            self.kill(self.choices.choice(self.operators).process)
+
+    def _operator_is_ended(self) -> None:
+        """End the leading operator as an upgrade does: it gives up its leadership, and the other one acts immediately."""
+        if self.operators:
+            operator = self.choices.choice(self.operators)
+            self.note(f"{operator.process} is to end")
+            self.loop.call_soon(operator.end, context=operator.process.context)
+
+    def _anybody(self) -> Process | None:
+        found = [actor.process for actor in (*self.monitors, *self.operators)]
+        return self.choices.choice(found) if found else None
+
+    def _somebody_stalls(self) -> None:
+        if (process := self._anybody()) is None:
+            return
+        # An operator for so long that the other one takes over, and that one has yet to notice.
+        seconds = self.choices.random() * (8 if any(o.process is process for o in self.operators) else 3)
+        self.note(f"{process} gets no processor for {seconds:.1f} s")
+        self._stalled.add(process)
+        self.later(seconds + NOTICES, self._stalled.discard, process)
+        self.loop.stall(process, seconds, self.world)
+
+    def _somebody_is_cut_off(self) -> None:
+        if (process := self._anybody()) is None:
+            return
+        seconds = self.choices.random() * 12
+        self.note(f"{process} is cut off for {seconds:.1f} s")
+        self.network.cut_off.add(process)
+        self.later(seconds, self.network.cut_off.discard, process)
+
+    def _monitor_is_denied(self) -> None:
+        """The API server denies what it is asked for, which nobody asks for again by themselves: what is under way stops there."""
+        if not self.monitors:
+            return
+        process, seconds = self.choices.choice(self.monitors).process, 1 + self.choices.random() * 8
+        self.note(f"{process} is denied every second write for {seconds:.1f} s")
+        self.network.denied.add(process)
+        self.later(seconds, self.network.denied.discard, process)
+
+    def _watch_falls_silent(self) -> None:
+        if self.operators:
+            operator = self.choices.choice(self.operators)
+            plural = self.choices.choice(["pods", "networkpolicies", "robotworkloads", "fallbackpools"])
+            self.note(f"{operator.process}: the watch of {plural} falls silent")
+            operator.silent.add(plural)
+
+    def _somebody_asks(self) -> None:
+        """For a switchover."""
+        workload = self.choices.choice(self.workloads)
+        asked = request(self.choices.choice(["failover", "failover", "failback"]), EPOCH + self.loop.time())
+        self.note(f"somebody asks for a {asked.split()[0]} of {workload}")
+        body = {"metadata": {"annotations": {names.SWITCHOVER: asked}}}
+        self.server.update(
+            "robotworkloads", (NAMESPACE, workload), lambda item: apiserver.merged(item, body), "somebody"
+        )
+
+    def _kubelets_write(self) -> None:
+        for uid in sorted(self.robots.running):
+            self.later(self.choices.random(), self.robots.heartbeat, uid)
+
+    def _pool_is_resized(self) -> None:
+        """By somebody: free pods are deleted while they may be claimed."""
+        place, item = self.choices.choice(sorted(self.server.items["fallbackpools"].items()))
+        field_, sizes = ("replicas", (0, 1, 2, 3)) if "replicas" in item["spec"] else ("perWorkload", (1, 2))
+        size = self.choices.choice(sizes)
+        self.note(f"pool {place[1]} is to have {size} pods")
+        self.server.update(
+            "fallbackpools", place, lambda pool: apiserver.merged(pool, {"spec": {field_: size}}), "somebody"
+        )
+
+    def _template_changes(self) -> None:
+        """Somebody gives a pool or a workload another image: its pods are replaced while they may be needed."""
+        found = [
+            (plural, place)
+            for plural in ("fallbackpools", "robotworkloads")
+            for place, item in sorted(self.server.items[plural].items())
+            if "template" in item["spec"]
+        ]
+        if not found:
+            return
+        plural, place = self.choices.choice(found)
+        image = f"app:{next(self._ids) + 1}"
+        self.note(f"{plural} {place[1]} is to run {image}")
+
+        def change(item: Object) -> Object:
+            (container,) = item["spec"]["template"]["spec"]["containers"]
+            containers = [{**container, "image": image}]
+            return apiserver.merged(item, {"spec": {"template": {"spec": {"containers": containers}}}})
+
+        self.server.update(plural, place, change, "somebody")
+
+    def _something_is_deleted(self) -> None:
+        """By somebody: what the operator makes again."""
+        found = [
+            (plural, place)
+            for plural in ("networkpolicies", "replicasets", "configmaps")
+            for place, item in sorted(self.server.items[plural].items())
+            if kube_objects.MANAGED_BY.items() <= kube_objects.labels(item).items()
+        ]
+        plural, place = self.choices.choice(found)
+        self.note(f"{plural} {place[1]}: deleted by somebody")
+        self.server.write(plural, place, None, "somebody")
+        if place[1].endswith("-gate"):
+            self.invariants.failed.clear()  # with its gate goes the record of what has failed
+        for pod_place, pod in sorted(self.server.items["pods"].items()):
+            owner = apply.controller_of(pod)
+            if (
+                plural == "replicasets"
+                and owner is not None
+                and (owner["kind"], owner["name"]) == ("ReplicaSet", place[1])
+            ):
+                self.robots.delete(pod, by=f"the garbage collector, of {pod_place[1]}")
+
+    def _node(self) -> None:
+        node = self.choices.choice(NODES)
+        if self.choices.random() < 0.5:
+            self.note(f"node {node} is drained")
+            self.robots.drain(node)
+        else:
+            self.note(f"node {node} is lost")
+            self.robots.lose(node)
+
+    def _end_of_trouble(self) -> None:
+        self.note("from here on nothing goes wrong any more")
+        self.network.weather, self.robots.luck = Weather(), Luck(slow=0.0)
+        self.network.cut_off.clear()
+        self.network.denied.clear()
+        for monitor in self.monitors:
+            monitor.fuse.left = None
+        # Of two monitors of one workload its Deployment ends the older one.
+        for workload in self.workloads:
+            for monitor in [m for m in self.monitors if m.workload == workload][:-1]:
+                self.kill(monitor.process)
+        self._calm = True
