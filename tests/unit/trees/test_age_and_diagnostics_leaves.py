@@ -162,10 +162,11 @@ def test_diagnostics_of_understudy_itself_cannot_be_selected(key, text):
 
 def test_statuses_without_end_do_not_fill_the_memory_and_what_is_no_diagnostics_is_said():
     world = World(levels(prefix="n"))
-    for step in range(40):
-        world.hear("/diagnostics", step / 10, Array(*(Status(f"n{step}-{i}", 0) for i in range(50)))).at(step / 10)
-    (leaf,) = world.tree.root.iterate()
-    assert len(leaf._levels) == 512
+    world.hear("/diagnostics", 0.1, Array(Status("n-first", 2))).at(0.1)
+    world.hear("/diagnostics", 0.2, Array(*(Status(f"n{i}", 0) for i in range(511))))
+    assert "n-first says ERROR" in world.at(0.2).reason
+    world.hear("/diagnostics", 0.3, Array(Status("n511", 0)))
+    assert world.at(0.3).state == "Healthy", "only the last 512 are remembered"
     assert (
         world.hear("/diagnostics", 5.0, Battery())
         .at(5.0)

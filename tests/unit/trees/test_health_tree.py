@@ -348,15 +348,15 @@ class TaskWorld(World):
 
     task: float | None = None
 
-    def _observed(self) -> RecordedObservations:
+    def observed(self) -> RecordedObservations:
         tasks = {"/go/_action/status": START + self.task} if self.task is not None else {}
         return RecordedObservations(self.records, tasks)
 
     def at(self, now: float) -> Verdict:
-        return self.tree.evaluate(self._observed(), now=START + now, since=self.since)
+        return self.tree.evaluate(self.observed(), now=START + now, since=self.since)
 
     def deadline(self, now: float) -> float | None:
-        moment = self.tree.deadline(self._observed(), now=START + now, since=self.since)
+        moment = self.tree.deadline(self.observed(), now=START + now, since=self.since)
         return None if moment is None else round(moment - START, 6)
 
 
@@ -482,7 +482,7 @@ def test_what_is_for_a_task_counts_only_while_that_is_active():
     world = TaskWorld({"parallel": [gap("/scan"), during(gap("/cmd_vel"))]})
 
     def counting() -> set[str]:
-        return world.tree.counting(world._observed(), now=START + 100, since=START)
+        return world.tree.counting(world.observed(), now=START + 100, since=START)
 
     assert counting() == {"/scan"}
     world.task = 99.0

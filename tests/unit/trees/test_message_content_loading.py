@@ -8,15 +8,13 @@ from hypothesis import strategies as st
 
 from tests.unit.trees.content_messages import Array, Status, age, during, levels, value
 from tests.unit.trees.messages import fields
-from tests.unit.trees.world import START, World, written
+from tests.unit.trees.world import ROOT, START, World, written
 from understudy.trees.core.health_tree import SEVERITY
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
 from understudy.trees.leaves.registry import LEAVES
 
 # -- loading ----------------------------------------------------------------------------------------------------------
-
-ROOT = "spec.monitoring.yaml"
 
 
 def test_what_the_leaves_need_of_their_topics():

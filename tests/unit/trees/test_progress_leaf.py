@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from tests.unit.trees.messages import GoFeedback, Pack
 from tests.unit.trees.world import (
+    ROOT,
     START,
     World,
     assert_deadline_is_the_first_worse_moment,
@@ -24,7 +25,6 @@ from understudy.trees.languages.short.health_loader import TreeError, load
 from understudy.trees.source.expression_values import Undefined
 from understudy.trees.source.expressions import ExpressionError, Quantity
 
-ROOT = "spec.monitoring.yaml"
 GO = "t/action/Go"
 FALLS = {"type": GO, "falls": "distance_remaining", "by": 0.5, "within": "10s"}
 
@@ -132,9 +132,13 @@ def test_a_new_goal_starts_a_new_measurement():
 
 def test_memory_is_bounded_for_any_number_of_goals():
     judged = world(**FALLS)
-    for goal in range(200):
+    for goal in range(16):
         drive(judged, (101 + goal / 10, 9.0), goal=goal)
-    assert len(judged.tree.root._best) == 16
+    drive(judged, (103.0, 9.0), goal=0)
+    assert judged.deadline(103.0) == 112.5, "16 goals are remembered"
+    drive(judged, (104.0, 9.0), goal=16)
+    drive(judged, (105.0, 9.0), goal=1)
+    assert judged.deadline(105.0) == 115.0, "the one with the oldest feedback was forgotten"
 
 
 def test_unknown_feedback_is_no_progress():

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import pytest
+
 from tests.unit.trees.messages import Battery, Feedback, Heard, fields
 from tests.unit.trees.scenarios import ScenarioWriter
 from understudy.trees.core.health_tree import SEVERITY, HealthTree, Verdict
@@ -23,9 +25,18 @@ from understudy.trees.core.observations import (
 )
 from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.osc.loader import load_osc
-from understudy.trees.languages.short.health_loader import load
+from understudy.trees.languages.short.health_loader import TreeError, load
 
 START = 1.7e9
+ROOT = "spec.monitoring.yaml"
+TASK = {"while": {"task_active": {"action": "/go"}}, "settle": "1s"}
+
+
+def mistakes(kind: str, leaf: object) -> list[str]:
+    """What is wrong with a leaf of this kind, each with its place in the leaf."""
+    with pytest.raises(TreeError) as caught:
+        load({kind: leaf})
+    return [str(problem).removeprefix(f"{ROOT}.{kind}") for problem in caught.value.problems]
 
 
 class World:
