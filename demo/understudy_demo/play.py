@@ -94,23 +94,23 @@ class Play:
     def begin(self, strategy: str) -> None:
         """The robot, its application and the strategy's policy; until the robot is driven."""
         self._kubectl("create", "namespace", NAMESPACE)
-        self._apply(f"strategies/{strategy}.yaml")
-        self._apply("robotworkload.yaml", edit=lambda text: _with_policy(text, strategy))
+        self.apply(f"strategies/{strategy}.yaml")
+        self.apply("robotworkload.yaml", edit=lambda text: _with_policy(text, strategy))
         # The robot's pod would wait for its ConfigMaps too, but the kubelet looks for them less and less often.
-        self._until("the workload is built", self._built, within=60)
-        self._apply("robot.yaml")
-        self._until("the robot is driven", self._driven, within=180)
+        self.until("the workload is built", self._built, within=60)
+        self.apply("robot.yaml")
+        self.until("the robot is driven", self._driven, within=180)
 
     def prepare(self, strategy: str) -> None:
         """Let this strategy protect the workload, and only what it needs be there."""
-        self._apply(f"strategies/{strategy}.yaml")
+        self.apply(f"strategies/{strategy}.yaml")
         patch = f'{{"spec":{{"failurePolicyRef":{{"name":"quickstart-{strategy}"}}}}}}'
         self._kubectl("patch", "robotworkload", WORKLOAD, "--type=merge", "-p", patch)
         for other in STRATEGIES:
             if other != strategy:
                 self._kubectl("delete", "fallbackpool", f"quickstart-{other}", "--ignore-not-found")
-        self._until(f"{strategy} stands ready", lambda: self._ready(strategy), within=180)
-        self._until("the robot is driven", self._driven, within=60)
+        self.until(f"{strategy} stands ready", lambda: self._ready(strategy), within=180)
+        self.until("the robot is driven", self._driven, within=60)
         time.sleep(_BEFORE)
 
     def fail(self, strategy: str, how: str = "deleted") -> Failure:
@@ -146,7 +146,8 @@ class Play:
         """The robot's log as text, with the part that was rotated out."""
         return self._kubectl("exec", ROBOT, "--", "sh", "-c", f"cat {LOG}.1 {LOG} 2>/dev/null || cat {LOG}")
 
-    def _apply(self, file: str, *, edit: Callable[[str], str] = str) -> None:
+    def apply(self, file: str, *, edit: Callable[[str], str] = str) -> None:
+        """Apply a manifest of the quickstart, with this play's images."""
         text = edit((MANIFESTS / file).read_text())
         self._kubectl("apply", "-f", "-", stdin=text.replace(f" {BUILT}/understudy-", f" {self._images}/understudy-"))
 
@@ -167,7 +168,7 @@ class Play:
 
         # The first look comes late on purpose: a kubectl costs as much CPU as what is being timed.
         time.sleep(1.5)
-        self._until("the recovery is recorded", recorded, within=120)
+        self.until("the recovery is recorded", recorded, within=120)
         return latest
 
     def _driven(self) -> tuple[bool, str]:
@@ -202,7 +203,8 @@ class Play:
         counts = re.search(r"\((\d+)/(\d+)\)", status.get("standby") or "")
         return counts is not None and int(counts[1]) >= max(1, int(counts[2])), state
 
-    def _until(self, what: str, condition: Callable[[], tuple[bool, str]], *, within: float) -> None:
+    def until(self, what: str, condition: Callable[[], tuple[bool, str]], *, within: float) -> None:
+        """Wait until a condition holds, which also says what was seen. Raises NotSo after ``within`` seconds."""
         self._say(f"waiting until {what}")
         end = time.monotonic() + within
         shown = time.monotonic()

@@ -18,10 +18,10 @@ from understudy.process import cpu_scheduling as scheduling
 print(scheduling.ask_for_short_slices())
 
 def slice_of_this_thread():
-    found = ctypes.create_string_buffer(scheduling._ATTRIBUTES.size)
+    found = ctypes.create_string_buffer(scheduling.ATTRIBUTES.size)
     number = int(sys.argv[1])
-    assert ctypes.CDLL(None).syscall(number, 0, found, scheduling._ATTRIBUTES.size, 0) == 0
-    print(scheduling._ATTRIBUTES.unpack(found.raw)[5])
+    assert ctypes.CDLL(None).syscall(number, 0, found, scheduling.ATTRIBUTES.size, 0) == 0
+    print(scheduling.ATTRIBUTES.unpack(found.raw)[5])
 
 slice_of_this_thread()
 thread = threading.Thread(target=slice_of_this_thread)
@@ -35,11 +35,11 @@ def kernel() -> tuple[int, int]:
     return int(major), int(minor.split("-")[0])
 
 
-@pytest.mark.skipif(platform.machine() not in cpu_scheduling._NUMBERS, reason="another processor")
+@pytest.mark.skipif(platform.machine() not in cpu_scheduling.NUMBERS, reason="another processor")
 @pytest.mark.skipif(os.sched_getscheduler(0) != os.SCHED_OTHER, reason="somebody chose another policy for the tests")
 @pytest.mark.skipif(kernel() < (6, 12), reason="this kernel takes no notice of slices")
 def test_a_process_and_its_later_threads_get_short_slices() -> None:
-    number = cpu_scheduling._NUMBERS[platform.machine()][1]
+    number = cpu_scheduling.NUMBERS[platform.machine()][1]
     told = subprocess.run(
         [sys.executable, "-c", READS, str(number)], capture_output=True, text=True, timeout=60, check=True
     ).stdout.split()

@@ -13,10 +13,10 @@ SLICE = 100_000
 """Length of the time slice, in nanoseconds, that a process requests if its work is short and urgent. Linux allows no
 shorter one."""
 
-_NUMBERS = {"x86_64": (314, 315), "aarch64": (274, 275)}
+NUMBERS = {"x86_64": (314, 315), "aarch64": (274, 275)}
 """Numbers of the system calls sched_setattr and sched_getattr, for which the C library has no functions."""
 
-_ATTRIBUTES = struct.Struct("=IIQiIQQQII")
+ATTRIBUTES = struct.Struct("=IIQiIQQQII")
 """struct sched_attr of sched_setattr(2): size, policy, flags, nice, priority, runtime (ns), deadline, period, and the
 two utilization clamps."""
 
@@ -28,18 +28,18 @@ def ask_for_short_slices() -> bool:
     kernels ignore the request). It needs no privilege, and the process gains no share of the processor. Returns whether
     the kernel accepted it.
     """
-    numbers = _NUMBERS.get(platform.machine())
+    numbers = NUMBERS.get(platform.machine())
     if numbers is None:
         return False
     set_number, get_number = numbers
     libc = ctypes.CDLL(None, use_errno=True)
-    found = ctypes.create_string_buffer(_ATTRIBUTES.size)
-    if libc.syscall(get_number, 0, found, _ATTRIBUTES.size, 0) != 0:
+    found = ctypes.create_string_buffer(ATTRIBUTES.size)
+    if libc.syscall(get_number, 0, found, ATTRIBUTES.size, 0) != 0:
         return _refused()
-    _, policy, _, nice, *_ = _ATTRIBUTES.unpack(found.raw)
+    _, policy, _, nice, *_ = ATTRIBUTES.unpack(found.raw)
     if policy != 0:  # SCHED_OTHER; somebody chose another policy for this process
         return False
-    wanted = _ATTRIBUTES.pack(_ATTRIBUTES.size, policy, 0, nice, 0, SLICE, 0, 0, 0, 0)
+    wanted = ATTRIBUTES.pack(ATTRIBUTES.size, policy, 0, nice, 0, SLICE, 0, 0, 0, 0)
     return libc.syscall(set_number, 0, wanted, 0) == 0 or _refused()
 
 

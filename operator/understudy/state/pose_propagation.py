@@ -112,6 +112,11 @@ class Carrier:
                     pose.moments.clear()
             self.revision += 1
 
+    @property
+    def waiting(self) -> int:
+        """Return the number of kept messages whose odometry may still come."""
+        return sum(len(pose.waiting) for pose in self._poses.values())
+
     def note(self, problems: Mapping[str, str]) -> None:
         """Say why odometry can't come, by topic."""
         for topic, odometry in self._odometry.items():

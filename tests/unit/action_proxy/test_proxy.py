@@ -145,6 +145,11 @@ class Monitor:
         if not journal:
             (self._folder / "tasks" / "goals.json").unlink()
 
+    def close(self) -> None:
+        self.kill()
+        if self._reading is not None:
+            self._reading.cancel()
+
     def log(self) -> str:
         return (self._folder / "proxy.log").read_text()
 
@@ -154,9 +159,7 @@ async def monitor(dds, tmp_path: Path):
     made = Monitor(tmp_path / "monitor")
     await made.start()
     yield made
-    made.kill()
-    if made._reading is not None:
-        made._reading.cancel()
+    made.close()
     print(made.log())
 
 

@@ -60,15 +60,17 @@ class Pod:
             self.agent = subprocess.Popen(
                 [*inside, sys.executable, "-m", "understudy.main", "agent"], env=environment, stdout=log, stderr=log
             )
-        self._processes.append(self.agent)
-        return self.agent
+        return self.keep(self.agent)
 
     def start_container(
         self, command: Sequence[str], args: Sequence[str] = (), *, container: str = "app", inside: Sequence[str] = ()
     ) -> subprocess.Popen[bytes]:
         wrapped = hold_script.held_command(container, command, args, [], directory=str(self.volume))
         with (self.folder / f"{container}.log").open("ab") as log:
-            process = subprocess.Popen([*inside, *wrapped], stdout=log, stderr=log, start_new_session=True)
+            return self.keep(subprocess.Popen([*inside, *wrapped], stdout=log, stderr=log, start_new_session=True))
+
+    def keep(self, process: subprocess.Popen[bytes]) -> subprocess.Popen[bytes]:
+        """A process of the pod, which ends with it."""
         self._processes.append(process)
         return process
 

@@ -22,9 +22,7 @@ WITHIN = 60.0
 
 def run(pod: Pod, *arguments: str) -> subprocess.Popen[bytes]:
     """A node in the pod."""
-    process = subprocess.Popen([sys.executable, NODES, *arguments], stdout=subprocess.DEVNULL)
-    pod._processes.append(process)
-    return process
+    return pod.keep(subprocess.Popen([sys.executable, NODES, *arguments], stdout=subprocess.DEVNULL))
 
 
 def localize(pod: Pod) -> subprocess.Popen[bytes]:

@@ -144,7 +144,7 @@ def pod(uid: str, claim: str) -> dict[str, object]:
 
 
 def test_claims_that_are_as_they_were_acknowledged_are_neither_double_nor_lost():
-    assert scale._exclusive([("1", "a"), ("2", "b")], [pod("1", "a"), pod("2", "b")]) == (0, 0)
+    assert scale.exclusive([("1", "a"), ("2", "b")], [pod("1", "a"), pod("2", "b")]) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_claims_that_are_as_they_were_acknowledged_are_neither_double_nor_lost()
     ],
 )
 def test_claims_that_were_made_twice_or_lost_are_counted(acknowledged, pods, double, lost):
-    assert scale._exclusive(acknowledged, pods) == (double, lost)
+    assert scale.exclusive(acknowledged, pods) == (double, lost)
 
 
 # -- growth --------------------------------------------------------------------------------------------------------------

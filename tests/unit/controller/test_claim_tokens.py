@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from typing import Any, cast
 
 import pytest
@@ -23,11 +24,11 @@ from tests.unit.controller.world import (
     standby_pod,
     workload,
 )
-from tests.unit.kube.memory import MemoryClient
+from tests.unit.kube.memory import ApplyingClient, ListingClient, MemoryClient
 from understudy.api import names
 from understudy.controller.desired import monitor_deployment
 from understudy.controller.observed import kube_objects, ownership
-from understudy.controller.plan import Plan
+from understudy.controller.plan import Apply, Plan
 from understudy.controller.pods import claim_tokens, pool_pods
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
@@ -38,7 +39,7 @@ from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import Rollouts
 from understudy.controller.runtime import resync
-from understudy.controller.runtime.workers import Operator
+from understudy.controller.runtime.workers import SOON, Operator
 from understudy.kube import apply
 from understudy.kube.client import PODS, POOLS, ROLES, SECRETS, WORKLOADS, Client, Object
 from understudy.kube.events import Recorder
@@ -206,19 +207,38 @@ def test_a_token_that_came_or_went_has_its_pool_looked_at() -> None:
 async def test_what_a_pool_has_left_behind_while_no_operator_was_there_is_looked_at(
     resource: Any, left: Object
 ) -> None:
-    store = Store()
-    operator = Operator(cast(Client, None), store, cast(Any, None), namespaces=(), resync_every=30)
-    store.put(WORKLOADS, W)
-    store.put(resource, left)
-    operator._leading = True
-    operator._strays()
-    assert list(operator.queue._timers) == [Key(POOLS.plural, NAMESPACE, "spare")]
-    operator.queue.close()
-    store.put(POOLS, POOL)
-    operator.queue._timers.clear()
-    operator._strays()
-    assert not operator.queue._timers
-    operator.queue.close()
+    store, reconciled = Store(), Reconciled()
+    client = ListingClient({WORKLOADS: [W], resource: [left]})
+    operator = Operator(client, store, cast(Reconciler, reconciled), namespaces=(), resync_every=0.02)
+    key = Key(POOLS.plural, NAMESPACE, "spare")
+    work = [asyncio.create_task(operator.lead()), asyncio.create_task(operator.keep_listing())]
+    try:
+        async with asyncio.timeout(60):
+            while reconciled.keys.count(key) < 2:
+                await asyncio.sleep(0.01)
+            client.items[POOLS] = [POOL]
+            while store.get(POOLS, NAMESPACE, "spare") is None:
+                await asyncio.sleep(0.01)
+            await asyncio.sleep(3 * SOON)  # that it is there now is looked at too
+            count, lists = reconciled.keys.count(key), client.lists
+            await asyncio.sleep(3 * SOON)
+        assert client.lists > lists
+        assert reconciled.keys.count(key) == count
+    finally:
+        for task in work:
+            task.cancel()
+        await asyncio.gather(*work, return_exceptions=True)
+        operator.queue.close()
+
+
+class Reconciled:
+    """Notes what is to be looked at."""
+
+    def __init__(self) -> None:
+        self.keys: list[Key] = []
+
+    async def reconcile(self, key: Key) -> None:
+        self.keys.append(key)
 
 
 # -- the right to read it -----------------------------------------------------------------------------------------------
@@ -350,18 +370,18 @@ async def test_of_a_token_that_was_made_for_the_pool_nothing_is_asked() -> None:
 
 async def test_a_pool_that_is_gone_has_others_forgotten_once_and_not_with_each_change_of_its_pods() -> None:
     # Their names begin alike: the operator would find out about them again, with a write, and never report a conflict with somebody else.
-    store, client = Store(), MemoryClient()
+    store, client = Store(), ApplyingClient()
     working = Executor(client, store, Expectations(), may_write=lambda: True)
     reconciler = Reconciler(
         client, store, Observer(client, store, Expectations()), working, cast(Recorder, None), IMAGES, Rollouts(store)
     )
-    place = ("roles", NAMESPACE, "spare-robot-monitor")
+    role = {"apiVersion": "v1", "kind": "Role", "metadata": {"name": "spare-robot-monitor", "namespace": NAMESPACE}}
     pod = claimed_pod("spare-1", of=POOL, by=W)
     store.put(WORKLOADS, W)
     store.put(PODS, pod)
     for is_known in (True, False):
-        working._settled[place] = ("uid-role", frozenset({".rules"}))
+        await working.run(Key(WORKLOADS.plural, NAMESPACE, "spare-robot"), [Apply(ROLES, role)])
         await reconciler.reconcile(Key(POOLS.plural, NAMESPACE, "spare"))
-        assert (place in working._settled) == is_known
+        assert (("roles", NAMESPACE, "spare-robot-monitor") in working.remembered) == is_known
         store.remove(PODS, pod)
         store.remove(SECRETS, store.get(SECRETS, NAMESPACE, NAME) or secret())

@@ -3,7 +3,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-from tests.unit.kube.memory import MemoryClient
+from tests.unit.kube.memory import ApplyingClient, MemoryClient
 from understudy.api import names
 from understudy.controller.plan import Apply, Create
 from understudy.controller.reconcile.change_index import Key
@@ -25,13 +25,6 @@ from understudy.kube.client import (
 KEY = Key(WORKLOADS.plural, "fleet", "w")
 
 
-class Applying(MemoryClient):
-    """Takes server-side apply for a write of the whole object."""
-
-    async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
-        return await self.create(CONFIG_MAPS, "fleet", body)
-
-
 def config_map(owner: str) -> Object:
     reference = {"apiVersion": "understudy.dev/v1alpha1", "kind": "RobotWorkload", "name": "w", "uid": owner}
     metadata = {"name": "w-robot-env", "namespace": "fleet", "ownerReferences": [{**reference, "controller": True}]}
@@ -50,7 +43,7 @@ def executor(client: MemoryClient, store: Store) -> Executor:
 
 async def test_an_object_of_an_earlier_namespace_of_that_name_stands_in_nobodys_way() -> None:
     # The watch hasn't told yet that it went with its namespace.
-    client, store = Applying(), Store()
+    client, store = ApplyingClient(), Store()
     store.put(CONFIG_MAPS, stored("earlier-workload"))
     assert await executor(client, store).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))]) == []
     made = client.items[(CONFIG_MAPS.plural, "fleet", "w-robot-env")]
@@ -58,7 +51,7 @@ async def test_an_object_of_an_earlier_namespace_of_that_name_stands_in_nobodys_
 
 
 async def test_an_object_that_really_is_somebody_elses_is_left_alone() -> None:
-    client, store = Applying(), Store()
+    client, store = ApplyingClient(), Store()
     client.items[(CONFIG_MAPS.plural, "fleet", "w-robot-env")] = stored("another-workload")
     store.put(CONFIG_MAPS, stored("another-workload"))
     (problem,) = await executor(client, store).run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
@@ -70,7 +63,7 @@ async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else
     # As Kubernetes answers to a field that it doesn't know: with 500, as though it might be otherwise the next time.
     words = "failed to create typed patch object (fleet/w; apps/v1, Kind=ReplicaSet): .spec.nodeNane: field not declared in schema"
 
-    class Strict(Applying):
+    class Strict(ApplyingClient):
         async def request(self, method: str, path: str, *, body: Any = None, **more: Any) -> Any:
             if "/replicasets/" in path:
                 raise ApiError(500, "Error", words)
@@ -87,18 +80,16 @@ async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else
 
 async def test_of_a_workload_that_is_gone_nothing_is_kept() -> None:
     # Else an operator that has seen many come and go needs more and more memory.
-    client, store = Applying(), Store()
+    client, store = ApplyingClient(), Store()
     working = executor(client, store)
-    here: list[Any] = []
     for _ in range(2):
         await working.run(KEY, [Apply(CONFIG_MAPS, config_map("workload"))])
-        here.append([len(working._settled), len(working._compared)])
-    assert here == [[1, 0], [1, 1]]
+        assert working.remembered == {(CONFIG_MAPS.plural, "fleet", "w-robot-env")}
     working.forget(Key(WORKLOADS.plural, "fleet", "another"))
     working.forget(Key(WORKLOADS.plural, "elsewhere", "w"))
-    assert [len(working._settled), len(working._compared)] == [1, 1]
+    assert working.remembered
     working.forget(KEY)
-    assert [len(working._settled), len(working._compared)] == [0, 0]
+    assert not working.remembered
 
 
 def standby(name: str, pool: str) -> Create:

@@ -75,11 +75,12 @@ def test_a_later_self_keeps_what_has_not_changed_however_long_ago_that_was() -> 
 def test_what_no_object_has_any_more_is_forgotten() -> None:
     clock = Clock()
     sharing = Sharing(clock=clock)
-    sharing.of(robot("1"), None)
+    first = sharing.of(robot("1"), None)
+    assert sharing.of(robot("2"), None)["spec"]["ports"] is first["spec"]["ports"]
     for _ in range(2):
         clock.now += REMEMBERED_SECONDS
         sharing.of({"spec": "another"}, None)
-    assert len(sharing._known) + len(sharing._before) <= 2
+    assert sharing.of(robot("2"), None)["spec"]["ports"] is not first["spec"]["ports"]
 
 
 def test_a_store_keeps_what_its_objects_have_in_common_once() -> None:
@@ -112,9 +113,12 @@ def test_what_the_objects_of_a_robot_have_in_common_is_kept_once() -> None:
 def test_a_store_at_rest_forgets_what_it_looked_for_in_other_objects() -> None:
     clock = Clock()
     store = Store(clock=clock)
-    store.put(WORKLOADS, workload("v"))
+    store.put(WORKLOADS, copy.deepcopy(workload("v")))
     for _ in range(2):
         clock.now += REMEMBERED_SECONDS
         store.replace(WORKLOADS, [workload("v")], 0, None)
-    assert not store._sharing._known
-    assert not store._sharing._before
+    store.put(WORKLOADS, copy.deepcopy(workload("w")))
+    one, two = (store.get(WORKLOADS, "fleet", name) for name in ("v", "w"))
+    assert one is not None
+    assert two is not None
+    assert one["spec"]["template"] is not two["spec"]["template"]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from tests.support.clock import MonotonicClock
 from tests.unit.controller import world
 from tests.unit.kube.memory import MemoryClient
 from understudy.controller.reconcile import reconciler as reconciling
@@ -105,16 +104,16 @@ async def test_a_burst_of_claims_meanwhile_is_told_once_a_second(monkeypatch: py
     pool = world.spare(replicas=3)
     client = Guarded(pool)
     reconciler, store = reconciling_with(client, Heard())
-    clock = [100.0]
-    monkeypatch.setattr(reconciling, "time", SimpleNamespace(monotonic=lambda: clock[0], time=time.time))
+    clock = MonotonicClock()
+    monkeypatch.setattr(reconciling, "time", clock)
     key = Key("fallbackpools", world.NAMESPACE, "spare")
     for number in range(4):
         store.put(PODS, world.held_pod(f"spare-{number}", of=pool, template_hash="x"))
         with pytest.raises(ApiError, match="failed calling webhook"):
             await reconciler.reconcile(key)
-        clock[0] += 0.1
+        clock.now += 0.1
     assert [body["status"]["replicas"] for body in client.told] == [1]
-    clock[0] += 1.0
+    clock.now += 1.0
     with pytest.raises(ApiError, match="failed calling webhook"):  # as each failure is tried again
         await reconciler.reconcile(key)
     assert [body["status"]["replicas"] for body in client.told] == [1, 4]

@@ -77,14 +77,14 @@ def test_an_absent_object_is_empty(tools: dict[str, str], tmp_path: Path) -> Non
 def test_what_was_last_seen_is_said_when_it_does_not_come_about(tools: dict[str, str]) -> None:
     play = Play(Kubectl("ns", tools), lambda _: None)
     with pytest.raises(NotSo, match=r"not within 0 s: the robot flies\. Last seen: it rolls"):
-        play._until("the robot flies", lambda: (False, "it rolls"), within=0)
+        play.until("the robot flies", lambda: (False, "it rolls"), within=0)
 
 
 def test_manifests_are_applied_with_the_images_of_another_registry(tools: dict[str, str], tmp_path: Path) -> None:
     program(tmp_path, "kubectl", f"cat >>{tmp_path}/applied")
     play = Play(Kubectl("ns", tools), lambda _: None, images="registry.example/robots")
-    play._apply("robot.yaml")
-    play._apply("robotworkload.yaml", edit=lambda text: _with_policy(text, "restart"))
+    play.apply("robot.yaml")
+    play.apply("robotworkload.yaml", edit=lambda text: _with_policy(text, "restart"))
     applied = (tmp_path / "applied").read_text()
     assert applied.count("image: registry.example/robots/understudy-quickstart:dev") == 2
     assert "localhost/" not in applied

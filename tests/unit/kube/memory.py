@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import copy
-from collections.abc import AsyncIterator, Callable
+import json
+from collections.abc import AsyncIterator, Callable, Mapping
 from typing import Any
 
 from tests.support.answers import json_patched
-from understudy.kube.client import ApiError, Client, Object, Resource
+from understudy.kube.client import CONFIG_MAPS, ApiError, Client, Object, Resource
 
 
 class MemoryClient(Client):
@@ -159,6 +160,28 @@ def _selected(
         present.get(key) == value if equal else key in present
         for key, equal, value in (term.partition("=") for term in (labels or "").split(",") if term)
     )
+
+
+class ApplyingClient(MemoryClient):
+    """Takes server-side apply, of objects that are not there yet, for a write of the whole object."""
+
+    async def request(self, method: str, path: str, *, body: Any = None, **_: Any) -> Any:
+        return await self.create(CONFIG_MAPS, "fleet", body)
+
+
+class ListingClient(Client):
+    """Lists what there is, by resource, in one page each."""
+
+    def __init__(self, items: dict[Resource, list[Object]]) -> None:
+        self.items = items
+        self.lists = 0
+
+    async def read(self, path: str, *, params: Mapping[str, str] | None = None) -> bytes:
+        self.lists += 1
+        plural = path.rpartition("/")[2]
+        found = [item for resource, items in self.items.items() if resource.plural == plural for item in items]
+        metadata = {"resourceVersion": "100"}
+        return json.dumps({"kind": "List", "apiVersion": "v1", "metadata": metadata, "items": found}).encode()
 
 
 def merge(target: Object, patch: Object) -> None:

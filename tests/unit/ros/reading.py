@@ -8,12 +8,13 @@ from __future__ import annotations
 import asyncio
 import json
 import sys
-from types import SimpleNamespace
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, cast
 
-from understudy.api.kinds.robot_workload import Output
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.robot import robot_readers
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.ros.runtime.graph_node import Graph
 
@@ -29,17 +30,25 @@ class Printed(Notices):
         return True
 
 
+@dataclass
+class Observer:
+    """What the monitor's observer knows of the graph."""
+
+    graph: Graph
+    addresses: dict[str, str]
+
+
 def main(given: dict[str, Any]) -> None:
     robot_readers.PERIOD, robot_readers.SETTLE = 0.2, 1.0
-    outputs = [Output(topic="/chat", type="std_msgs/msg/String")]
-    spec = SimpleNamespace(outputs=outputs, gate=SimpleNamespace(robots=given["robots"]))
-    view: Any = SimpleNamespace(spec=spec, retired=False, workload="robot-17")
+    watched = ClusterObjects(workload="robot-17")
+    outputs = [{"topic": "/chat", "type": "std_msgs/msg/String"}]
+    watched.put_workload(outputs=outputs, gate={"robots": given["robots"]})
     graph = Graph("understudy_monitor")
     own = graph.subscribe("/chat", "std_msgs/msg/String", depth=1)
-    sight: Any = SimpleNamespace(graph=graph, addresses=given["instances"])
+    observer = cast(HealthObserver, Observer(graph, given["instances"]))
     told = Printed()
     print("ready", flush=True)
-    asyncio.run(RobotReaders(view, sight, told, given["address"]).run())
+    asyncio.run(RobotReaders(watched.view, observer, told, given["address"]).run())
     del own
 
 

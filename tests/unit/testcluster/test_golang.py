@@ -44,8 +44,8 @@ def test_the_version_of_a_compiler_is_read(tmp_path: Path) -> None:
 
 def test_an_old_compiler_is_ignored(tmp_path: Path) -> None:
     old, new = compiler(tmp_path / "old" / "go", "1.19.8"), compiler(tmp_path / "new" / "go", "1.24.0")
-    assert golang._usable([old, None, new]) == str(new)
-    assert golang._usable([old]) is None
+    assert golang.usable([old, None, new]) == str(new)
+    assert golang.usable([old]) is None
 
 
 def test_an_existing_build_is_used_without_a_compiler(module: Path, monkeypatch: pytest.MonkeyPatch) -> None:

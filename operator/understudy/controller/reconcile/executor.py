@@ -56,6 +56,11 @@ class Executor:
         """
         self._contention = Contention()
 
+    @property
+    def remembered(self) -> frozenset[tuple[str, str, str]]:
+        """Plural, namespace and name of the objects of which it remembers how they were found."""
+        return frozenset(self._settled.keys() | self._compared.keys())
+
     async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
         """Carry out the writes, and return the permanent refusals of the API server.
 

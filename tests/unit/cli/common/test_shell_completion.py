@@ -84,7 +84,7 @@ def test_every_verb_is_answered_by_its_own_parser(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("COMP_POINT", str(len(line)))
     with pytest.raises(SystemExit):
         main()
-    assert [parser._option_string_actions.keys() for parser in answered] == [VERBS[verb]._option_string_actions.keys()]
+    assert [parser.format_help() for parser in answered] == [VERBS[verb].format_help()]
 
 
 def test_what_a_verb_reads_is_completed_from_the_folder(

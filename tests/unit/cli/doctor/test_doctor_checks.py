@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,6 +17,7 @@ from tests.unit.cli.doctor.server import ENFORCED, Server, deployment
 from understudy import __version__
 from understudy.api import names
 from understudy.api.kinds.robot_workload import MonitorStatus
+from understudy.cli.common.cluster_access.kubectl import Kubectl
 from understudy.cli.common.cluster_access.kubectl_proxy import Answer, Refused
 from understudy.cli.doctor import (
     clock_check,
@@ -204,11 +205,11 @@ def test_a_fleet_that_finds_nobody_is_not_waited_for_to_its_last_robot() -> None
             None,
             Server({"*": {"data": {"ROS_DOMAIN_ID": "1", MIDDLEWARE.settings_variable: "/etc/p.xml"}}}),
         )
-        kubectl = SimpleNamespace(namespace="fleet")
+        kubectl = Kubectl(argparse.Namespace(context=None, kubeconfig=None, namespace="fleet"))
 
         @contextlib.contextmanager
-        def talking(self, *_: object) -> Iterator[Any]:
-            yield SimpleNamespace(ask=self.ask)
+        def talking(self, *_: object) -> Iterator[Pods]:
+            yield self
 
         def ask(self, what: str, *, environment: Any, **_: object) -> list[str]:
             assert environment == {"ROS_DOMAIN_ID": "1"}, "with the robot's profiles it would take the robot's ports"

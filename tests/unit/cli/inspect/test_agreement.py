@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import asyncio
-from types import SimpleNamespace
-from typing import Any
 from unittest.mock import patch
 
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.clock import Clock
 from tests.unit.controller import world as objects
 from tests.unit.failover.world import Store
 from tests.unit.failover.world import World as Cluster
+from tests.unit.monitor.cluster_objects import ClusterObjects, settings_of
 from understudy.api.conditions import condition
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.kinds.robot_workload import RobotWorkloadSpec, RobotWorkloadStatus
-from understudy.api.protocol.monitor_settings import PoolChoice
+from understudy.api.kinds.robot_workload import RobotWorkloadStatus
 from understudy.cli.common.robots import robot
 from understudy.cli.inspect import limit_text
 from understudy.controller.observed import policy_reader
@@ -25,7 +24,7 @@ from understudy.failover.decide import LIMITS, Facts, Limit, Occurrence, Recover
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
 from understudy.failover.strategies.registry import choices
-from understudy.kube.client import Object
+from understudy.kube.client import POLICIES, WORKLOADS, Object
 from understudy.monitor.decide import retry_backoff
 from understudy.monitor.decide.limits import Limits
 from understudy.monitor.notices import Notices
@@ -75,21 +74,17 @@ def test_they_agree_on_what_a_limit_would_prevent(
 
     # The monitor, from what it watches and remembers.
     given_policy = policy_reader.spec(policy)
-    view: Any = SimpleNamespace(
-        policy=given_policy,
-        spec=RobotWorkloadSpec.model_validate(item["spec"]),
-        object=item,
-        settings=object(),
-        policies=SimpleNamespace(items={"policy": policy}),
-        namespace="fleet",
-        workload="w",
-    )
+    watched = ClusterObjects()
+    view = watched.view
+    watched.put_settings()
+    view.workloads.put(watched.client.store(WORKLOADS, "fleet", item))
+    view.policies.put(watched.client.store(POLICIES, "fleet", policy))
     reported = Notices()
     reported.set_spent([NOW - ago for ago in spent])
     limits = Limits(view, reported)
     limits.retries.look(limits.spending.resumed, NOW - 2000)
     if recovered is not None:
-        with patch.object(retry_backoff, "time", SimpleNamespace(time=lambda: NOW - recovered)):
+        with patch.object(retry_backoff, "time", Clock(NOW - recovered)):
             limits.retries.after_recovery(given_policy)
     limits.pauses.look(NOW)
     limits.spending.say(NOW)
@@ -164,10 +159,10 @@ def test_they_agree_on_which_strategies_could_run(
         for i, ready in held.items():
             if ready:
                 store.add(f"p-{i}", pool="spare", held=True)
-        settings: Any = SimpleNamespace(
+        settings = settings_of(
             pools=[
-                PoolChoice(name="hot", readiness="Executing"),
-                PoolChoice(name="spare", readiness="Uninitialized", reserved=reserved),
+                {"name": "hot", "readiness": "Executing"},
+                {"name": "spare", "readiness": "Uninitialized", "reserved": reserved},
             ]
         )
         means = Cluster(store).means()
