@@ -124,7 +124,7 @@ class ReflexSidecars(AgentConnections):
         agent = self._world.agents.get(instance.uid)
         return (0, 0) if agent is None else (1, agent.sessions.number)
 
-    async def lease(self, instance: Instance, body: Mapping[str, Any]) -> None:
+    async def renew_permit(self, instance: Instance, body: Mapping[str, Any]) -> None:
         agent = self._world.agents.get(instance.uid)
         if agent is None or self._found(instance) is None:
             await asyncio.sleep(ANSWER_LATE)

@@ -82,10 +82,10 @@ def test_one_port_among_several_that_no_gate_closes_is_enough() -> None:
 
 
 def test_what_dds_did_not_tell_is_said_and_nothing_concluded_from_it() -> None:
-    assert judged(untold=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
-    assert judged(reading("10.1.0.7"), untold=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
-    assert judged(reading("10.1.0.7", DEFAULT), untold=(CMD_VEL,))[:2] == ("False", "ReaderWithoutProfile")
-    assert judged(topics=(CMD_VEL, ARM), untold=(CMD_VEL,))[:2] == ("Unknown", "NobodyReads")
+    assert judged(unreported=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
+    assert judged(reading("10.1.0.7"), unreported=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
+    assert judged(reading("10.1.0.7", DEFAULT), unreported=(CMD_VEL,))[:2] == ("False", "ReaderWithoutProfile")
+    assert judged(topics=(CMD_VEL, ARM), unreported=(CMD_VEL,))[:2] == ("Unknown", "NobodyReads")
 
 
 def test_a_node_that_has_not_told_its_name_is_told_of_by_its_address() -> None:
