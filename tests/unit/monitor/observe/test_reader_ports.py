@@ -18,9 +18,9 @@ def reading(host: str, port: int = GATED, *, node: str = "/base", topic: str = C
 
 
 def judged(
-    *readings: Reading, topics: tuple[str, ...] = (CMD_VEL,), untold: tuple[str, ...] = (), robots: tuple[str, ...] = ()
+    *readings: Reading, topics: tuple[str, ...] = (CMD_VEL,), unreported: tuple[str, ...] = (), robots: tuple[str, ...] = ()
 ) -> ConditionReport:
-    return judge("robot-17", topics, readings, untold, robots)
+    return judge("robot-17", topics, readings, unreported, robots)
 
 
 def test_a_robot_that_reads_at_gated_ports_is_as_it_should_be() -> None:
