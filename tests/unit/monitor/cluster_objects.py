@@ -177,8 +177,8 @@ class ClusterObjects:
         """Have the pods of these instances and no others."""
         pods = self.view.pods
         for name in set(pods.items) - {instance.name for instance in instances}:
-            del pods.items[name], self.client.items[PODS.plural, NAMESPACE, name]
-            pods.revision += 1
+            pods.apply_event("DELETED", pods.items[name])
+            self.client.items.pop((PODS.plural, NAMESPACE, name), None)
         for instance in instances:
             pods.put(self.client.store(PODS, NAMESPACE, pod_of(instance, self.view.workload)))
 

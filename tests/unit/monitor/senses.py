@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.cluster_objects import NOWHERE, ClusterObjects
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
+from understudy.monitor.act.instances.state_keeping import StateKeeping
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
@@ -18,6 +19,7 @@ from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses
 from understudy.ros.runtime.graph_node import Endpoint, Graph
+from understudy.state.state_store import StateStore
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.core.snapshots import Snapshot
 
@@ -166,6 +168,8 @@ class GivenSenses:
         self.current = CurrentRecovery()
         self.roles = InstanceRoles(objects.view, objects.gate, self.current)
         self.agents = GivenAgents(objects, self.roles)
+        self.keeping = StateKeeping(self.observer.graph, StateStore(NOWHERE), self.agents, objects.notices)
+        """Keeps the state that a test's policy names: none."""
         readers = RobotReaders(objects.view, self.observer, objects.notices, "127.0.0.1")
         self.value = Senses(self.observer, self.agents, objects.proof, readers, self.roles, objects.wakeups)
         """The same as the monitor's value."""

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import Any, cast
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
+from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.cluster_objects import NAMESPACE, TWIST, ClusterObjects
+from tests.unit.monitor.senses import GivenAgents, GivenGraph
 from understudy.api import names
-from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.kube.client import PODS as ALL_PODS
 from understudy.kube.client import Object
 from understudy.monitor.act.gate import permits as module
 from understudy.monitor.act.gate.permits import Permits, Word, witnesses, word
 from understudy.monitor.observe.current_recovery import CurrentRecovery
-from understudy.monitor.observe.wakeups import Wakeups
+from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.ros.dds.host_ids import VENDOR, host_id
+from understudy.ros.runtime.graph_node import Endpoint
 
 ACTIVE, STANDBY = Instance("a", "uid-a", running=True), Instance("s", "uid-s", running=True)
 BEFORE, AFTER = GateState(3, "a", "uid-a"), GateState(4, "s", "uid-s")
@@ -120,21 +123,19 @@ def test_where_the_node_is_not_known_only_robots_count() -> None:
     assert witnesses(stranger, PODS, workload="w", readers=readers("10.1.1.2"), robots=[]) == ["10.1.1.2"]
 
 
-class Agents:
+class Agents(GivenAgents):
     """The agents' ends as the monitor sees them; one of them may not answer."""
 
-    def __init__(self, statuses: dict[str, AgentStatus], deaf: str = "") -> None:
-        self.statuses, self.deaf = statuses, deaf
-        self.sessions = dict.fromkeys(statuses, 1)
-        self.told: list[tuple[str, dict[str, Any]]] = []
-
-    def status(self, instance: Instance) -> AgentStatus | None:
-        return self.statuses.get(instance.uid)
+    def __init__(self, objects: ClusterObjects, roles: InstanceRoles, deaf: str) -> None:
+        super().__init__(objects, roles)
+        self.deaf = deaf
+        self.sessions: dict[str, int] = {}
+        self.told: list[tuple[str, Mapping[str, Any]]] = []
 
     def session(self, instance: Instance) -> tuple[int, int]:
-        return (0, self.sessions[instance.uid])
+        return (0, self.sessions.get(instance.uid, 1))
 
-    async def renew_permit(self, instance: Instance, body: dict[str, Any]) -> None:
+    async def renew_permit(self, instance: Instance, body: Mapping[str, Any]) -> None:
         if instance.uid == self.deaf:
             await asyncio.sleep(3600)
         self.told.append((instance.uid, body))
@@ -142,51 +143,55 @@ class Agents:
     def words(self, uid: str) -> list[str]:
         return [body["word"] for to, body in self.told if to == uid and "word" in body]
 
-
-class Cluster:
-    """What lists pods; with ``away`` it never answers."""
-
-    def __init__(self, *, away: bool = False) -> None:
-        self.away = away
-
-    async def list(self, *_: object) -> Object:
-        if self.away:
-            await asyncio.sleep(3600)
-        return {"items": PODS}
+    def last(self, uid: str) -> Mapping[str, Any]:
+        return next(body for to, body in reversed(self.told) if to == uid)
 
 
-@dataclass
+class Away(MemoryClient):
+    """An API server that does not answer who lists."""
+
+    async def list(self, *_: Any, **__: Any) -> Object:
+        await asyncio.sleep(3600)
+        raise AssertionError("nobody waits for it")
+
+
 class World:
     """The permits of one workload, and what they depend on."""
 
-    cluster: Any
-    current: CurrentRecovery
-    wakeups: Wakeups
-    permits: Permits
+    def __init__(
+        self,
+        *statuses: tuple[str, AgentStatus],
+        deaf: str = "",
+        client: MemoryClient | None = None,
+        reflex: bool = True,
+    ) -> None:
+        self.objects = ClusterObjects(client=client)
+        self.current, self.wakeups = CurrentRecovery(), self.objects.wakeups
+        self.agents = Agents(self.objects, InstanceRoles(self.objects.view, self.objects.gate, self.current), deaf)
+        self.agents.statuses |= dict(statuses)
+        self.objects.put_workload(gate={"reflex": {"deadline": "100ms"}} if reflex else {})
+        self.objects.put_pods(ACTIVE, STANDBY)
+        for item in PODS:
+            self.objects.client.store(ALL_PODS, NAMESPACE, item)
+        self.commit(BEFORE)
+        graph = GivenGraph()
+        graph.readers["/cmd_vel"] = [Endpoint(TWIST, VENDOR + host_id("10.1.1.2") + bytes(12), "/base")]
+        notices = self.objects.notices
+        self.permits = Permits(self.objects.cluster, self.agents, graph, self.current, self.wakeups, notices)
 
     def commit(self, state: GateState) -> None:
-        self.cluster.gate.state = state
+        """Have the gate in a state."""
+        self.objects.put_gate(state)
 
+    async def look(self) -> None:
+        """Have the permits be looked at again."""
+        self.wakeups.permits.set()
+        await asyncio.sleep(0.005)
 
-def monitored(agents: Agents, cluster: Cluster, events: list[str], *, reflex: bool = True) -> World:
-    spec = RobotWorkloadSpec.model_validate(
-        {
-            "template": {"spec": {"containers": [{"name": "c", "image": "i"}]}},
-            "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
-            "failurePolicyRef": {"name": "p"},
-            "gate": {"reflex": {"deadline": "100ms"}} if reflex else {},
-        }
-    )
-    robot = SimpleNamespace(gid=VENDOR + host_id("10.1.1.2") + bytes(12))
-    objects: Any = SimpleNamespace(
-        view=SimpleNamespace(client=cluster, spec=spec, namespace="fleet", workload="w"),
-        pods=SimpleNamespace(of_workload=lambda: [ACTIVE, STANDBY]),
-        gate=SimpleNamespace(state=BEFORE, exists=True),
-    )
-    graph: Any = SimpleNamespace(subscribers=lambda topic: [robot])
-    notices: Any = SimpleNamespace(event=lambda kind, reason, text: events.append(f"{reason}: {text}"))
-    current, wakeups, agents = CurrentRecovery(), Wakeups(), cast(Any, agents)
-    return World(objects, current, wakeups, Permits(objects, agents, graph, current, wakeups, notices))
+    @property
+    def events(self) -> list[str]:
+        """The text of each Event."""
+        return [f"{reason}: {message}" for _, reason, message in self.objects.notices.events]
 
 
 async def eventually(check: Callable[[], object]) -> None:
@@ -204,8 +209,8 @@ def cut_off() -> AgentStatus:
 
 
 async def test_every_agent_learns_who_may_answer_it_and_learns_it_anew_in_a_new_session() -> None:
-    agents = Agents({"uid-a": running(), "uid-s": running()})
-    world = monitored(agents, Cluster(), [])
+    world = World(("uid-a", running()), ("uid-s", running()))
+    agents = world.agents
     task = asyncio.create_task(world.permits.run())
     await eventually(
         lambda: {uid for uid, body in agents.told if "10.1.1.2" in body["witnesses"]} == {"uid-a", "uid-s"}
@@ -220,9 +225,8 @@ async def test_every_agent_learns_who_may_answer_it_and_learns_it_anew_in_a_new_
 
 
 async def test_a_word_is_held_up_neither_by_an_api_server_that_is_away_nor_by_another_agent() -> None:
-    events: list[str] = []
-    agents = Agents({"uid-a": running(), "uid-s": running()}, deaf="uid-a")
-    world = monitored(agents, Cluster(away=True), events)
+    world = World(("uid-a", running()), ("uid-s", running()), deaf="uid-a", client=Away())
+    agents = world.agents
     task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.told)
     agents.statuses["uid-s"] = cut_off()
@@ -230,7 +234,10 @@ async def test_a_word_is_held_up_neither_by_an_api_server_that_is_away_nor_by_an
     await eventually(lambda: agents.words("uid-s") == ["Go"])
     await eventually(lambda: len(agents.words("uid-s")) > 1)  # again, until it is followed
     agents.statuses["uid-s"] = running()
-    assert len([event for event in events if "s was cut off at 22:13:20 UTC" in event and "it goes on" in event]) == 1
+    assert (
+        len([event for event in world.events if "s was cut off at 22:13:20 UTC" in event and "it goes on" in event])
+        == 1
+    )
     task.cancel()
 
 
@@ -238,8 +245,8 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "CATCH_UP", 0.3)
-    agents = Agents({"uid-a": running(), "uid-s": running()})
-    world = monitored(agents, Cluster(), [])
+    world = World(("uid-a", running()), ("uid-s", running()))
+    agents = world.agents
     task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.told)
     agents.statuses |= {"uid-a": cut_off(), "uid-s": cut_off()}
@@ -252,7 +259,8 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
     assert time.monotonic() - begun >= 0.3
 
     agents.statuses["uid-s"] = running()
-    await eventually(lambda: not world.permits._back.get("uid-s"))
+    world.wakeups.permits.set()
+    await eventually(lambda: "word" not in agents.last("uid-s"))
     agents.statuses["uid-s"] = cut_off()
     told = len(agents.words("uid-s"))
     world.wakeups.permits.set()
@@ -262,8 +270,8 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
 
 
 async def test_one_that_was_replaced_is_told_so_as_long_as_it_is_there() -> None:
-    agents = Agents({"uid-a": cut_off(), "uid-s": running()})
-    world = monitored(agents, Cluster(), [])
+    world = World(("uid-a", cut_off()), ("uid-s", running()))
+    agents = world.agents
     world.current.progress = recovery(ACTIVE, reflex=True)
     task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.words("uid-a"))
@@ -281,8 +289,8 @@ async def test_one_whose_recovery_was_stopped_before_it_had_committed_was_replac
 ) -> None:
     """As where somebody deletes the gate: whoever is put in control then, it stands by, and was held for good."""
     monkeypatch.setattr(module, "CATCH_UP", 0.1)
-    agents = Agents({"uid-a": cut_off(), "uid-s": running()})
-    world = monitored(agents, Cluster(), [])
+    world = World(("uid-a", cut_off()), ("uid-s", running()))
+    agents = world.agents
     world.current.progress = recovery(ACTIVE, reflex=True)
     task = asyncio.create_task(world.permits.run())
     await eventually(lambda: agents.words("uid-a"))
@@ -294,29 +302,35 @@ async def test_one_whose_recovery_was_stopped_before_it_had_committed_was_replac
 
 
 async def test_without_a_reflex_nobody_is_told_anything() -> None:
-    agents = Agents({"uid-a": running()})
-    world = monitored(agents, Cluster(), [], reflex=False)
+    world = World(("uid-a", running()), reflex=False)
     task = asyncio.create_task(world.permits.run())
     await asyncio.sleep(0.1)
-    assert not agents.told
+    assert not world.agents.told
     task.cancel()
 
 
-async def test_what_is_known_of_pods_that_were_replaced_does_not_grow_without_end() -> None:
-    gone = Instance("g", "uid-g", running=True)
-    agents = Agents({"uid-a": running(), "uid-g": cut_off()})
-    world = monitored(agents, Cluster(), [])
-    world.cluster.pods.of_workload = lambda: [ACTIVE, gone]
-    permits, spec = world.permits, world.cluster.view.spec
-    permits._report(gone, 1700000000.0, "Stay")
-    for number in range(module.REMEMBERED + 10):
-        done = recovery(Instance(f"p-{number}", f"uid-{number}"))
-        world.commit(replace(AFTER, recovery=done))
-        permits._renew(spec)
-    assert len(permits._replaced) == module.REMEMBERED
-    assert f"uid-{module.REMEMBERED + 9}" in permits._replaced
-    assert "uid-9" not in permits._replaced
-    assert len(permits._reported) == 1
-    world.cluster.pods.of_workload = lambda: [ACTIVE]
-    permits._renew(spec)
-    assert not permits._reported
+async def test_of_many_pods_that_were_replaced_only_the_oldest_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "REMEMBERED", 5)
+    monkeypatch.setattr(module, "CATCH_UP", 0.1)
+    replaced = [Instance(f"p-{number}", f"uid-{number}", running=True) for number in range(7)]
+    world = World()
+    task = asyncio.create_task(world.permits.run())
+    for one in replaced:
+        world.commit(replace(AFTER, recovery=recovery(one)))
+        await world.look()
+    world.objects.put_pods(STANDBY, *replaced)
+    world.agents.statuses |= {one.uid: cut_off() for one in replaced}
+    await world.look()
+    await eventually(lambda: all(world.agents.words(one.uid) for one in replaced))
+    assert [world.agents.words(one.uid)[-1] for one in replaced] == ["Go"] * 2 + ["Stay"] * 5
+    task.cancel()
+
+
+async def test_one_that_is_cut_off_is_reported_once_for_as_long_as_it_is_there() -> None:
+    world = World(("uid-a", cut_off()))
+    task = asyncio.create_task(world.permits.run())
+    for present, count in (((ACTIVE,), 1), ((ACTIVE,), 1), ((), 1), ((ACTIVE,), 2)):
+        world.objects.put_pods(STANDBY, *present)
+        await world.look()
+        assert len(world.events) == count
+    task.cancel()

@@ -3,114 +3,96 @@
 from __future__ import annotations
 
 import asyncio
-from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
-from typing import Any, cast
+from collections.abc import Sequence
 
 import pytest
 
-from tests.unit.monitor.gates import Packets
-from understudy.api.kinds.robot_workload import Output, Reflex
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.senses import GivenSenses
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.act.gate.reflex_guard import TOO_STRONG_FOR, ReflexGuard
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.judge.reflex_takeover import LOOK, ReflexTakeover
-from understudy.monitor.observe.senses import Senses
 
 NOW = 1000.0
 TOPIC = "/cmd_vel"
 
 
-@dataclass
 class World:
-    """What the monitor sees, and what it did."""
+    """A workload with a reflex, one active pod and one standby."""
 
-    state: GateState = field(default_factory=lambda: GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
-    pods: dict[str, Instance] = field(default_factory=dict)
-    strengths: dict[str, tuple[int, int]] = field(default_factory=dict)
-    unready: set[str] = field(default_factory=set)
-    arrivals: dict[str, list[float]] = field(default_factory=dict)
-    twins: set[str] = field(default_factory=set)
-    probes: dict[str, float] = field(default_factory=dict)
-    writes: list[str] = field(default_factory=list)
-    retired: list[str] = field(default_factory=list)
-    said: tuple[str, str, str] = ("", "", "")
-    api_away: bool = False
-    now: float = NOW
-
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
+        self.objects = ClusterObjects()
+        self.senses = GivenSenses(self.objects)
+        self.now = NOW
+        self.pods: dict[str, Instance] = {}
+        self.objects.put_workload(gate={"reflex": {"deadline": "100ms"}})
+        self.objects.put_settings(pools=[{"name": "hot", "readiness": "Executing"}])
+        self.objects.put_gate(GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
         for name, strength in (("w-1", 200), ("w-2", 100)):
             self.add(name, strength)
-        self.arrivals["w-1"] = [NOW - 0.05 * i for i in range(150)][::-1]
-        spec = SimpleNamespace(
-            outputs=[Output(topic=TOPIC, type="geometry_msgs/msg/Twist")],
-            gate=SimpleNamespace(reflex=Reflex(deadline="100ms")),
-        )
-        parts: dict[str, Any] = {
-            "view": SimpleNamespace(spec=spec),
-            "fleet": SimpleNamespace(
-                of_workload=lambda: list(self.pods.values()),
-                find=lambda uid: next((p for p in self.pods.values() if p.uid == uid), None),
-                retire=self._retire,
-            ),
-            "gate": _Gate(self),
-            "agents": SimpleNamespace(
-                is_ready=lambda i: (i.name not in self.unready, "no /cmd_vel for 500 ms"),
-                status=lambda i: AgentStatus(strength=self.strengths.get(i.name)),
-            ),
-            "observer": SimpleNamespace(
-                arrivals=lambda topic, pod: self.arrivals.get(pod, []), ambiguous=lambda pod: pod in self.twins
-            ),
-            "probes": Packets(self.probes),
-            "notices": SimpleNamespace(condition=self._condition, event=lambda *_: None),
-        }
-        cluster = Cluster(parts["view"], parts["fleet"], parts["gate"])
-        senses = Senses(parts["observer"], parts["agents"], parts["probes"], *[cast(Any, None)] * 3)
-        self.takeover = ReflexTakeover(parts["view"], parts["gate"], parts["observer"])
-        self.reflexes = ReflexGuard(cluster, senses, self.takeover, parts["notices"])
+        self.arrives("w-1", *(NOW - 0.05 * i for i in range(150)))
+        self.takeover = ReflexTakeover(self.objects.view, self.objects.gate, self.senses.observer)
+        self.reflexes = ReflexGuard(self.objects.cluster, self.senses.value, self.takeover, self.objects.notices)
 
-    def add(self, name: str, strength: int | None) -> None:
-        self.pods[name] = Instance(name=name, uid=f"uid-{name}", running=True, pool="" if name == "w-1" else "hot")
-        if strength is not None:
-            self.strengths[name] = (strength, strength)
+    def add(self, name: str, *strength: int, claim: str = "") -> None:
+        """Have a pod whose writers have this strength: one, or from one up to another."""
+        pool = "" if name == "w-1" else "hot"
+        self.pods[name] = Instance(name=name, uid=f"uid-{name}", running=True, pool=pool, claim=claim)
+        self.objects.put_pods(*self.pods.values())
+        self.strength(name, *strength)
 
-    async def _retire(self, instance: Instance) -> None:
-        self.retired.append(instance.name)
+    def remove(self, name: str) -> None:
+        """Have a pod no more."""
+        del self.pods[name]
+        self.objects.put_pods(*self.pods.values())
 
-    def _condition(self, type_: str, *said: str) -> bool:
-        assert type_ == "Reflex"
-        self.said = said  # type: ignore[assignment]
-        return True
+    def strength(self, name: str, *strength: int) -> None:
+        """Have an agent report the strength of its instance's writers, or none."""
+        found = (strength[0], strength[-1]) if strength else None
+        self.senses.agents.statuses[f"uid-{name}"] = AgentStatus(strength=found)
 
-    async def keep(self, *, enforced: bool = True, paused: bool = False, seconds: float = 10.0) -> tuple[str, str]:
-        """Housekeeping for so long, while the pod in control goes on."""
-        for _ in range(int(seconds)):
-            self.now += 1
-            if self.arrivals.get("w-1"):
-                self.arrivals["w-1"] = [time + 1 for time in self.arrivals["w-1"]]
-            self.reflexes.keep(self.now, enforced=enforced, paused=paused)
-            await asyncio.sleep(0)
-            await asyncio.sleep(0)
-        return self.said[:2]
+    def unready(self, name: str) -> None:
+        """Have a pod whose health tree fails."""
+        self.senses.agents.unready[f"uid-{name}"] = "no /cmd_vel for 500 ms"
 
+    def arrives(self, name: str, *moments: float) -> None:
+        """Have the outputs of a pod be received at these times."""
+        self.senses.observer.received[TOPIC, name] = sorted(moments)
 
-class _Gate:
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def arrivals(self, name: str) -> Sequence[float]:
+        """When they were received."""
+        return self.senses.observer.arrivals(TOPIC, name)
+
+    def api_away(self) -> None:
+        """Have no write be answered."""
+        self.objects.client.failing = lambda method, name: TimeoutError()
 
     @property
-    def state(self) -> GateState:
-        return self._world.state
+    def writes(self) -> list[str]:
+        """The standby in each write of the gate; empty for none."""
+        return self.objects.admissions
 
-    async def admit(self, standby: Instance | None) -> bool:
-        world = self._world
-        world.writes.append(standby.name if standby else "")
-        if not world.api_away:
-            name, uid = (standby.name, standby.uid) if standby else ("", "")
-            world.state = replace(world.state, admitted=name, admitted_uid=uid)
-        return not world.api_away
+    @property
+    def message(self) -> str:
+        """What the condition says."""
+        return self.objects.notices.conditions["Reflex"][2]
+
+    async def settle(self) -> None:
+        """Let what was begun be done."""
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    async def keep(self, *, enforced: bool = True, paused: bool = False, seconds: float = 10.0) -> tuple[str, str]:
+        """Housekeeping for so long, while the pod in control goes on. Returns status and reason of the condition."""
+        for _ in range(int(seconds)):
+            self.now += 1
+            self.arrives("w-1", *(time + 1 for time in self.arrivals("w-1")))
+            self.reflexes.keep(self.now, enforced=enforced, paused=paused)
+            await self.settle()
+        return self.objects.notices.conditions["Reflex"][:2]
 
 
 @pytest.fixture
@@ -140,8 +122,7 @@ async def test_of_several_the_strongest_is_let_through(world: World) -> None:
 
 
 async def test_one_that_a_recovery_claimed_and_left_behind_is_not_let_through(world: World) -> None:
-    world.add("spare-1", 150)
-    world.pods["spare-1"] = replace(world.pods["spare-1"], claim="recovery-1")
+    world.add("spare-1", 150, claim="recovery-1")
     await world.keep()
     assert world.writes == ["w-2"], "the other is about to be deleted"
 
@@ -150,13 +131,13 @@ async def test_a_standby_that_is_no_longer_healthy_is_shut_out_at_once(world: Wo
     await world.keep()
     world.reflexes.guard()
     assert world.writes == ["w-2"], "while it's healthy nothing is written"
-    world.unready.add("w-2")
+    world.unready("w-2")
     world.reflexes.guard()
-    await asyncio.sleep(0)
+    await world.settle()
     assert world.writes == ["w-2", ""]
-    assert world.state.admitted == ""
+    assert world.objects.gate.state.admitted == ""
     assert await world.keep() == ("False", "NoStandby")
-    assert "w-2: no /cmd_vel for 500 ms" in world.said[2]
+    assert "w-2: no /cmd_vel for 500 ms" in world.message
 
 
 async def test_in_a_pause_nobody_is_let_through_and_afterwards_the_standby_is_again(world: World) -> None:
@@ -171,59 +152,59 @@ async def test_in_a_pause_nobody_is_let_through_and_afterwards_the_standby_is_ag
 
 async def test_one_that_is_gone_is_shut_out_too(world: World) -> None:
     await world.keep()
-    del world.pods["w-2"]
+    world.remove("w-2")
     world.reflexes.guard()
-    await asyncio.sleep(0)
+    await world.settle()
     assert world.writes == ["w-2", ""]
 
 
 async def test_a_write_that_failed_is_tried_again_after_a_while_only(world: World) -> None:
     await world.keep()
-    world.api_away = True
-    world.unready.add("w-2")
+    world.api_away()
+    world.unready("w-2")
     for _ in range(50):
         world.reflexes.guard()
-        await asyncio.sleep(0)
+        await world.settle()
     assert world.writes == ["w-2", ""]
 
 
 @pytest.mark.parametrize("strength", [200, 201])
 async def test_one_that_is_as_strong_as_the_pod_in_control_is_replaced(world: World, strength: int) -> None:
-    world.strengths["w-2"] = (50, strength)
+    world.strength("w-2", 50, strength)
     assert await world.keep(seconds=3) == ("False", "StandbyTooStrong")
-    assert not world.retired
+    assert not world.objects.deleted
     await world.keep(seconds=TOO_STRONG_FOR + 10)
-    assert world.retired == ["w-2"], "once: where clocks differ another would be no better"
+    assert world.objects.deleted == ["w-2"], "once: where clocks differ another would be no better"
     assert not world.writes
 
 
 async def test_a_restarted_pod_in_control_counts_as_its_weakest(world: World) -> None:
-    world.strengths["w-1"] = (90, 200)
+    world.strength("w-1", 90, 200)
     assert await world.keep(seconds=3) == ("False", "StandbyTooStrong")
 
 
 async def test_while_the_strength_in_control_is_unknown_nothing_changes(world: World) -> None:
     await world.keep()
-    del world.strengths["w-1"]
+    world.strength("w-1")
     assert await world.keep() == ("Unknown", "StrengthUnknown")
     assert world.writes == ["w-2"]
 
 
 async def test_commands_slower_than_the_deadline_are_told_and_nobody_is_let_through(world: World) -> None:
-    world.arrivals["w-1"] = [NOW - 0.2 * i for i in range(50)][::-1]
+    world.arrives("w-1", *(NOW - 0.2 * i for i in range(50)))
     assert await world.keep() == ("False", "DeadlineTooShort")
-    assert "gaps of up to 200 ms" in world.said[2]
+    assert "gaps of up to 200 ms" in world.message
     assert not world.writes
 
 
 async def test_nothing_is_let_through_before_the_period_is_known(world: World) -> None:
-    world.arrivals["w-1"] = []
+    world.arrives("w-1")
     assert await world.keep() == ("Unknown", "Measuring")
     assert not world.writes
 
 
 async def test_pods_that_cannot_be_told_apart_have_no_reflex(world: World) -> None:
-    world.twins = {"w-1", "w-2"}
+    world.senses.observer.twins = {"w-1", "w-2"}
     assert await world.keep() == ("False", "Ambiguous")
     assert not world.writes
 
@@ -231,7 +212,7 @@ async def test_pods_that_cannot_be_told_apart_have_no_reflex(world: World) -> No
 async def test_a_standby_whose_packets_do_not_arrive_is_told(world: World) -> None:
     await world.keep()
     assert await world.keep(seconds=SILENT + 2) == ("False", "Blocked")
-    world.probes["uid-w-2"] = world.now
+    world.objects.packets["uid-w-2"] = world.now
     assert await world.keep(seconds=1) == ("True", "Armed")
 
 
@@ -240,23 +221,23 @@ async def test_a_standby_whose_packets_do_not_arrive_is_told(world: World) -> No
 
 async def test_the_standby_that_is_let_through_is_seen_to_drive(world: World) -> None:
     await world.keep()
-    last = world.arrivals["w-1"][-1]
+    last = world.arrivals("w-1")[-1]
     assert world.takeover.look(last + 0.2) is None, "silence alone is nothing"
-    world.arrivals["w-2"] = [last + 0.12]
+    world.arrives("w-2", last + 0.12)
     taken = world.takeover.look(last + 0.13)
     assert taken is not None
     assert (taken.standby.name, taken.last, taken.first) == ("w-2", last, last + 0.12)
 
 
 async def test_nobody_takes_over_who_is_not_let_through(world: World) -> None:
-    world.arrivals["w-2"] = [world.arrivals["w-1"][-1] + 0.12]
-    assert world.takeover.look(world.arrivals["w-2"][-1] + 1) is None
+    world.arrives("w-2", world.arrivals("w-1")[-1] + 0.12)
+    assert world.takeover.look(world.arrivals("w-2")[-1] + 1) is None
 
 
 async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
     assert world.takeover.next_look(NOW) is None, "nobody is let through"
     await world.keep()
-    last = world.arrivals["w-1"][-1]
+    last = world.arrivals("w-1")[-1]
     assert world.takeover.next_look(last + 0.02) == pytest.approx(last + 0.1)
     assert world.takeover.next_look(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
     assert world.takeover.next_look(last + 5) is None, "it may be at rest"
@@ -265,5 +246,5 @@ async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World)
 async def test_a_clock_that_is_set_back_keeps_no_standby_out(world: World) -> None:
     await world.keep(enforced=False, seconds=1)
     world.now -= 3600
-    world.arrivals["w-1"] = [time - 3600 for time in world.arrivals["w-1"]]
+    world.arrives("w-1", *(time - 3600 for time in world.arrivals("w-1")))
     assert await world.keep() == ("True", "Armed")

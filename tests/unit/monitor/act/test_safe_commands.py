@@ -6,8 +6,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator, Iterator
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -16,14 +15,17 @@ from hypothesis import strategies as st
 pytest.importorskip("rclpy")
 
 from tests.unit.dds import keep_to_itself
+from tests.unit.monitor.cluster_objects import TWIST, ClusterObjects, parsed_spec
+from tests.unit.monitor.senses import GivenGraph
 from understudy.api.kinds.failure_policy import Safety
-from understudy.api.kinds.robot_workload import Attempt
+from understudy.api.kinds.robot_workload import Attempt, RobotWorkloadSpec
 from understudy.failover.progress import PodIdentity, Progress
+from understudy.monitor.act import safe_commands
 from understudy.monitor.act.safe_commands import SafeCommands, Unattended
+from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.outcome import Kind, Outcome
-
-TWIST = "geometry_msgs/msg/Twist"
+from understudy.ros.actions.repeated_publisher import Commander
 
 
 def progress(**moments: float) -> Progress:
@@ -36,9 +38,10 @@ class Waits:
     """Since when a robot waits, by the recovery in progress."""
 
     def __init__(self) -> None:
-        view, pauses = SimpleNamespace(retired=False), SimpleNamespace(on=None)
+        objects = ClusterObjects()
+        objects.put_workload()
         self.current = CurrentRecovery()
-        self.unattended = Unattended(cast(Any, view), cast(Any, pauses), self.current)
+        self.unattended = Unattended(objects.view, PauseState(objects.view, objects.notices), self.current)
 
     def during(self, progress: Progress) -> float | None:
         with self.current.during(progress):
@@ -130,13 +133,24 @@ def graphs(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
         graph.close()
 
 
-def spec(*, reflex: bool = False) -> Any:
+class Waiting(Unattended):
+    """A robot that has waited since a time, or does not wait."""
+
+    def __init__(self, since: float | None) -> None:
+        self.begun = since
+
+    @property
+    def since(self) -> float | None:
+        return self.begun
+
+
+def spec(*, reflex: bool = False) -> RobotWorkloadSpec:
     outputs = [
-        SimpleNamespace(topic="/cmd_vel", type=TWIST),
-        SimpleNamespace(topic="/arm", type="my_msgs/msg/Arm"),
-        SimpleNamespace(topic=None, type="std_srvs/srv/Trigger"),
+        {"topic": "/cmd_vel", "type": TWIST},
+        {"topic": "/arm", "type": "my_msgs/msg/Arm"},
+        {"service": "/snap", "type": "std_srvs/srv/Trigger"},
     ]
-    return SimpleNamespace(outputs=outputs, gate=SimpleNamespace(reflex=object() if reflex else None))
+    return parsed_spec(outputs=outputs, gate={"reflex": {"deadline": "100ms"}} if reflex else {})
 
 
 def safety(*commands: dict[str, Any], after: str = "0s") -> Safety:
@@ -154,7 +168,7 @@ def received(subscription: Any) -> list[Any]:
 async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives(graphs: tuple[Any, Any]) -> None:
     monitor, robot = graphs
     subscription = robot.subscribe("/cmd_vel", TWIST, depth=100)
-    waited: Any = SimpleNamespace(since=None)
+    waited = Waiting(None)
     safe = SafeCommands(monitor, waited)
     command = {"topic": "/cmd_vel", "every": "20ms", "message": {"linear": {"x": -0.1}}}
     safe.follow(safety(command, after="200ms"), spec())
@@ -163,7 +177,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
         await asyncio.sleep(0.02)
     await asyncio.sleep(0.3)
     assert safe.sent == 0, "somebody drives"
-    waited.since = begun = time.time()
+    waited.begun = begun = time.time()
     heard: list[Any] = []
     while len(heard) < 5:
         assert time.time() < begun + 20
@@ -171,7 +185,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
         heard += received(subscription)
         assert not safe.sent or time.time() >= begun + 0.2, "not before its time"
     assert {message.linear.x for message in heard} == {-0.1}
-    waited.since = None
+    waited.begun = None
     await asyncio.sleep(0.1)
     sent = safe.sent
     await asyncio.sleep(0.3)
@@ -192,7 +206,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
 async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
     graphs: tuple[Any, Any], command: dict[str, Any], reflex: bool, words: str
 ) -> None:
-    safe = SafeCommands(graphs[0], cast(Any, SimpleNamespace(since=1.0)))
+    safe = SafeCommands(graphs[0], Waiting(1.0))
     safe.follow(safety(command), spec(reflex=reflex))
     (problem,) = safe.problems
     assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
@@ -205,14 +219,14 @@ async def test_a_topic_that_is_watched_as_another_type_is_a_problem_and_the_moni
     graphs: tuple[Any, Any],
 ) -> None:
     watched = graphs[0].subscribe("/cmd_vel", "geometry_msgs/msg/TwistStamped", depth=1)
-    safe = SafeCommands(graphs[0], cast(Any, SimpleNamespace(since=1.0)))
+    safe = SafeCommands(graphs[0], Waiting(1.0))
     safe.follow(safety({"topic": "/cmd_vel"}), spec())
     (problem,) = safe.problems
     assert problem.startswith("FailurePolicy: spec.safety.commands[0]: ")
     graphs[0].unsubscribe(watched)
 
 
-class Publisher:
+class Publisher(Commander):
     """In place of one of DDS."""
 
     def __init__(self) -> None:
@@ -224,16 +238,20 @@ class Publisher:
             raise RuntimeError("the middleware refused")
         self.sent += 1
 
+    def close(self) -> None:
+        return
+
 
 @contextlib.asynccontextmanager
 async def repeated(since: float) -> AsyncIterator[Publisher]:
     """A command of every 10 ms from 50 ms on, for as long as nobody drives."""
-    publisher, nothing = cast(Any, Publisher()), cast(Any, None)
-    safe = SafeCommands(nothing, cast(Any, SimpleNamespace(since=since)))
-    safe._after = 0.05
-    task = asyncio.create_task(safe._repeat(publisher, 0.01))
+    publisher = Publisher()
+    safe = SafeCommands(GivenGraph(), Waiting(since))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(safe_commands, "Commander", lambda *_: publisher)
+        safe.follow(safety({"topic": "/cmd_vel", "every": "10ms"}, after="50ms"), spec())
     yield publisher
-    task.cancel()
+    safe.close()
 
 
 async def test_a_command_that_fails_is_followed_by_the_next() -> None:

@@ -46,8 +46,8 @@ class Given:
 
     def taken_away(self, reflector: Reflector) -> None:
         """Take away what was given, as a watch reports it."""
-        reflector.items.clear()
-        reflector.revision += 1
+        for item in list(reflector.items.values()):
+            reflector.apply_event("DELETED", item)
 
     @property
     def pools(self) -> list[str]:
