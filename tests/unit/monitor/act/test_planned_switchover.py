@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import time
-from types import SimpleNamespace
+from collections.abc import Sequence
 from typing import Any, cast
 
 import pytest
 
 from tests.support.notices import RecordedNotices
 from tests.unit.failover.world import Store, World
-from tests.unit.interleavings.blanks import Keeping
+from tests.unit.monitor.cluster_objects import ClusterObjects
+from tests.unit.monitor.senses import GivenSenses
 from understudy.api import names
 from understudy.api.kinds.switchover_spec import Drain, request
 from understudy.failover import switchover
@@ -22,10 +23,14 @@ from understudy.failover.strategies.base import Choice, Means, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Prepared
+from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.objects.cluster import Cluster
+from understudy.monitor.act.objects.gate_control import GateControl
+from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.act.recovery import planned_switchover
 from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
-from understudy.monitor.observe.current_recovery import CurrentRecovery
+from understudy.monitor.decide.strategy_options import StrategyOptions
+from understudy.monitor.observe.objects.storm_condition import StormCondition
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
 
@@ -42,6 +47,43 @@ class Told(RecordedNotices):
         return self.status.switchover.message if self.status.switchover is not None else ""
 
 
+class StoredPods(PodControl):
+    """The pods of a store."""
+
+    def __init__(self, objects: ClusterObjects, store: Store) -> None:
+        super().__init__(objects.client, objects.view, objects.crash_points, objects.notices)
+        self._store = store
+
+    def of_workload(self) -> Sequence[Instance]:
+        return list(self._store.pods.values())
+
+
+class StoredGate(GateControl):
+    """The gate of a store."""
+
+    def __init__(self, objects: ClusterObjects, pods: PodControl, store: Store) -> None:
+        super().__init__(objects.client, objects.view, pods, objects.proof, objects.crash_points, objects.notices)
+        self._store = store
+
+    @property
+    def state(self) -> GateState:
+        return self._store.gate
+
+
+class GivenOptions(StrategyOptions):
+    """Strategies as a test gives them, in a world."""
+
+    def __init__(self, objects: ClusterObjects, world: World, strategies: Sequence[Strategy]) -> None:
+        super().__init__(objects.view, StormCondition(objects.view), world.means())
+        self.world, self._strategies = world, strategies
+
+    def choices(self) -> list[Choice]:
+        return [Choice(strategy, 0.3) for strategy in self._strategies]
+
+    def means(self) -> Means:
+        return self.world.means()
+
+
 class Scene:
     """A monitor's switchovers in a world that w-1 drives, with w-2 as its standby."""
 
@@ -50,41 +92,44 @@ class Scene:
         self.store.add("w-1", node="node-1")
         self.store.add("w-2", **{"pool": "hot", "node": "node-2"} | standby)
         self.store.gate = GateState(epoch=1, active="w-1", active_uid="uid-w-1")
-        self.world = World(self.store)
         self.told = told or Told()
-        self.view = SimpleNamespace(object={"metadata": {}}, settings=SimpleNamespace(drain=None), spec=None)
-        self.left: list[str] = []
-        self.strategies = strategies or (ExecutingFallback("hot"),)
+        self.objects = ClusterObjects(notices=self.told)
+        self.ask(None)
+        self.drain()
+        pods = StoredPods(self.objects, self.store)
+        gate = StoredGate(self.objects, pods, self.store)
+        senses = GivenSenses(self.objects)
+        self._options = GivenOptions(self.objects, World(self.store), strategies or (ExecutingFallback("hot"),))
+        self._garbage = GarbageCollection(pods, gate, self.told)
+        cluster = Cluster(self.objects.view, pods, gate)
         self.switching = PlannedSwitchovers(
-            Cluster(cast(Any, self.view), cast(Any, SimpleNamespace(find=self._find)), cast(Any, self)),
-            cast(Any, self),
-            cast(Any, Keeping()),
-            CurrentRecovery(),
-            cast(Any, SimpleNamespace(add=lambda pod: self.left.append(pod.name))),
-            cast(Any, self.told),
+            cluster, self._options, senses.keeping, senses.current, self._garbage, self.told
         )
 
     @property
     def state(self) -> GateState:
         return self.store.gate
 
-    def _find(self, uid: str) -> Instance | None:
-        return next((i for i in self.store.pods.values() if i.uid == uid), None)
+    @property
+    def left(self) -> list[str]:
+        """The pods that are of no use any more."""
+        return [pod.name for pod in self._garbage.failed()]
+
+    def begin_anew(self) -> None:
+        """Have a world with the pods that the store has now."""
+        self._options.world = World(self.store)
 
     def ask(self, text: str | None) -> None:
-        self.view.object = {"metadata": {"annotations": {names.SWITCHOVER: text} if text else {}}}
+        """Ask for a switchover, or take that back."""
+        self.objects.put_workload(annotations={names.SWITCHOVER: text} if text else {})
 
-    def drain(self, *cordoned: str, uid: str = "uid-w-1") -> None:
-        self.view.settings.drain = Drain(uid=uid, node="node-1", since=time.time(), cordoned=["node-1", *cordoned])
+    def drain(self, *nodes: str, uid: str = "uid-w-1") -> None:
+        """Drain these nodes, where the instance with this UID is active; or none."""
+        drain = Drain(uid=uid, node=nodes[0], since=time.time(), cordoned=list(nodes)) if nodes else None
+        self.objects.put_settings(drain=drain)
 
     def look(self, lacking: str = "") -> Prepared | None:
         return self.switching.look(lacking)
-
-    def choices(self) -> list[Choice]:
-        return [Choice(strategy, 0.3) for strategy in self.strategies]
-
-    def means(self) -> Means:
-        return self.world.means()
 
     async def looked(self, within: float = 1.0) -> Prepared | None:
         """The result after a while, in which the loop looks again and again."""
@@ -139,7 +184,7 @@ async def test_a_new_monitor_does_not_carry_it_out_again_even_after_others_that_
     assert found is not None
     await scene.switch(found)
     scene.store.add("w-3", pool="hot", node="node-3")
-    scene.drain(uid="uid-w-2")
+    scene.drain("node-1", uid="uid-w-2")
     found = await scene.looked()
     assert found is not None
     assert found.progress.switchover == "Drain"
@@ -247,17 +292,17 @@ async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:
 
 async def test_one_that_waits_ends_when_nobody_asks_for_it_any_more() -> None:
     scene = Scene(ready=False)
-    scene.drain()
+    scene.drain("node-1")
     assert await scene.looked(0.05) is None
     assert scene.told.phase == "Waiting"
-    scene.view.settings.drain = None
+    scene.drain()
     assert await scene.looked(0.05) is None
     assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: the request was withdrawn.")
 
 
 async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_waits() -> None:
     scene = Scene()
-    scene.drain("node-2")
+    scene.drain("node-1", "node-2")
     assert await scene.looked(0.05) is None
     assert (scene.told.phase, scene.told.message) == (
         "Waiting",
@@ -274,7 +319,7 @@ async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_wai
 
 async def test_a_drain_is_for_the_instance_that_it_names() -> None:
     scene = Scene()
-    scene.drain(uid="uid-of-one-before")
+    scene.drain("node-1", uid="uid-of-one-before")
     assert await scene.looked(0.05) is None
     assert scene.told.status.switchover is None
 
@@ -295,7 +340,7 @@ async def test_home_is_the_pod_of_the_workloads_own_controller_and_no_other_stan
     scene.store.add("w-4", pool="hot", created="1")
     scene.store.gate = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
     scene.store.pods.pop("w-1")
-    scene.world = World(scene.store)
+    scene.begin_anew()
     scene.ask(request("failback", time.time()))
     found = await scene.looked()
     assert found is not None
@@ -307,7 +352,7 @@ async def test_home_is_started_where_the_policy_has_no_strategy_for_it() -> None
     scene = Scene(ExecutingFallback("hot", with_source=False))
     scene.store.gate = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
     scene.store.pods.pop("w-1")
-    scene.world = World(scene.store)
+    scene.begin_anew()
     scene.ask(request("failback", time.time()))
     found = await scene.looked()
     assert found is not None

@@ -12,7 +12,6 @@ from tests.unit.monitor.senses import GivenSenses
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.act.gate.reflex_guard import TOO_STRONG_FOR, ReflexGuard
-from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.judge.reflex_takeover import LOOK, ReflexTakeover
 

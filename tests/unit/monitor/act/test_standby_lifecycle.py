@@ -1,156 +1,35 @@
-"""Which instance is brought where, when a standby counts as ready, and when it is replaced."""
+"""When instances are brought to their readiness, and when a standby that lost it is replaced."""
 
 from __future__ import annotations
 
 import asyncio
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
-from tests.support.notices import RecordedNotices
-from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.kinds.procedure_spec import Check, Procedure
+from tests.support.clock import Clock
+from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec, policy_of
+from tests.unit.monitor.readiness import ACTIVE, HOT, INIT, STANDBY, UP, WARM, XML_CHECK, settings
+from tests.unit.monitor.senses import GivenAgents
+from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.api.protocol.kept_state import KeptState, RestoreReport
-from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.api.protocol.monitor_settings import PoolChoice
+from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
-from understudy.failover.strategies.executing import ExecutingFallback
-from understudy.failover.strategies.initialized import InitializedFallback
-from understudy.failover.strategies.registry import choices
-from understudy.failover.strategies.restart import Restart
 from understudy.monitor.act.instances import standby_lifecycle
 from understudy.monitor.act.instances.standby_lifecycle import Bringing
-from understudy.monitor.observe import agent_connections
+from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
-from understudy.monitor.observe.instance_roles import InstanceRoles, Role, managed, role_of
-
-UP = {"yaml": {"set_lifecycle": {"node": "/nav", "state": "active"}}}
-INIT = Procedure(yaml={"set_lifecycle": {"node": "/nav", "state": "inactive"}}, within="7s")
-CHECK = Check(yaml={"lifecycle_is": {"node": "/nav", "state": "inactive"}}, period="2s")
-ACTIVE = Instance("w-1", "uid-1", running=True)
-SOURCE = Instance("w-2", "uid-2", running=True, ready=True)
-STANDBY = Instance("w-3", "uid-3", pool="warm", running=True, ready=True)
+from understudy.monitor.observe.instance_roles import InstanceRoles
 
 
-def workload(**more: Any) -> RobotWorkloadSpec:
-    return RobotWorkloadSpec.model_validate(
-        {
-            "template": {"spec": {}},
-            "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
-            "failurePolicyRef": {"name": "p"},
-            **more,
-        }
-    )
-
-
-def settings(*pools: PoolChoice) -> WorkloadSettings:
-    return WorkloadSettings(
-        workload="w", namespace="n", uid="u", source_kind="ReplicaSet", source_name="w", pools=list(pools)
-    )
-
-
-def policy(*strategies: dict[str, Any]) -> FailurePolicySpec:
-    return FailurePolicySpec.model_validate(
-        {
-            "monitoring": {"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}},
-            "strategies": list(strategies) or [{"type": "Restart"}],
-        }
-    )
-
-
-WARM = PoolChoice(name="warm", readiness="Initialized", initialization=INIT, readiness_check=CHECK)
-HOT = PoolChoice(name="hot", readiness="Executing")
-
-
-def test_without_procedures_the_health_tree_alone_counts() -> None:
-    for instance in (ACTIVE, SOURCE, replace(STANDBY, pool="hot")):
-        assert role_of(instance, workload(), settings(HOT), active_uid="uid-1") == Role()
-
-
-def test_a_standby_of_an_initialized_pool_is_initialized_and_checked() -> None:
-    found = role_of(STANDBY, workload(bringUp=UP), settings(WARM), active_uid="uid-1")
-    assert found.procedure is not None
-    assert (found.procedure.name, found.procedure.within) == ("initialization", 7.0)
-    assert found.brought.startswith("init:")
-    assert found.standby == {"brought": found.brought, "tree": False, "check": CHECK.yaml, "period": 2.0}
-
-
-def test_a_container_that_was_started_again_is_to_be_initialized_again() -> None:
-    first, again = (
-        role_of(replace(STANDBY, restarts=restarts), workload(), settings(WARM), active_uid="uid-1").brought
-        for restarts in (0, 1)
-    )
-    assert first != again
-
-
-def test_what_the_controller_makes_beside_the_one_in_control_waits_as_the_first_pools() -> None:
-    pools = settings(PoolChoice(name="spare", readiness="Uninitialized"), WARM, HOT)
-    assert role_of(SOURCE, workload(bringUp=UP), pools, active_uid="uid-1").procedure.name == "initialization"
-
-
-def test_the_first_instance_is_brought_up_before_it_is_ready() -> None:
-    for pools in (settings(), settings(WARM)):
-        found = role_of(SOURCE, workload(bringUp=UP), pools, active_uid="")
-        assert found.procedure is not None
-        assert found.procedure.name == "bringUp"
-        assert found.brought.startswith("up:")
-        assert found.standby == {"brought": found.brought}
-
-
-def test_an_executing_standby_is_initialized_by_the_bring_up_and_judged_by_its_health_tree() -> None:
-    standby = replace(STANDBY, pool="hot")
-    found = role_of(standby, workload(bringUp=UP), settings(HOT), active_uid="uid-1")
-    assert found.procedure is not None
-    assert found.procedure.name == "bringUp"
-    assert found.standby == {"brought": found.brought, "tree": True}
-
-
-def test_the_one_in_control_is_brought_up_where_that_was_not_done() -> None:
-    spec = workload(bringUp=UP)
-    assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1").procedure is not None
-    assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1", brought="up:x:0").procedure is None
-    took_over = replace(STANDBY, uid="uid-1")
-    assert role_of(took_over, spec, settings(WARM), active_uid="uid-1", brought="init:x:0").procedure is not None
-    executing = replace(took_over, pool="hot")
-    assert role_of(executing, spec, settings(HOT), active_uid="uid-1", brought="init:x:0").procedure is None
-    assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1").standby is None
-
-
-def test_a_claimed_pod_is_left_to_the_strategy_that_claimed_it() -> None:
-    claimed = Instance("s-1", "uid-4", pool="spare", claim="u/1", running=True)
-    pools = settings(PoolChoice(name="spare", readiness="Uninitialized"))
-    assert role_of(claimed, workload(bringUp=UP), pools, active_uid="") == Role()
-
-
-def test_procedures_make_a_workload_managed() -> None:
-    assert not managed(workload(), settings(HOT), policy())
-    assert managed(workload(bringUp=UP), settings(), policy())
-    assert managed(workload(), settings(WARM), policy())
-    assert managed(workload(), settings(), policy({"type": "Restart", "recovery": UP}))
-
-
-def test_strategies_bring_up_what_is_not_driving_yet() -> None:
-    fallback = {"type": "Fallback", "poolRef": {"name": "warm"}}
-    hot = {"type": "Fallback", "poolRef": {"name": "hot"}}
-    restart = {"type": "Restart", "recovery": {"yaml": {"resend_goals": {}}}}
-    found = choices(policy(fallback, hot, restart), settings(WARM, HOT), workload(bringUp=UP))
-    warm, executing, again = (choice.strategy for choice in found)
-    assert isinstance(warm, InitializedFallback)
-    assert warm._recovery.name == "bringUp"
-    assert type(executing) is ExecutingFallback
-    assert executing._recovery is None, "it drives already"
-    assert not executing._with_source, "what the controller makes waits in the first pool"
-    assert isinstance(again, Restart)
-    assert again._recovery.name == "strategies[2].recovery", "instead of the workload's bringUp"
-
-
-class Sidecars:
+class Sidecars(GivenAgents):
     """Agents that do what is requested."""
 
-    def __init__(self) -> None:
+    def __init__(self, objects: ClusterObjects, roles: InstanceRoles) -> None:
+        super().__init__(objects, roles)
         self.ran: list[tuple[str, str]] = []
         self.brought: dict[str, str] = {}
         self.fails = ""
@@ -165,7 +44,9 @@ class Sidecars:
         ready = self.ready.get(instance.uid, False) and bool(self.brought.get(instance.uid))
         return ready, "" if ready else "node /nav is gone"
 
-    async def run(self, instance: Instance, procedure: Any, *, brought: str, **more: Any) -> RestoreReport:
+    async def run(
+        self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
+    ) -> RestoreReport:
         self.ran.append((instance.name, procedure.name))
         if procedure.within == self.endless:
             await asyncio.Event().wait()
@@ -175,40 +56,38 @@ class Sidecars:
         return RestoreReport()
 
 
-class Fleet:
+class World:
+    """A healthy workload with an instance that drives, and a standby of a warm pool."""
+
     def __init__(self) -> None:
-        self.retired: list[str] = []
+        self.clock, self.objects = Clock(), ClusterObjects()
+        self.objects.put_settings(pools=[WARM])
+        self.notices = self.objects.notices
+        self.notices.set(health="Healthy")
+        self.roles = InstanceRoles(self.objects.view, self.objects.gate, CurrentRecovery())
+        self.agents = Sidecars(self.objects, self.roles)
+        self.agents.brought["uid-1"] = "up:x:0"
+        self.bringing = Bringing(self.objects.pods, self.agents, self.roles, self.notices)
 
-    async def retire(self, instance: Instance) -> None:
-        self.retired.append(instance.name)
-
-
-@pytest.fixture
-def world(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    found = SimpleNamespace(fleet=Fleet(), agents=Sidecars(), notices=RecordedNotices(), clock=1000.0)
-    found.notices.set(health="Healthy")
-    found.roles = InstanceRoles(None, None, CurrentRecovery())  # type: ignore[arg-type]
-    found.bringing = Bringing(found.fleet, found.agents, found.roles, found.notices)  # type: ignore[arg-type]
-    monkeypatch.setattr(standby_lifecycle, "time", SimpleNamespace(monotonic=lambda: found.clock))
-    found.agents.brought["uid-1"] = "up:x:0"
-
-    async def look(*instances: Instance, **more: Any) -> None:
-        found.bringing.housekeeping(
-            instances or (ACTIVE, STANDBY),
-            policy(),
-            more.get("spec", workload(bringUp=UP)),
-            settings(more.get("pool", WARM)),
-            more.get("active", "uid-1"),
-            KeptState,
-        )
+    async def look(self, *instances: Instance, pool: PoolChoice = WARM) -> None:
+        """Look at these instances, and let what was begun be done."""
+        self.keep_house(*(instances or (ACTIVE, STANDBY)), spec=parsed_spec(bringUp=UP), pool=pool)
         for _ in range(5):
             await asyncio.sleep(0)
 
-    found.look = look
+    def keep_house(self, *instances: Instance, spec: RobotWorkloadSpec, pool: PoolChoice) -> None:
+        """Look at these instances once."""
+        self.bringing.housekeeping(instances, policy_of(), spec, settings(pool), "uid-1", KeptState)
+
+
+@pytest.fixture
+def world(monkeypatch: pytest.MonkeyPatch) -> World:
+    found = World()
+    monkeypatch.setattr(standby_lifecycle, "time", found.clock)
     return found
 
 
-async def test_each_instance_is_brought_there_once(world: SimpleNamespace) -> None:
+async def test_each_instance_is_brought_there_once(world: World) -> None:
     await world.look()
     assert world.notices.conditions["BroughtUp"][:2] == ("Unknown", "UnderWay")
     await world.look()
@@ -216,7 +95,7 @@ async def test_each_instance_is_brought_there_once(world: SimpleNamespace) -> No
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
-async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespace) -> None:
+async def test_a_failure_is_told_once_and_tried_again_later(world: World) -> None:
     world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     await world.look()
     await world.look()
@@ -227,7 +106,7 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
         "or what it waits for there. It is tried again.",
     )
     assert len(world.agents.ran) == 1
-    world.clock += standby_lifecycle.RETRY_FIRST
+    world.clock.now += standby_lifecycle.RETRY_FIRST
     await world.look()
     assert len(world.agents.ran) == 2
     assert world.notices.reasons == ["NotBroughtUp"]
@@ -236,12 +115,12 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: SimpleNamespa
 OTHER = Procedure(yaml={"wait_for": {"node": "/nav"}}, within="7s")
 
 
-async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corrects(world: SimpleNamespace) -> None:
+async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corrects(world: World) -> None:
     world.agents.ready["uid-3"] = False
     world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     for _ in range(4):  # the wait for the next try grows
         await world.look()
-        world.clock += standby_lifecycle.RETRY_MOST
+        world.clock.now += standby_lifecycle.RETRY_MOST
     world.agents.fails = ""
     await world.look(pool=WARM.model_copy(update={"initialization": OTHER}))
     assert "did not configure" not in world.notices.conditions["BroughtUp"][2]
@@ -249,7 +128,7 @@ async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corr
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
-async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corrected(world: SimpleNamespace) -> None:
+async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corrected(world: World) -> None:
     world.agents.endless = 3600.0
     endless = WARM.model_copy(update={"initialization": INIT.model_copy(update={"within": "1h"})})
     await world.look(pool=endless)
@@ -261,7 +140,7 @@ async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corre
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
-async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_procedure(world: SimpleNamespace) -> None:
+async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_procedure(world: World) -> None:
     await world.look()
     await world.look()
     world.agents.ready["uid-3"] = False
@@ -270,23 +149,7 @@ async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_pro
     assert world.roles.was_ready(STANDBY)
 
 
-@pytest.mark.parametrize("before", ["init:other:0", ""])
-def test_a_standby_that_is_ready_as_it_is_waits_so(before: str) -> None:
-    found = role_of(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
-    assert (found.brought, found.outdated) == (before, True)
-    assert found.standby is not None
-    assert found.standby["brought"] == before
-    assert not role_of(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before).outdated
-
-
-@pytest.mark.parametrize("before", ["up:other:0", "init:other:1"])
-def test_what_was_brought_elsewhere_or_was_started_again_since_is_initialized(before: str) -> None:
-    found = role_of(STANDBY, workload(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
-    assert found.brought.startswith("init:")
-    assert (found.brought == before, found.outdated) == (False, False)
-
-
-async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(world: SimpleNamespace) -> None:
+async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(world: World) -> None:
     world.agents.brought["uid-3"] = "init:other:0"
     await world.look()
     assert world.agents.ran == []
@@ -295,106 +158,79 @@ async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(wor
     assert "An earlier version of the procedure prepared w-3: delete the pod" in message
 
 
-async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: SimpleNamespace) -> None:
+async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: World) -> None:
     await world.look()
     await world.look()
     world.agents.ready["uid-3"] = False
     await world.look()
-    world.clock += standby_lifecycle.LOST_FOR - 0.1
+    world.clock.now += standby_lifecycle.LOST_FOR - 0.1
     await world.look()
-    assert world.fleet.retired == []
-    world.clock += 0.2
+    assert world.objects.deleted == []
+    world.clock.now += 0.2
     await world.look()
     await world.look()
-    assert world.fleet.retired == ["w-3"]
+    assert world.objects.deleted == ["w-3"]
     assert world.notices.events[-1][1] == "StandbyReplaced"
     assert "node /nav is gone" in world.notices.events[-1][2]
 
 
-async def test_a_standby_that_comes_back_stays(world: SimpleNamespace) -> None:
+async def test_a_standby_that_comes_back_stays(world: World) -> None:
     await world.look()
     world.agents.ready["uid-3"] = False
     await world.look()
     world.agents.ready["uid-3"] = True
-    world.clock += standby_lifecycle.LOST_FOR
+    world.clock.now += standby_lifecycle.LOST_FOR
     await world.look()
     world.agents.ready["uid-3"] = False
     await world.look()
-    assert world.fleet.retired == []
+    assert world.objects.deleted == []
 
 
-async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(world: SimpleNamespace) -> None:
+async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(world: World) -> None:
     """The reason may be the robot, whose sensors are silent for all of them."""
     await world.look()
     world.agents.ready["uid-3"] = False
     world.notices.set(health="Failed")
     for _ in range(3):
         await world.look()
-        world.clock += standby_lifecycle.LOST_FOR
-    assert world.fleet.retired == []
+        world.clock.now += standby_lifecycle.LOST_FOR
+    assert world.objects.deleted == []
 
 
-async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: SimpleNamespace) -> None:
+async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: World) -> None:
     world.agents.ready["uid-3"] = False
     for _ in range(3):
         await world.look()
-        world.clock += standby_lifecycle.LOST_FOR
-    assert world.fleet.retired == []
+        world.clock.now += standby_lifecycle.LOST_FOR
+    assert world.objects.deleted == []
 
 
-async def test_pods_without_an_agent_are_named(world: SimpleNamespace) -> None:
+async def test_pods_without_an_agent_are_named(world: World) -> None:
     await world.look(replace(ACTIVE, has_agent=False))
     status, reason, message = world.notices.conditions["BroughtUp"]
     assert (status, reason) == ("False", "NoAgent")
     assert message.startswith("w-1 has no agent")
 
 
-async def test_nothing_is_said_where_nothing_is_to_be_done(world: SimpleNamespace) -> None:
-    world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
+async def test_nothing_is_said_where_nothing_is_to_be_done(world: World) -> None:
+    world.keep_house(ACTIVE, spec=parsed_spec(), pool=HOT)
     assert world.notices.conditions == {}
 
 
-async def test_what_was_told_is_taken_back_when_the_procedures_are_gone(world: SimpleNamespace) -> None:
+async def test_what_was_told_is_taken_back_when_the_procedures_are_gone(world: World) -> None:
     await world.look()
-    world.bringing.housekeeping((ACTIVE,), policy(), workload(), settings(HOT), "uid-1", KeptState)
+    world.keep_house(ACTIVE, spec=parsed_spec(), pool=HOT)
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "NothingToDo")
 
 
-XML_CHECK = """<root BTCPP_format="4">
-<BehaviorTree ID="Ready">
-<LifecycleIs node="/nav" state="inactive"/>
-</BehaviorTree>
-</root>"""
-
-
-def test_agents_are_told_in_the_short_form_whatever_a_check_is_written_in() -> None:
-    pool = WARM.model_copy(update={"readiness_check": Check(xml=XML_CHECK, period="2s")})
-    found = role_of(STANDBY, workload(), settings(pool), active_uid="uid-1")
-    assert found.standby == {
-        "brought": found.brought,
-        "tree": False,
-        "check": CHECK.yaml,
-        "period": 2.0,
-        "places": {"lifecycle_is": "line 3, column 1: <LifecycleIs>"},
-    }
-
-
-def test_a_check_that_can_not_be_read_is_left_to_the_agent_to_refuse() -> None:
-    pool = WARM.model_copy(update={"readiness_check": Check(xml="<root/>")})
-    found = role_of(STANDBY, workload(), settings(pool), active_uid="uid-1")
-    assert found.standby is not None
-    assert found.standby["check"] == "<root/>"
-
-
 async def test_a_procedure_that_can_not_be_read_fails_with_its_place() -> None:
-    procedure = standby_lifecycle.BringUp.of(
-        "recovery", Procedure(xml=XML_CHECK.replace("LifecycleIs", "LifecycleWas"))
-    )
+    procedure = BringUp.of("recovery", Procedure(xml=XML_CHECK.replace("LifecycleIs", "LifecycleWas")))
     assert procedure is not None
+    objects = ClusterObjects()
+    roles = InstanceRoles(objects.view, objects.gate, CurrentRecovery())
+    agents = AgentConnections(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
     with pytest.raises(NotVerified) as failure:
-        await agent_connections.AgentConnections.run(
-            SimpleNamespace(), STANDBY, procedure, within=1.0, state=KeptState(), brought=""
-        )  # type: ignore[arg-type]
+        await agents.run(STANDBY, procedure, within=1.0, state=KeptState(), brought="")
     assert str(failure.value) == (
         "recovery, line 3, column 1: <LifecycleWas>: unknown node, did you mean 'LifecycleIs'?"
     )

@@ -1,0 +1,92 @@
+"""The record at the gate of a recovery that another monitor began and never recorded.
+
+The monitor is the older one of two. The newer one has driven the robot to its end and is gone, and its record was written over.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.clock import Clock
+from tests.unit.kube.memory import MemoryClient
+from tests.unit.monitor.abandoned import STANDBY, THIRD, Monitor, begun, monitor_of, written
+from understudy.failover.progress import LASTS, beside
+from understudy.kube.gates.base import GateRecord
+from understudy.monitor.act.recovery import abandonment
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    clock = Clock(100.0)
+    monkeypatch.setattr(abandonment, "time", clock)
+    return clock
+
+
+@pytest.fixture
+def monitor(tmp_path: Path) -> Monitor:
+    return monitor_of(MemoryClient(), tmp_path)
+
+
+@pytest.fixture
+async def later(monitor: Monitor, tmp_path: Path) -> Monitor:
+    await monitor.gate.commit(STANDBY, begun())
+    found = monitor.successor(tmp_path / "elsewhere")
+    found.notices.set(health="Healthy")
+    return found
+
+
+async def test_it_ends_once_the_robot_is_driven_for_so_long_that_it_would_be_recorded(
+    later: Monitor, clock: Clock
+) -> None:
+    for now in (100.0, 100.0 + LASTS - 0.1):
+        clock.now = now
+        await later.look()
+        assert later.seen().failing
+    clock.now = 100.0 + LASTS
+    await later.look()
+    assert not later.seen().failing
+    assert GateRecord.of(later.policy).active == STANDBY.name
+
+
+@pytest.mark.parametrize("health", ["Failed", "Starting", "Unknown", "Recovering"])
+async def test_while_the_robot_is_not_driven_somebody_may_be_at_it(later: Monitor, clock: Clock, health: str) -> None:
+    for clock.now in (100.0, 200.0, 300.0):
+        later.notices.set(health="Healthy" if clock.now == 100.0 else health)
+        await later.look()
+    later.notices.set(health="Healthy")
+    await later.look()
+    assert later.seen().failing, "it counts from when it is healthy again"
+
+
+async def test_each_commit_begins_the_time_anew(monitor: Monitor, later: Monitor, clock: Clock) -> None:
+    await later.look()
+    clock.now += LASTS - 1
+    await monitor.gate.commit(THIRD, begun(STANDBY))
+    later.watch()
+    await later.look()
+    clock.now += LASTS - 1
+    await later.look()
+    assert later.seen().failing
+
+
+async def test_what_the_status_tells_of_is_left_as_it_is(later: Monitor, clock: Clock) -> None:
+    found = beside(GateRecord.of(later.policy).recovery)
+    assert found is not None
+    later.notices.record(found.model_copy(update={"result": "Recovered"}))
+    before = written(later.client)
+    for clock.now in (100.0, 200.0, 300.0):
+        await later.look()
+    assert written(later.client) == before
+
+
+async def test_of_a_switchover_it_is_seen_what_came_of_it(monitor: Monitor, later: Monitor, clock: Clock) -> None:
+    switchover = begun(STANDBY).model_copy(update={"switchover": "Failover", "planned": True})
+    await monitor.gate.commit(THIRD, switchover)
+    later.watch()
+    for clock.now in (100.0, 200.0, 300.0):
+        await later.look()
+    found = beside(GateRecord.of(later.policy).recovery)
+    assert found is not None
+    assert found.result == "Running"
