@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
+import statistics
 from bisect import bisect_left
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -118,29 +119,26 @@ def _is_crowded(failures: Sequence[float], window: float, fallbacks: int) -> boo
 
 def _share(found: Sequence[int], number: int) -> Estimate:
     """Estimate the share of ``number`` intervals whose indices (in order) are in ``found``; see :func:`_estimate`."""
-    size = number / BATCHES
-    if size < 1:
-        return Estimate(len(found) / number, math.inf)
-    edges = [round(place * size) for place in range(BATCHES + 1)]
-    counts = [bisect_left(found, later) - bisect_left(found, one) for one, later in pairwise(edges)]
-    means = [count / (later - one) for count, (one, later) in zip(counts, pairwise(edges), strict=True)]
-    return Estimate(len(found) / number, _within(means, len(found) / number))
+
+    def mean(one: int, later: int) -> float:
+        return (bisect_left(found, later) - bisect_left(found, one)) / (later - one)
+
+    return _by_batches(number, len(found) / number, mean)
 
 
 def _estimate(values: Sequence[float]) -> Estimate:
     """Estimate by the means of batches in order, because neighbouring values are correlated."""
-    mean = math.fsum(values) / len(values)
-    if not math.isfinite(mean):
-        return Estimate(mean, 0.0)
-    size = len(values) / BATCHES
+    whole = math.fsum(values) / len(values)
+    if not math.isfinite(whole):
+        return Estimate(whole, 0.0)
+    return _by_batches(len(values), whole, lambda one, later: math.fsum(values[one:later]) / (later - one))
+
+
+def _by_batches(number: int, whole: float, mean: Callable[[int, int], float]) -> Estimate:
+    """Estimate a mean from those of batches; ``mean`` is that of a range of the ``number`` values."""
+    size = number / BATCHES
     if size < 1:
-        return Estimate(mean, math.inf)
-    edges = [round(number * size) for number in range(BATCHES + 1)]
-    means = [math.fsum(values[one:later]) / (later - one) for one, later in pairwise(edges)]
-    return Estimate(mean, _within(means, mean))
-
-
-def _within(means: Sequence[float], mean: float) -> float:
-    """Return half the width of the confidence interval from the means of the batches."""
-    spread = math.sqrt(sum((each - mean) ** 2 for each in means) / (BATCHES - 1))
-    return _SURE * spread / math.sqrt(BATCHES)
+        return Estimate(whole, math.inf)
+    edges = [round(place * size) for place in range(BATCHES + 1)]
+    means = [mean(one, later) for one, later in pairwise(edges)]
+    return Estimate(whole, _SURE * statistics.stdev(means, whole) / math.sqrt(BATCHES))

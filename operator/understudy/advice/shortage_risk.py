@@ -7,6 +7,7 @@ fallbacks.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
 
 MOST = 1_000_000
@@ -73,13 +74,7 @@ def fewest_fallbacks(measure: str, offered: float, risk: float, *, most: int = M
         high *= 2
         if high > most:
             raise ValueError(f"{most} fallbacks are not enough for {offered:g} in use on average")
-    low = high // 2  # not enough, or none
-    if function(offered, low) <= risk:
-        return low
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if function(offered, middle) <= risk else (middle, high)
-    return high
+    return bisect_left(range(high), True, key=lambda count: function(offered, count) <= risk)
 
 
 def _poisson_sum(mean: float, counts: range) -> float:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
 from understudy.api.base import seconds
+
+Number = TypeVar("Number", int, float)
 
 
 def reject_unless(
@@ -26,6 +29,30 @@ def reject_unless(
 def add_output(parser: argparse._ActionsContainer, words: str = "text, or all details as JSON or YAML") -> None:
     """Add ``--output`` with the formats text, JSON and YAML."""
     parser.add_argument("-o", "--output", choices=["text", "json", "yaml"], default="text", help=words)
+
+
+def whole(least: int, most: float = math.inf, more: str = "") -> Callable[[str], int]:
+    """Return a parser for ``type=`` of an option that takes a whole number within bounds; ``more`` is added to its error."""
+    return _within(int, "a whole number", least, most, more)
+
+
+def number(least: float, most: float) -> Callable[[str], float]:
+    """Return a parser for ``type=`` of an option that takes a number within bounds."""
+    return _within(float, "a number", least, most)
+
+
+def _within(
+    read: Callable[[str], Number], what: str, least: float, most: float, more: str = ""
+) -> Callable[[str], Number]:
+    bounds = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:.10g}"
+
+    def parse(text: str) -> Number:
+        with contextlib.suppress(ValueError):
+            if least <= (found := read(text)) <= most:
+                return found
+        raise argparse.ArgumentTypeError(f"found {text!r:.50}; give {what} {bounds}{more}")
+
+    return parse
 
 
 def duration(text: str) -> float:

@@ -1,8 +1,9 @@
-"""Checks of the file that ``--plot`` names."""
+"""Plots for ``--plot``: checks of the file that it names, their common style, and writing the file."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from understudy.cli.common.errors import CommandError
 
@@ -23,3 +24,25 @@ def check_plot_file(file: str) -> None:
             f"--plot: plots need matplotlib, which is not installed ({error}); install understudy with the extra plots: "
             "pip install '.[plots]' in its repository"
         ) from error
+
+
+def axes(
+    width: float, height: float, *, grid: str = "both", hidden: tuple[str, ...] = ("top", "right"), dpi: float = 150
+) -> Any:
+    """Return the axes of a new plot in the common style; the size is in inches."""
+    from matplotlib.figure import Figure
+
+    made: Any = Figure(figsize=(width, height), dpi=dpi, layout="constrained").subplots()
+    made.grid(axis=grid, color="#dddddd", linewidth=0.6)
+    made.set_axisbelow(True)
+    for side in hidden:
+        made.spines[side].set_visible(False)
+    return made
+
+
+def save(axes: Any, file: str) -> None:
+    """Write a plot. Raises CommandError."""
+    try:
+        axes.figure.savefig(file)
+    except OSError as error:
+        raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error

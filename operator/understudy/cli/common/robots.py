@@ -95,15 +95,8 @@ class LastRecovery(Model):
     def of(cls, recovery: Recovery) -> LastRecovery:
         """Summarize the record."""
         moments = recovery.moments
-        return cls(
-            number=recovery.number,
-            result=recovery.result,
-            strategy=recovery.strategy,
-            reason=recovery.reason,
-            planned=recovery.planned,
-            recovery_seconds=recovery.recovery_seconds,
-            ended=moments.verified or moments.routed or moments.detected,
-        )
+        ended = moments.verified or moments.routed or moments.detected
+        return cls(**recovery.model_dump(include=set(cls.model_fields)), ended=ended)
 
 
 class Robot(Model):

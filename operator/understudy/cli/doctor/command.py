@@ -4,6 +4,7 @@ remedy."""
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -49,7 +50,7 @@ def main(arguments: list[str]) -> int:
     out = sys.stdout
     try:
         kubectl = Kubectl(given)
-        with _Progress() as progress, proxied(kubectl) as api:
+        with _progress() as progress, proxied(kubectl) as api:
             examination = _Examination(kubectl, api, given, progress)
             examination.run()
         found = examination.found
@@ -64,22 +65,14 @@ def main(arguments: list[str]) -> int:
         return ERROR
 
 
-class _Progress:
-    """Shows the current step: in a terminal in one line that is erased at the end, else in a line for each step."""
-
-    def __init__(self) -> None:
-        self._terminal = sys.stderr.isatty()
-
-    def __enter__(self) -> Callable[[str], None]:
-        return self._say
-
-    def __exit__(self, *_: object) -> None:
-        if self._terminal:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
-
-    def _say(self, what: str) -> None:
-        text = f"\r\x1b[K{plain(what)} …" if self._terminal else f"{plain(what)}\n"
-        print(text, end="", file=sys.stderr, flush=True)
+@contextlib.contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """Show the current step: in a terminal in one line that is erased at the end, else in a line for each step."""
+    before, after = ("\r\x1b[K", " …") if sys.stderr.isatty() else ("", "\n")
+    try:
+        yield lambda what: print(f"{before}{plain(what)}", end=after, file=sys.stderr, flush=True)
+    finally:
+        print(before, end="", file=sys.stderr, flush=True)
 
 
 class _Examination:

@@ -105,11 +105,7 @@ def operators() -> Iterator[Right]:
 def of_this_user(api: Api, namespace: str) -> Finding:
     """Check whether the user has the rights that the verbs of this command need."""
     check = "your rights"
-    missing = [
-        right
-        for right in OURS
-        if not _allowed(api, "selfsubjectaccessreviews", {"resourceAttributes": right.attributes(namespace)})
-    ]
+    missing = _missing(api, namespace, OURS, "selfsubjectaccessreviews", {})
     if not missing:
         return Finding(check, "OK", f"you have all rights that the verbs of this command need in {namespace}")
     listed = ", ".join(f"{right.words} (for {right.use})" for right in missing)
@@ -125,17 +121,9 @@ def of_this_user(api: Api, namespace: str) -> Finding:
 def of_the_operator(api: Api, namespace: str, found: Installed) -> Finding:
     """Check whether the operator has the rights for its work in a namespace."""
     check = "operator's rights"
-    wanted = list(dict.fromkeys(operators()))
+    account = {"user": found.account, "groups": _groups(found)}
     try:
-        missing = [
-            right
-            for right in wanted
-            if not _allowed(
-                api,
-                "subjectaccessreviews",
-                {"user": found.account, "groups": _groups(found), "resourceAttributes": right.attributes(namespace)},
-            )
-        ]
+        missing = _missing(api, namespace, dict.fromkeys(operators()), "subjectaccessreviews", account)
     except Refused as refused:
         if refused.status != 403:
             raise
@@ -146,23 +134,25 @@ def of_the_operator(api: Api, namespace: str, found: Installed) -> Finding:
     return Finding(
         check,
         "FAIL",
-        f"{found.account} lacks rights in {namespace}: {_listed(missing)}",
+        f"{found.account} lacks rights in {namespace}: {', '.join(right.words for right in missing)}",
         "helm upgrade the chart with rbac.create=true, or give the account what the chart's ClusterRole has; an "
         "operator for some namespaces only needs it in this one too",
     )
 
 
-def _allowed(api: Api, review: str, spec: Object) -> bool:
-    body = {"apiVersion": "authorization.k8s.io/v1", "spec": spec}
-    status = api.request("POST", f"{_REVIEWS}/{review}", body).body.get("status") or {}
-    return bool(status.get("allowed"))
+def _missing(api: Api, namespace: str, rights: Iterable[Right], review: str, account: Object) -> list[Right]:
+    """Return the rights that an account lacks, by access reviews of a kind."""
+
+    def allowed(right: Right) -> bool:
+        spec = account | {"resourceAttributes": right.attributes(namespace)}
+        body = {"apiVersion": "authorization.k8s.io/v1", "spec": spec}
+        status = api.request("POST", f"{_REVIEWS}/{review}", body).body.get("status") or {}
+        return bool(status.get("allowed"))
+
+    return [right for right in rights if not allowed(right)]
 
 
 def _groups(found: Installed) -> list[str]:
     """Return the groups to which the API server assigns a ServiceAccount."""
     namespace = found.item["metadata"]["namespace"]
     return ["system:serviceaccounts", f"system:serviceaccounts:{namespace}", "system:authenticated"]
-
-
-def _listed(rights: Iterable[Right]) -> str:
-    return ", ".join(right.words for right in rights)

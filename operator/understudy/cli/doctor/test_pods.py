@@ -121,14 +121,15 @@ def pair(kubectl: Kubectl, api: Api, images: Images, progress: Callable[[str], N
     run = f"understudy-doctor-{uuid.uuid4().hex[:6]}"
     _sweep(kubectl)
     try:
-        with _ended_as_by_ctrl_c():
+        # SIGTERM and a closed terminal end it like Ctrl-C, so that the pods are deleted.
+        with _handling(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP):
             progress("making two pods")
             path = PODS.path(kubectl.namespace)
             for role in ("sender", "receiver"):
                 api.request("POST", path, pod(run, role, images))
             yield Pods(api, kubectl, run, *_started(api, kubectl.namespace, run))
     finally:
-        with _uninterrupted():
+        with _handling(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             progress("clearing up")
             _clear(kubectl, run)
 
@@ -206,25 +207,11 @@ def _clear(kubectl: Kubectl, run: str) -> None:
 
 
 @contextlib.contextmanager
-def _ended_as_by_ctrl_c() -> Iterator[None]:
-    """Handle SIGTERM and a closed terminal like Ctrl-C for the duration of the context, so that the pods are
-    deleted."""
-    numbers = (signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, signal.default_int_handler) for number in numbers}
+def _handling(handler: Callable[..., None] | signal.Handlers, *numbers: signal.Signals) -> Iterator[None]:
+    """Handle signals in this way for the duration of the context."""
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Ignore all signals except SIGKILL for the duration of the context, which is short."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, previous in before.items():
+            signal.signal(number, previous)

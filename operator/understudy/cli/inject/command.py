@@ -116,12 +116,6 @@ def _stop(kubectl: Kubectl, pod: str, container: str, length: float, percent: in
     print(f"{pod}: its processes continue, if the pod still exists", flush=True)
 
 
-def _percent(text: str) -> int:
-    if not text.isascii() or not text.isdigit() or not 0 < int(text) < 100:
-        raise argparse.ArgumentTypeError(f"{text!r}: give a whole number from 1 to 99; use freeze for 100")
-    return int(text)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy inject",
@@ -143,7 +137,7 @@ def _parser() -> argparse.ArgumentParser:
         help=f"how long the fault lasts (default: {LENGTH})",
     )
     parser.add_argument(
-        "--percent", type=_percent, metavar="1..99",
+        "--percent", type=option_rules.whole(1, 99, "; use freeze for 100"), metavar="1..99",
         help=f"slow: the share of the time for which the processes are stopped (default: {PERCENT})",
     )  # fmt: skip
     parser.add_argument(

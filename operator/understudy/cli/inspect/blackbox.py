@@ -20,7 +20,7 @@ from understudy.cli.common import option_rules
 from understudy.cli.common.cluster_access.kubectl import Kubectl, add_options
 from understudy.cli.common.errors import ERROR, CommandError, reports_errors
 from understudy.cli.common.text import terminal
-from understudy.cli.common.text.text_tables import Cell, format_table
+from understudy.cli.common.text.text_tables import format_texts
 from understudy.cli.common.text.tree_text import plain
 from understudy.cli.common.text.wording import age, clock, counted, wrapped
 from understudy.cli.inspect.tree import fetch_json, monitor_pod
@@ -72,22 +72,15 @@ def _show(found: Recordings, output: str) -> int:
     if output != "text":
         print(structured(found.to_wire(), output))
     else:
-        for line in lines(
-            found, time.time(), colours=terminal.colours(sys.stdout), columns=terminal.columns(sys.stdout)
-        ):
-            print(line)
+        print("\n".join(lines(found, time.time(), columns=terminal.columns(sys.stdout))))
     return SUCCESS if found.recordings else NONE
 
 
-def lines(found: Recordings, now: float, *, colours: bool, columns: int | None) -> Iterator[str]:
+def lines(found: Recordings, now: float, *, columns: int | None) -> Iterator[str]:
     """Format the list of recordings."""
     if found.recordings:
-        head = [
-            Cell(text) for text in ("NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "REASON")
-        ]
-        yield from format_table(
-            [head, *([Cell(text) for text in _row(one, now)] for one in found.recordings)], colours=colours
-        )
+        head = ("NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "REASON")
+        yield from format_texts([head, *(_row(one, now) for one in found.recordings)])
     elif found.on:
         yield "No failure has been recorded yet."
     if not found.on:

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from pydantic.alias_generators import to_camel
+
 from understudy.api import names
 from understudy.api.conditions import Condition
 from understudy.api.health_reasons import decisive, why
@@ -195,7 +197,10 @@ def for_scripts(known: Known) -> dict[str, Any]:
         "message": known.protected.message,
         "active": name,
         "strategies": strategies,
-        **{_camel(heading): [entry.to_wire() for entry in entries] for heading, entries in sections.items()},
+        **{
+            to_camel(heading.lower().replace(" ", "_")): [entry.to_wire() for entry in entries]
+            for heading, entries in sections.items()
+        },
     }
 
 
@@ -209,11 +214,6 @@ def _sections(known: Known) -> dict[str, list[_Entry]]:
         "Not covered": list(_not_covered(known)),
         "Lately": list(_lately(known.events, known.observed.now)),
     }
-
-
-def _camel(heading: str) -> str:
-    first, *others = heading.lower().split()
-    return first + "".join(word.capitalize() for word in others)
 
 
 def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:

@@ -7,7 +7,7 @@ import contextlib
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TextIO
 
@@ -78,11 +78,11 @@ class _ClusterReader:
         gates = self._gates()
         kinds = WORKLOADS if self._names else f"{WORKLOADS},{POOLS}"
         found = self.kubectl.get(kinds, *self._names, *self.where)
-        items = sorted(
-            found.get("items", [found]), key=lambda item: (item["metadata"]["namespace"], item["metadata"]["name"])
-        )
+        items = sorted(found.get("items", [found]), key=_key)
         now = time.time()
-        robots = [robot(item, gates.get(_gate_of(item)), now) for item in items if item["kind"] == "RobotWorkload"]
+        robots = [
+            robot(item, gates.get(_key(item, names.gate)), now) for item in items if item["kind"] == "RobotWorkload"
+        ]
         if not robots:
             where = "the cluster" if self.everywhere else "this namespace (use -n NAMESPACE or -A)"
             raise CommandError(f"there is no RobotWorkload in {where}")
@@ -100,15 +100,12 @@ class _ClusterReader:
         except Forbidden:
             self._refused = time.monotonic()
             return {}
-        return {_key(item["metadata"], item["metadata"]["name"]): item for item in found.get("items", [found])}
+        return {_key(item): item for item in found.get("items", [found])}
 
 
-def _gate_of(workload: Object) -> tuple[str, str]:
-    return _key(workload["metadata"], names.gate(workload["metadata"]["name"]))
-
-
-def _key(metadata: Object, name: str) -> tuple[str, str]:
-    return metadata["namespace"], name
+def _key(item: Object, name: Callable[[str], str] = str) -> tuple[str, str]:
+    """Return the namespace and the name of an object, or what a function makes of its name."""
+    return item["metadata"]["namespace"], name(item["metadata"]["name"])
 
 
 def _once(reader: _ClusterReader, output: str) -> int:

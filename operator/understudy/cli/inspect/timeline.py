@@ -54,13 +54,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if they were shown, 2 if they could not be read.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    parser.add_argument("--last", metavar="N", type=_count, help=f"how many are shown in detail (default: {EACH})")
+    parser.add_argument(
+        "--last", metavar="N", type=option_rules.whole(1), help=f"how many are shown in detail (default: {EACH})"
+    )
     option_rules.add_output(parser, "text, or the records as JSON or YAML")
     add_options(parser)
     return parser
-
-
-def _count(text: str) -> int:
-    if not (text.isdecimal() and int(text)):
-        raise argparse.ArgumentTypeError(f"found {text!r:.50}; give a whole number of at least 1")
-    return int(text)

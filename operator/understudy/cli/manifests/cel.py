@@ -7,6 +7,7 @@ rules. CEL libraries bring command lines, parsers and time zones (30 MB), and th
 from __future__ import annotations
 
 import functools
+import operator
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -35,16 +36,6 @@ _TOKEN = re.compile(
     )""",
     re.VERBOSE,
 )
-
-_COMPARISONS: dict[str, Callable[[Any, Any], bool]] = {
-    "==": lambda a, b: bool(a == b),
-    "!=": lambda a, b: bool(a != b),
-    "<=": lambda a, b: bool(a <= b),
-    ">=": lambda a, b: bool(a >= b),
-    "<": lambda a, b: bool(a < b),
-    ">": lambda a, b: bool(a > b),
-    "in": lambda a, b: a in b,
-}
 
 
 @functools.lru_cache(maxsize=512)
@@ -88,7 +79,7 @@ class _Parser:
             raise Unsupported(f"{self._text}: unexpected {self._tokens[self._at][1]!r}")
 
     def choice(self) -> Evaluate:
-        condition = self._either()
+        condition = self._binary()
         if not self._take("?"):
             return condition
         so = self.choice()
@@ -96,29 +87,15 @@ class _Parser:
         otherwise = self.choice()
         return lambda scope: so(scope) if condition(scope) else otherwise(scope)
 
-    def _either(self) -> Evaluate:
-        left = self._both()
-        while self._take("||"):
-            left = _either(left, self._both())
-        return left
-
-    def _both(self) -> Evaluate:
-        left = self._comparison()
-        while self._take("&&"):
-            left = _both(left, self._comparison())
-        return left
-
-    def _comparison(self) -> Evaluate:
-        left = self._sum()
-        for sign, compare in _COMPARISONS.items():
-            if self._take(sign):
-                return _applied(compare, left, self._sum())
-        return left
-
-    def _sum(self) -> Evaluate:
+    def _binary(self, least: int = 1) -> Evaluate:
+        """Parse operators that bind at least as tightly as ``least``."""
         left = self._not()
-        while self._take("+"):
-            left = _applied(lambda a, b: a + b, left, self._not())
+        while self._at < len(self._tokens) and (sign := self._tokens[self._at][1]) in _OPERATORS:
+            rank, combine = _OPERATORS[sign]
+            if rank < least:
+                break
+            self._at += 1
+            left = combine(left, self._binary(rank + 1))
         return left
 
     def _not(self) -> Evaluate:
@@ -135,7 +112,7 @@ class _Parser:
         return value
 
     def _method(self, value: Evaluate, name: str) -> Evaluate:
-        if name in ("all", "exists", "exists_one", "filter"):
+        if name in _MACROS:
             variable = self._word()
             self._need(",")
             body = self.choice()
@@ -144,15 +121,8 @@ class _Parser:
         arguments = self._arguments()
         if name == "size" and not arguments:
             return lambda scope: len(value(scope))
-        if len(arguments) == 1 and name in ("matches", "contains", "startsWith", "endsWith"):
-            (argument,) = arguments
-            function = {
-                "matches": matches,
-                "contains": lambda text, part: part in text,
-                "startsWith": str.startswith,
-                "endsWith": str.endswith,
-            }[name]
-            return _applied(function, value, argument)
+        if len(arguments) == 1 and name in _METHODS:
+            return _applied(_METHODS[name])(value, *arguments)
         raise Unsupported(f"{self._text}: {name}() is not supported")
 
     def _arguments(self, closing: str = ")") -> list[Evaluate]:
@@ -236,30 +206,46 @@ def _field(value: Evaluate, name: str) -> Evaluate:
     return lambda scope: value(scope)[name]
 
 
-def _applied(function: Callable[[Any, Any], Any], left: Evaluate, right: Evaluate) -> Evaluate:
-    return lambda scope: function(left(scope), right(scope))
-
-
-def _either(left: Evaluate, right: Evaluate) -> Evaluate:
-    return lambda scope: left(scope) or right(scope)
-
-
-def _both(left: Evaluate, right: Evaluate) -> Evaluate:
-    return lambda scope: left(scope) and right(scope)
-
-
 def _over(name: str, value: Evaluate, variable: str, body: Evaluate) -> Evaluate:
     """Build a macro over the items of a list or the keys of a mapping."""
 
     def evaluate(scope: Scope) -> Any:
-        held = [item for item in value(scope) if body({**scope, variable: item})]
-        match name:
-            case "all":
-                return len(held) == len(value(scope))
-            case "exists":
-                return bool(held)
-            case "exists_one":
-                return len(held) == 1
-        return held
+        items = list(value(scope))
+        return _MACROS[name](items, [item for item in items if body({**scope, variable: item})])
 
     return evaluate
+
+
+_MACROS: dict[str, Callable[[list[Any], list[Any]], Any]] = {
+    "all": lambda items, held: len(held) == len(items),
+    "exists": lambda items, held: bool(held),
+    "exists_one": lambda items, held: len(held) == 1,
+    "filter": lambda items, held: held,
+}
+"""From all items, and those for which the body holds."""
+
+_METHODS: dict[str, Callable[[Any, Any], bool]] = {
+    "matches": matches,
+    "contains": operator.contains,
+    "startsWith": str.startswith,
+    "endsWith": str.endswith,
+}
+
+
+def _applied(function: Callable[[Any, Any], Any]) -> Callable[[Evaluate, Evaluate], Evaluate]:
+    return lambda left, right: lambda scope: function(left(scope), right(scope))
+
+
+_OPERATORS: dict[str, tuple[int, Callable[[Evaluate, Evaluate], Evaluate]]] = {
+    "||": (1, lambda left, right: lambda scope: left(scope) or right(scope)),
+    "&&": (2, lambda left, right: lambda scope: left(scope) and right(scope)),
+    "==": (3, _applied(operator.eq)),
+    "!=": (3, _applied(operator.ne)),
+    "<=": (3, _applied(operator.le)),
+    ">=": (3, _applied(operator.ge)),
+    "<": (3, _applied(operator.lt)),
+    ">": (3, _applied(operator.gt)),
+    "in": (3, _applied(lambda item, items: item in items)),
+    "+": (4, _applied(operator.add)),
+}
+"""Binary operators with their precedence; a higher one binds more tightly."""

@@ -6,6 +6,8 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from pydantic.alias_generators import to_camel
+
 from understudy.advice import monte_carlo, paper_model, shortage_risk
 from understudy.advice.demand import Demand
 from understudy.cli.common.errors import CommandError
@@ -129,10 +131,5 @@ def calculate(question: Question, fallbacks: int | None, risk: float | None, ris
 
 def _finite(value: Any) -> Any:
     if isinstance(value, dict):
-        return {_camel(key): _finite(inner) for key, inner in value.items()}
+        return {to_camel(key): _finite(inner) for key, inner in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _camel(name: str) -> str:
-    first, *others = name.split("_")
-    return first + "".join(other.capitalize() for other in others)

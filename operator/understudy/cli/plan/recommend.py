@@ -10,6 +10,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import get_args
 
+from pydantic.alias_generators import to_camel
+
 from understudy.advice import order_explanation
 from understudy.advice.strategy_figures import Figure, Way
 from understudy.api.kinds.fallback_pool import Readiness
@@ -30,7 +32,7 @@ from understudy.kube.client import Object
 MET, NOT_MET = 0, 1
 """Exit statuses besides ERROR."""
 
-_REQUIREMENTS = ("safety", "availability", "resource-usage", "task-criticality")
+_REQUIREMENTS = ("safety", "availability", "resource_usage", "task_criticality")
 
 
 @reports_errors("recommend")
@@ -43,7 +45,7 @@ def main(arguments: list[str]) -> int:
     if given.plot is not None:
         plot_files.check_plot_file(given.plot)
     manifests = _read(given.files)
-    levels = {_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name.replace("-", "_")))}
+    levels = {to_camel(name): level for name in _REQUIREMENTS if (level := getattr(given, name))}
     found = recommended(manifests, given.workload, levels, dict(given.cpu), _recorded(given, manifests))
     if given.plot is not None and len(found) > 1:
         names = ", ".join(one.workload.name for one in found)
@@ -110,7 +112,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--workload", metavar="NAME", help="only this workload")
     for name in _REQUIREMENTS:
-        parser.add_argument(f"--{name}", choices=get_args(Level), help=f"{_camel(name)} instead of the policy's")
+        option = f"--{name.replace('_', '-')}"
+        parser.add_argument(option, choices=get_args(Level), help=f"{to_camel(name)} instead of the policy's")
     parser.add_argument(
         "--cpu",
         type=_share,
@@ -138,8 +141,3 @@ def _share(text: str) -> tuple[Way, Figure]:
             f"found {text!r:.50}; give one of {', '.join(get_args(Readiness))} with a share, such as Initialized=0.4 or Initialized=40%"
         )
     return found, Figure(value, "given")
-
-
-def _camel(name: str) -> str:
-    first, *others = name.split("-")
-    return first + "".join(other.capitalize() for other in others)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Callable
 
 from understudy.advice.shortage_risk import MEASURES, MOST
 from understudy.api.output_formats import structured
@@ -65,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0, or 2 on an error. The models are described in docs/sizing.md.",
     )
     parser.add_argument(
-        "--robots", type=_count(1, 10_000_000), required=True, help="number of robots that share the pool"
+        "--robots", type=option_rules.whole(1, 10_000_000), required=True, help="number of robots that share the pool"
     )
     parser.add_argument(
         "--failures-per-robot-hour",
@@ -108,7 +107,7 @@ def _parser() -> argparse.ArgumentParser:
         "waits uninitialized)",
     )
     asked = parser.add_mutually_exclusive_group(required=True)
-    asked.add_argument("--fallbacks", type=_count(0, MOST), metavar="N", help="size of the pool")
+    asked.add_argument("--fallbacks", type=option_rules.whole(0, MOST), metavar="N", help="size of the pool")
     asked.add_argument(
         "--risk",
         type=_risk,
@@ -124,19 +123,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
     option_rules.add_output(parser, "output format (default: text)")
     return parser
-
-
-def _count(least: int, most: int) -> Callable[[str], int]:
-    def count(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if not least <= value <= most:
-            raise argparse.ArgumentTypeError(f"found {text!r:.50}; give a whole number from {least} to {most}")
-        return value
-
-    return count
 
 
 def _rate(text: str) -> float:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common import plot_files
 from understudy.cli.plan.pool_sizes import Size, outcome
 from understudy.cli.plan.size_text import percent
 
@@ -22,14 +21,12 @@ _WORDS = {
 
 def draw(file: str, size: Size) -> None:
     """Draw the plot into a file. Raises CommandError if it cannot be written."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter
 
     question, chosen = size.question, size.outcome.fallbacks
     counts = range(_last(size) + 1)
     outcomes = [outcome(question, count) for count in counts]
-    figure = Figure(figsize=(9.0, 5.2), dpi=150, layout="constrained")
-    axes: Any = figure.subplots()
+    axes = plot_files.axes(9.0, 5.2, hidden=("right",))
     for measure, words in _WORDS.items():
         values = [getattr(one, measure) for one in outcomes]
         here = getattr(size.outcome, measure)
@@ -56,15 +53,9 @@ def draw(file: str, size: Size) -> None:
         f"{question.robots} robots, failures per robot and hour: {question.failures_per_robot_hour:g}, refilled in {question.refill:g} s",
         loc="left", fontsize=11, fontweight="bold",
     )  # fmt: skip
-    axes.grid(axis="both", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
     axes.axvline(chosen, color="#999999", linewidth=0.8)
-    axes.spines["right"].set_visible(False)
     axes.legend(loc="lower left", frameon=False, fontsize=9)
-    try:
-        figure.savefig(file)
-    except OSError as error:
-        raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error
+    plot_files.save(axes, file)
 
 
 def _last(size: Size) -> int:

@@ -6,7 +6,7 @@ import math
 
 from understudy.advice.monte_carlo import Estimate
 from understudy.advice.paper_model import INTERVAL
-from understudy.cli.common.text.text_tables import Cell, format_table
+from understudy.cli.common.text.text_tables import format_texts
 from understudy.cli.common.text.wording import counted
 from understudy.cli.plan.pool_sizes import Size
 from understudy.trees.core.leaf import duration
@@ -30,7 +30,7 @@ def size_text(size: Size) -> str:
         f"one every {between}",
         f"fallbacks  {_needed(size)}; {demand.offered:.3g} of them in use on average, each for {question.refill:g} s",
         "",
-        *_table(
+        *format_texts(
             [
                 _HEAD,
                 (
@@ -45,7 +45,8 @@ def size_text(size: Size) -> str:
                     _seconds(outcome.wait),
                     _waited(trial.wait) if math.isfinite(outcome.wait) else "unbounded",
                 ),
-            ]
+            ],
+            right=(1, 2),
         ),
         "",
         f"cost       {outcome.cpu:+.2%} CPU ({count} x {question.cpu:g} of an instance, for {counted(question.robots, 'robot')})",
@@ -115,7 +116,3 @@ def _seconds(value: float) -> str:
 
 def _waited(value: Estimate) -> str:
     return f"{value.mean:.3g} ± {value.within:.2g} s"
-
-
-def _table(rows: list[tuple[str, str, str]]) -> list[str]:
-    return format_table([[Cell(name), *(Cell(figure, right=True) for figure in figures)] for name, *figures in rows])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_order import Order, RatedStrategy
-from understudy.cli.common.text.text_tables import Cell, format_table
+from understudy.cli.common.text.text_tables import format_texts
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 
@@ -44,7 +44,7 @@ def _table(order: Order) -> list[str]:
     rows = [_HEAD]
     rows += [_row(f"{place}.", order, one) for place, one in enumerate(order.chosen, 1)]
     rows += [_row("-", order, one) for one in order.left_out]
-    return format_table([[Cell(text, right=column in _RIGHT) for column, text in enumerate(row)] for row in rows])
+    return format_texts(rows, right=_RIGHT)
 
 
 def _row(place: str, order: Order, one: RatedStrategy) -> tuple[str, str, str, str, str, str, str]:

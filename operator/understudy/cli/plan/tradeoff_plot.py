@@ -7,7 +7,7 @@ from typing import Any
 
 from understudy.advice import order_explanation
 from understudy.advice.strategy_order import Order, RatedStrategy, most_cost, required_time
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common import plot_files
 from understudy.cli.plan.recommendation import Recommendation
 from understudy.trees.core.leaf import duration
 
@@ -22,12 +22,10 @@ _CHOSEN, _LEFT_OUT, _ALLOWED = "#1f5fa8", "#999999", "#5c8a3a"
 
 def draw(file: str, found: Recommendation) -> None:
     """Draw the plot into a file. Raises CommandError if it cannot be written."""
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FuncFormatter
 
     order = found.order
-    figure = Figure(figsize=(9.0, 5.2), dpi=150, layout="constrained")
-    axes: Any = figure.subplots()
+    axes = plot_files.axes(9.0, 5.2)
     every = (*order.chosen, *order.left_out)
     times = [max(_LEAST, one.seconds.value) for one in every]
     bottom, top = min(times) / 2.5, max(times) * 2.5
@@ -50,15 +48,8 @@ def draw(file: str, found: Recommendation) -> None:
     axes.set_xlabel("CPU reserved for this workload, % of a working instance")
     axes.set_ylabel("time from detection to recovery")
     axes.set_title(f"{found.workload.name}\n{_levels(order)}", loc="left", fontsize=10)
-    axes.grid(axis="both", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
     axes.legend(loc="upper right", frameon=False, fontsize=9)
-    try:
-        figure.savefig(file)
-    except OSError as error:
-        raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error
+    plot_files.save(axes, file)
 
 
 def _mark(axes: Any, order: Order, one: RatedStrategy, *, below: bool, left: bool) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from understudy.api import base, names
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError, reports_errors
-from understudy.cli.common.text.wording import clock, counted
+from understudy.cli.common.text.wording import clock, counted, moment
 from understudy.cli.report.csv_sheets import sheets
 from understudy.cli.report.page import page
 from understudy.cli.report.recovery_records import Findings, Span, findings
@@ -88,14 +88,12 @@ def _period(given: argparse.Namespace, now: float) -> Span:
 
 
 def _moment(option: str, text: str) -> float:
-    """Parse a time; UTC if it has no time zone."""
     try:
-        found = datetime.fromisoformat(text)
+        return moment(text)
     except ValueError:
         raise CommandError(
             f"{option}: found {text!r:.60}; give a date or a time, such as 2026-11-20 or 2026-11-20T14:00:00Z"
         ) from None
-    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
 
 
 def _where(found: Findings, given: argparse.Namespace) -> str:

@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import fmean
-
-
-def quantile(values: Sequence[float], fraction: float) -> float:
-    """Return a quantile, interpolated linearly between the two nearest ranks."""
-    ordered = sorted(values)
-    place = fraction * (len(ordered) - 1)
-    low = int(place)
-    high = min(low + 1, len(ordered) - 1)
-    return ordered[low] + (ordered[high] - ordered[low]) * (place - low)
+from statistics import fmean, quantiles
 
 
 @dataclass(frozen=True)
@@ -30,4 +21,5 @@ class Spread:
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
         """Compute the statistics of these values."""
-        return cls(len(values), min(values), fmean(values), quantile(values, 0.5), quantile(values, 0.95), max(values))
+        cuts = quantiles([*values] * (2 if len(values) == 1 else 1), n=20, method="inclusive")
+        return cls(len(values), min(values), fmean(values), cuts[9], cuts[18], max(values))

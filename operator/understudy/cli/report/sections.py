@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from understudy.cli.common.robots import summary
 from understudy.cli.common.text.recovery_text import outcome, parts_of, tried
@@ -104,22 +104,8 @@ def robots(findings: Findings) -> Iterator[Markup]:
     """Build the table of robots: their current state, and their recoveries in the period."""
     yield element("h2", "Robots")
     yield element("p", summary([robot_period.robot for robot_period in findings.robot_periods]) + " (current state).")
-    head = (
-        "Robot",
-        "Health now",
-        "Protected now",
-        "Failures",
-        "Recovered",
-        "Failed",
-        "Without a failure",
-        "Downtime",
-        "Availability",
-        "Recorded time",
-        "Records",
-    )
     yield html_tables.table(
         "Robots: current state, and recoveries in the period",
-        head,
         [_robot(c, findings) for c in findings.robot_periods],
         sortable=True,
     )
@@ -137,26 +123,27 @@ def robots(findings: Findings) -> Iterator[Markup]:
     )
 
 
-def _robot(robot_period: RobotPeriod, findings: Findings) -> list[Cell]:
+def _robot(robot_period: RobotPeriod, findings: Findings) -> dict[str, Cell]:
     robot, known = robot_period.robot, robot_period.known
     failures = [entry for entry in robot_period.entries if entry.of_failure]
-    return [
-        Cell(findings.named(robot)),
-        Cell(robot.health, state="good" if robot.is_well else "warned" if robot.health != "Failed" else "bad"),
-        Cell("yes", state="good") if robot.protected else Cell("NO", state="bad"),
-        number(len(failures)),
-        number(sum(entry.recovered for entry in failures)),
-        number(sum(entry.failed for entry in failures)),
-        number(len(robot_period.entries) - len(failures)),
-        seconds(robot_period.down if known is not None else None, at_least=robot_period.down_at_least),
-        Cell(
-            f"{'≤ ' if robot_period.down_at_least else ''}{availability(robot_period.availability)}",
-            robot_period.availability,
-            number=True,
+    at_most = "≤ " if robot_period.down_at_least else ""
+    return {
+        "Robot": Cell(findings.named(robot)),
+        "Health now": Cell(
+            robot.health, state="good" if robot.is_well else "warned" if robot.health != "Failed" else "bad"
         ),
-        Cell(span(known.length), known.length, number=True) if known is not None else Cell("none", 0.0, number=True),
-        Cell(f"{robot_period.kept} of {robot_period.ever}", robot_period.ever, number=True),
-    ]
+        "Protected now": Cell("yes", state="good") if robot.protected else Cell("NO", state="bad"),
+        "Failures": number(len(failures)),
+        "Recovered": number(sum(entry.recovered for entry in failures)),
+        "Failed": number(sum(entry.failed for entry in failures)),
+        "Without a failure": number(len(robot_period.entries) - len(failures)),
+        "Downtime": seconds(robot_period.down if known is not None else None, at_least=robot_period.down_at_least),
+        "Availability": Cell(
+            f"{at_most}{availability(robot_period.availability)}", robot_period.availability, number=True
+        ),
+        "Recorded time": Cell(span(known.length) if known else "none", known.length if known else 0.0, number=True),
+        "Records": Cell(f"{robot_period.kept} of {robot_period.ever}", robot_period.ever, number=True),
+    }
 
 
 def strategies(findings: Findings) -> Iterator[Markup]:
@@ -176,16 +163,25 @@ def strategies(findings: Findings) -> Iterator[Markup]:
             "Quantiles are interpolated linearly; with few recoveries they mean little.",
         ),
     )
-    head = ("Strategy", "n", *(name.capitalize() for name in NAMES.values()), "Mean", "p50", "p95", "Least", "Greatest")
     rows = [
-        [Cell(g.name), number(g.spread.count), *(seconds(g.parts[part]) for part in NAMES), *_spread(g.spread)]
-        for g in groups
+        {"Strategy": Cell(g.name), "n": number(g.spread.count), **_parts(g.parts), **_spread(g.spread)} for g in groups
     ]
-    yield html_tables.table("Recovery time by strategy, and the mean of each part", head, rows)
+    yield html_tables.table("Recovery time by strategy, and the mean of each part", rows)
 
 
-def _spread(spread: Spread) -> list[Cell]:
-    return [seconds(value) for value in (spread.mean, spread.p50, spread.p95, spread.least, spread.greatest)]
+def _parts(parts: Mapping[str, float]) -> dict[str, Cell]:
+    return {name.capitalize(): seconds(parts.get(part)) for part, name in NAMES.items()}
+
+
+def _spread(spread: Spread) -> dict[str, Cell]:
+    figures = {
+        "Mean": spread.mean,
+        "p50": spread.p50,
+        "p95": spread.p95,
+        "Least": spread.least,
+        "Greatest": spread.greatest,
+    }
+    return {name: seconds(value) for name, value in figures.items()}
 
 
 def over_time(findings: Findings) -> Iterator[Markup]:
@@ -228,8 +224,8 @@ def gaps(findings: Findings) -> Iterator[Markup]:
             "next instance, as the monitor received them on the gated topics. Logarithmic axis.",
         ),
     )
-    rows = [[Cell(g.name), number(len(g.gaps)), *_spread(Spread.of(g.gaps))] for g in groups]
-    yield html_tables.table("Gap by strategy", ("Strategy", "n", "Mean", "p50", "p95", "Least", "Greatest"), rows)
+    rows = [{"Strategy": Cell(g.name), "n": number(len(g.gaps)), **_spread(Spread.of(g.gaps))} for g in groups]
+    yield html_tables.table("Gap by strategy", rows)
 
 
 def reserved(findings: Findings) -> Iterator[Markup]:
@@ -253,18 +249,17 @@ def reserved(findings: Findings) -> Iterator[Markup]:
             "pods, and the waiting pods of each shared pool. These are requests, not usage.",
         ),
     )
-    head = ("Strategy", "n", *(ROLES[role].capitalize() for role in roles), "All", "Memory")
     rows = [
-        [
-            Cell(share.name),
-            number(share.count),
-            *(_milli(share.roles.get(role, Amounts()).cpu) for role in roles),
-            _milli(share.total.cpu),
-            Cell(f"{share.total.memory / 2**20:.0f} MiB", share.total.memory, number=True),
-        ]
+        {
+            "Strategy": Cell(share.name),
+            "n": number(share.count),
+            **{ROLES[role].capitalize(): _milli(share.roles.get(role, Amounts()).cpu) for role in roles},
+            "All": _milli(share.total.cpu),
+            "Memory": Cell(f"{share.total.memory / 2**20:.0f} MiB", share.total.memory, number=True),
+        }
         for share in shares
     ]
-    yield html_tables.table("Reserved CPU and memory by strategy", head, rows)
+    yield html_tables.table("Reserved CPU and memory by strategy", rows)
 
 
 def _milli(cores: float) -> Cell:
@@ -308,41 +303,28 @@ def recoveries(findings: Findings) -> Iterator[Markup]:
         return
     results = Counter(entry.recovery.result.lower() for entry in findings.entries)
     counts = listed(f"{count} {result}" for result, count in sorted(results.items()))
-    head = (
-        "Robot",
-        "#",
-        "Began",
-        "Result",
-        "Strategy",
-        "Time",
-        *(name.capitalize() for name in NAMES.values()),
-        "Deferred",
-        "Gap",
-        "From and to",
-        "Reason",
-    )
     yield html_tables.table(
         f"Recoveries that began in the period, newest first: {counts}",
-        head,
         [_recovery(entry, findings) for entry in findings.entries],
         sortable=True,
     )
 
 
-def _recovery(entry: Entry, findings: Findings) -> list[Cell]:
+def _recovery(entry: Entry, findings: Findings) -> dict[str, Cell]:
     recovery = entry.recovery
-    parts, pods = parts_of(recovery), short([recovery.from_pod, recovery.to_pod])
+    pods = short([recovery.from_pod, recovery.to_pod])
     why = recovery.switchover or ("planned" if recovery.planned else "dependency" if recovery.follows else "")
-    return [
-        Cell(findings.named(entry)),
-        number(recovery.number),
-        moment(entry.began),
-        Cell(f"{recovery.result}{f' ({why.lower()})' if why else ''}", state="bad" if entry.failed else "good"),
-        Cell(recovery.strategy or "–"),
-        seconds(recovery.recovery_seconds),
-        *(seconds(parts.get(part)) for part in NAMES),
-        seconds(entry.held),
-        seconds(entry.gap),
-        Cell(f"{pods[recovery.from_pod] or 'none'} → {pods[recovery.to_pod] or 'none'}"),
-        Cell(recovery.reason, state="long"),
-    ]
+    result = f"{recovery.result}{f' ({why.lower()})' if why else ''}"
+    return {
+        "Robot": Cell(findings.named(entry)),
+        "#": number(recovery.number),
+        "Began": moment(entry.began),
+        "Result": Cell(result, state="bad" if entry.failed else "good"),
+        "Strategy": Cell(recovery.strategy or "–"),
+        "Time": seconds(recovery.recovery_seconds),
+        **_parts(parts_of(recovery)),
+        "Deferred": seconds(entry.held),
+        "Gap": seconds(entry.gap),
+        "From and to": Cell(f"{pods[recovery.from_pod] or 'none'} → {pods[recovery.to_pod] or 'none'}"),
+        "Reason": Cell(recovery.reason, state="long"),
+    }

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from understudy.api.base import seconds
+from understudy.cli.common.text.wording import moment
 from understudy.cli.simulate.clock_text import wall
 from understudy.cli.simulate.leaf_history import Failure
 
@@ -30,32 +31,26 @@ def parse(text: str, start: float, end: float) -> float:
     """Parse a time into unix seconds: seconds after ``start`` (``12.5``), a duration (``1m30s``) or a wall time (ISO 8601, UTC
     without a zone). Raises ValueError.
     """
-    moment = _moment(text, start)
-    if not start <= moment <= end:
+    found = _moment(text, start)
+    if not start <= found <= end:
         raise ValueError(
             f"{text!r:.80} is not within the bag, which is {end - start:.3f} s long and starts at {wall(start)}"
         )
-    return moment
+    return found
 
 
 def _moment(text: str, start: float) -> float:
-    try:
-        found = float(text)
-        if math.isfinite(found):
+    with contextlib.suppress(ValueError):
+        if math.isfinite(found := float(text)):
             return start + found
-    except ValueError:
-        pass
-    try:
+    with contextlib.suppress(ValueError):
         return start + seconds(text)
-    except ValueError:
-        pass
     try:
-        read = datetime.fromisoformat(text)
+        return moment(text)
     except ValueError:
         raise ValueError(
             f"{text!r:.80} is not a time: give seconds from the bag's start such as 12.5, or a wall time such as 2026-03-01T10:00:12.5Z"
         ) from None
-    return (read if read.tzinfo else read.replace(tzinfo=UTC)).timestamp()
 
 
 def matched(onsets: Sequence[float], detections: Sequence[Failure]) -> tuple[list[Onset], list[Failure]]:

@@ -6,12 +6,12 @@ It only prints them: people must decide whether the recording was healthy and ho
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from array import array
 from collections.abc import Iterator
 from typing import Any
 
+from understudy.cli.common import option_rules
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate.bags import Bag
@@ -124,32 +124,14 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--factor",
-        type=_factor,
+        type=option_rules.number(1.0, 100.0),
         default=FACTOR,
         help="longest allowed gap, as a multiple of the 99.9th percentile (default: %(default)s)",
     )
     parser.add_argument(
         "--margin",
-        type=_margin,
+        type=option_rules.number(0.01, 0.99),
         default=MARGIN,
         help="tolerated deviation beyond the recorded rates, as a fraction (default: %(default)s)",
     )
     return parser
-
-
-def _factor(text: str) -> float:
-    return _within(text, 1.0, 100.0)
-
-
-def _margin(text: str) -> float:
-    return _within(text, 0.01, 0.99)
-
-
-def _within(text: str, least: float, most: float) -> float:
-    try:
-        found = float(text)
-    except ValueError:
-        found = math.nan
-    if not least <= found <= most:
-        raise argparse.ArgumentTypeError(f"found {text!r}; give a number from {least:g} to {most:g}")
-    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Protocol, TextIO
+from typing import TextIO
 
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import WORDS, Rates, coloured, plain, rough, tree_lines
@@ -19,18 +19,6 @@ COUNTED = 2.0
 """Seconds over which rates are measured; over less, the rates of slow topics would jump."""
 
 
-class Display(Protocol):
-    """Displays the state of a tree."""
-
-    def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Show the state at ``now`` (unix seconds); ``notes`` say what is not watched and why."""
-        ...
-
-    def close(self) -> None:
-        """End the display."""
-        ...
-
-
 class Lines:
     """Prints one line per change."""
 
@@ -41,7 +29,7 @@ class Lines:
         self._detected = 0
 
     def show(self, evaluation: Evaluation, observations: Observations, now: float, notes: Sequence[str]) -> None:
-        """Print the changes."""
+        """Print the changes until ``now`` (unix seconds); ``notes`` say what is not watched and why."""
         for note in notes:
             if note not in self._notes:
                 self._line(now, note)
@@ -90,6 +78,9 @@ class Screen:
         """Restore the terminal."""
         self._out.write(terminal.END)
         self._out.flush()
+
+
+Display = Lines | Screen
 
 
 def _summary(evaluation: Evaluation, now: float) -> Iterator[str]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
-from understudy.cli.common.errors import CommandError
+from understudy.cli.common import plot_files
 from understudy.cli.simulate.leaf_history import Failure, Span
 from understudy.cli.simulate.replay import Replay
 from understudy.trees.core.leaf import duration
@@ -30,12 +30,10 @@ _LONGEST = 34
 
 def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets: Sequence[float] = ()) -> None:
     """Draw the picture into a file. Times are unix seconds. Raises CommandError if it cannot be written."""
-    from matplotlib.figure import Figure
-
     evaluation = replay.evaluation
     lanes = list(replay.topics.items())
-    figure = Figure(figsize=(WIDTH, REST + LANE * (len(lanes) + 1)), dpi=DOTS, layout="constrained")
-    axes: Any = figure.subplots()
+    height = REST + LANE * (len(lanes) + 1)
+    axes = plot_files.axes(WIDTH, height, grid="x", hidden=("top", "right", "left"), dpi=DOTS)
     length = max(end - start, 1e-3)
     _bands(axes, 0, evaluation.spans[""], start, 0.7)
     for row, (path, _) in enumerate(lanes, 1):
@@ -49,21 +47,14 @@ def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets
     axes.set_xlabel("seconds from the start of the bag")
     axes.set_title(title, loc="left", fontsize=11, fontweight="bold", pad=24)
     axes.tick_params(axis="y", length=0)
-    axes.grid(axis="x", color="#dddddd", linewidth=0.6)
-    axes.set_axisbelow(True)
-    for side in ("top", "right", "left"):
-        axes.spines[side].set_visible(False)
-    figure.legend(
+    axes.figure.legend(
         handles=list(_legend(evaluation.spans, bool(evaluation.detections), bool(onsets))),
         loc="outside lower center",
         ncols=7,
         frameon=False,
         fontsize=8.5,
     )
-    try:
-        figure.savefig(file)
-    except OSError as error:
-        raise CommandError(f"--plot: {file} cannot be written: {error.strerror}; give another file") from error
+    plot_files.save(axes, file)
 
 
 def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: float) -> None:

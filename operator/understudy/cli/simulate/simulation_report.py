@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
-from understudy.cli.common.text.text_tables import Cell, format_table
+from understudy.cli.common.text.text_tables import format_texts
 from understudy.cli.common.text.tree_text import plain
 from understudy.cli.simulate.bags import Bag
 from understudy.cli.simulate.clock_text import wall
@@ -75,7 +75,7 @@ class Report:
             for one in evaluation.detections
         ]
         if evaluation.detections:
-            yield from format_table([[Cell(text) for text in row] for row in rows])
+            yield from format_texts(rows)
         else:
             yield "Nothing was detected."
         for one in evaluation.failures:
@@ -110,7 +110,7 @@ class Report:
                     spans[-1].state,
                 )
             )
-        yield from format_table([[Cell(text) for text in row] for row in rows])
+        yield from format_texts(rows)
 
     def _at(self, moment: float | None, never: str = "-") -> str:
         return f"{moment - self._bag.start:.3f} s" if moment is not None else never

@@ -66,7 +66,7 @@ def test_a_share_that_is_none_is_refused_in_a_line(capsys: pytest.CaptureFixture
         inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
     assert ended.value.code == 2
     told = capsys.readouterr().err.splitlines()[-1]
-    assert told.endswith(f"argument --percent: {given!r}: give a whole number from 1 to 99; use freeze for 100")
+    assert told.endswith(f"argument --percent: found {given!r}; give a whole number from 1 to 99; use freeze for 100")
 
 
 @pytest.mark.parametrize(("length", "percent"), [(10.0, 80), (0.1, 50), (3.0, 99), (2.0, 100)])

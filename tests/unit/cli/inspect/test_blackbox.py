@@ -105,7 +105,7 @@ def test_where_there_are_none_it_is_said_why(monitor: Monitor, capsys: pytest.Ca
 
 def test_topics_that_are_left_out_are_named() -> None:
     found = Recordings(workload="robot-1", on=True, left_out={"/image": "too much"})
-    told = list(lines(found, 0.0, colours=False, columns=None))
+    told = list(lines(found, 0.0, columns=None))
     assert told == [
         "No failure has been recorded yet.",
         "Not recorded: /image (too much; blackBox.memory bounds it).",

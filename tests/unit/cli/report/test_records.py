@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import statistics
-
 import pytest
 
 from tests.support.fleet import NOW, ago, recovery, said
@@ -12,7 +10,7 @@ from tests.unit.cli.report.fleet import DAY
 from understudy.api.kinds.robot_workload import DependencyRecovery
 from understudy.cli.common.errors import CommandError
 from understudy.cli.report.recovery_records import Span, findings, robot_period
-from understudy.cli.report.sample_statistics import quantile
+from understudy.cli.report.sample_statistics import Spread
 
 HOUR = 3600.0
 
@@ -116,11 +114,9 @@ def test_the_parts_of_a_group_add_up_to_its_mean() -> None:
         assert group.spread.least <= group.spread.p50 <= group.spread.p95 <= group.spread.greatest
 
 
-def test_quantiles_are_those_of_the_standard_library() -> None:
-    values = [3.0, 1.0, 4.0, 1.5, 9.0, 2.6]
-    cuts = statistics.quantiles(values, n=20, method="inclusive")
-    assert (quantile(values, 0.5), quantile(values, 0.95)) == (pytest.approx(cuts[9]), pytest.approx(cuts[18]))
-    assert quantile([7.0], 0.95) == 7.0
+def test_quantiles_lie_linearly_between_the_nearest_values() -> None:
+    assert (Spread.of([3.0, 1.0, 2.0]).p50, Spread.of([3.0, 1.0]).p95) == (2.0, pytest.approx(2.9))
+    assert Spread.of([7.0]) == Spread(1, 7.0, 7.0, 7.0, 7.0, 7.0)
 
 
 def test_a_status_that_is_not_understood_is_not_guessed_at() -> None:

@@ -61,32 +61,24 @@ def add_options(parser: argparse.ArgumentParser, *, all_namespaces: bool = False
         where.add_argument("-A", "--all-namespaces", action="store_true", help="all namespaces")
     parser.add_argument("--context", help="context of the kubeconfig")
     parser.add_argument("--kubeconfig", help="path of the kubeconfig")
-    shell_completion.offer(parser, {"NAME": _robots, "NAMESPACE": _namespaces, "CONTEXT": _contexts})
+    completers = {
+        "NAME": _completer(lambda kubectl: kubectl.names(WORKLOADS)),
+        "NAMESPACE": _completer(lambda kubectl: kubectl.names("namespaces")),
+        "CONTEXT": _completer(Kubectl.contexts),
+    }
+    shell_completion.offer(parser, completers)
 
 
-def _robots(parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """Return the names of RobotWorkloads, for shell completion."""
-    return _named(parsed_args, WORKLOADS)
+def _completer(names: Callable[[Kubectl], list[str]]) -> shell_completion.Completer:
+    """Complete with these names, or with none if kubectl fails."""
 
+    def complete(parsed_args: argparse.Namespace, **_: object) -> list[str]:
+        try:
+            return names(Kubectl(parsed_args))
+        except CommandError:
+            return []
 
-def _namespaces(parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """Return the names of namespaces, for shell completion."""
-    return _named(parsed_args, "namespaces")
-
-
-def _named(given: argparse.Namespace, kind: str) -> list[str]:
-    try:
-        return [item["metadata"]["name"] for item in Kubectl(given).get(kind)["items"]]
-    except CommandError:
-        return []
-
-
-def _contexts(parsed_args: argparse.Namespace, **_: object) -> list[str]:
-    """Return the contexts of the kubeconfig, for shell completion."""
-    try:
-        return Kubectl(parsed_args).contexts()
-    except CommandError:
-        return []
+    return complete
 
 
 class Kubectl:
@@ -113,6 +105,10 @@ class Kubectl:
     def contexts(self) -> list[str]:
         """Return the names of the kubeconfig's contexts. Raises CommandError with kubectl's message."""
         return [one["name"] for one in json.loads(self._run("config", "view", "-o", "json")).get("contexts") or []]
+
+    def names(self, kind: str) -> list[str]:
+        """Return the names of the objects of a kind. Raises CommandError with kubectl's message."""
+        return [item["metadata"]["name"] for item in self.get(kind)["items"]]
 
     def command(self, *arguments: str) -> list[str]:
         """Return the command line of a kubectl process that runs in parallel to other requests."""

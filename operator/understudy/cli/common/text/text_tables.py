@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 from understudy.cli.common.text.tree_text import coloured, plain
@@ -42,6 +42,11 @@ def format_table(rows: Rows, *, colours: bool = False) -> list[str]:
         (" " * _GAP).join(cell.format(w, colours=colours) for cell, w in zip(row, widths, strict=True)).rstrip()
         for row in rows
     ]
+
+
+def format_texts(rows: Iterable[Sequence[str]], *, right: Collection[int] = ()) -> list[str]:
+    """Return the lines of a table of plain texts; the columns ``right`` are aligned to the right."""
+    return format_table([[Cell(text, right=column in right) for column, text in enumerate(row)] for row in rows])
 
 
 def _widths(rows: Rows) -> list[int]:

@@ -16,6 +16,12 @@ def unix(moment: str) -> float:
     return datetime.fromisoformat(moment).timestamp()
 
 
+def moment(text: str) -> float:
+    """Parse a date or a time (ISO 8601, in UTC if it has no time zone) into unix seconds. Raises ValueError."""
+    found = datetime.fromisoformat(text)
+    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+
+
 def age(moment: str, now: float) -> str:
     """Return how long ago a time was, in its two largest units as kubectl writes it: 12s, 4m12s, 2d3h."""
     left = max(0, int(now - unix(moment)))

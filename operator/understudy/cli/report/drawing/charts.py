@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import count
 
 from understudy.cli.common.text.time_bars import NAMES, length
@@ -35,23 +35,16 @@ def recovery_times(groups: Sequence[Group]) -> Markup:
     def place(seconds: float) -> float:
         return seconds / most * ROOM
 
-    rows, height = [], 78
+    rows, height = list[Markup](), 78
     for number, group in enumerate(groups):
-        top, begin = 8 + number * height, 0.0
-        rows.append(_heading(group, group.spread, top))
-        for part, seconds in group.parts.items():
-            if seconds > 0:
-                words = element("title", f"{NAMES[part]}: mean {length(seconds)}")
-                rows.append(_bar(words, place(begin), place(seconds), top + 34, part))
-            begin += seconds
+        top = 8 + number * height
+        rows += _heading(group.name, f"{_quantiles(group.spread)}, n = {group.spread.count}", top)
+        parts = [(part, f"{NAMES[part]}: mean {length(seconds)}", seconds) for part, seconds in group.parts.items()]
+        rows += _stacked(parts, place, top + 34)
         rows += marks(group.spread.p50, group.spread.p95, place, top + 30, 26)
         rows += _dots(group.entries, group.times, place, top + 65)
-    return figure(
-        "Recovery time by strategy",
-        "; ".join(_describe(group.name, group.spread) for group in groups),
-        joined(grid(((place(s), tick(s)) for s in steps), 8, len(groups) * height), *rows),
-        len(groups) * height + 34,
-    )
+    words = [_describe(group.name, group.spread) for group in groups]
+    return _chart("Recovery time by strategy", words, [(place(s), tick(s)) for s in steps], rows, height)
 
 
 def gaps(groups: Sequence[Group]) -> Markup:
@@ -64,19 +57,16 @@ def gaps(groups: Sequence[Group]) -> Markup:
         share = (math.log10(max(seconds, 10.0**low)) - low) / (high - low)
         return 1.0 + share * (ROOM - 1.0)
 
-    rows, height = [], 72
+    rows, height = list[Markup](), 72
     for number, group in enumerate(groups):
         top, spread = 8 + number * height, Spread.of(group.gaps)
         entries = [entry for entry in group.entries if entry.gap is not None]
-        rows.append(_heading(group, spread, top))
+        rows += _heading(group.name, f"{_quantiles(spread)}, n = {spread.count}", top)
         rows += marks(spread.p50, spread.p95, place, top + 33, 24)
         rows += _dots(entries, group.gaps, place, top + 45)
-    return figure(
-        "Gap by strategy",
-        "; ".join(_describe(group.name, Spread.of(group.gaps)) for group in groups),
-        joined(grid(((place(10.0**e), tick(10.0**e)) for e in range(low, high + 1)), 8, len(groups) * height), *rows),
-        len(groups) * height + 34,
-    )
+    words = [_describe(group.name, Spread.of(group.gaps)) for group in groups]
+    steps = [(place(10.0**e), tick(10.0**e)) for e in range(low, high + 1)]
+    return _chart("Gap by strategy", words, steps, rows, height)
 
 
 def reserved(shares: Sequence[Share]) -> Markup:
@@ -86,24 +76,23 @@ def reserved(shares: Sequence[Share]) -> Markup:
     def place(cpu: float) -> float:
         return cpu / steps[-1] * ROOM
 
-    rows, height = [], 62
-    for number, share in enumerate(shares):
-        top, begin = 8 + number * height, 0.0
-        note = f"{milli(share.total.cpu)}, {_of(share)}"
-        rows.append(element("text", share.name, x="0", y=top + 12, class_="head"))
-        rows.append(element("text", note, x="0", y=top + 27, class_="note"))
-        for role, amounts in share.roles.items():
-            wide = amounts.cpu * 1000
-            if wide > 0:
-                words = element("title", f"{ROLES[role]}: {milli(amounts.cpu)}")
-                rows.append(_bar(words, place(begin), place(wide), top + 33, role))
-            begin += wide
-    return figure(
-        "Reserved CPU by strategy",
-        "; ".join(f"{share.name}: {milli(share.total.cpu)}, {_of(share)}" for share in shares),
-        joined(grid(((place(s), f"{s:g} m") for s in steps), 8, len(shares) * height), *rows),
-        len(shares) * height + 34,
-    )
+    rows, height = list[Markup](), 62
+    notes = [f"{milli(share.total.cpu)}, {_of(share)}" for share in shares]
+    for number, (share, note) in enumerate(zip(shares, notes, strict=True)):
+        top = 8 + number * height
+        rows += _heading(share.name, note, top)
+        parts = [(role, f"{ROLES[role]}: {milli(held.cpu)}", held.cpu * 1000) for role, held in share.roles.items()]
+        rows += _stacked(parts, place, top + 33)
+    words = [f"{share.name}: {note}" for share, note in zip(shares, notes, strict=True)]
+    return _chart("Reserved CPU by strategy", words, [(place(s), f"{s:g} m") for s in steps], rows, height)
+
+
+def _chart(
+    title: str, words: Sequence[str], steps: Iterable[tuple[float, str]], rows: Iterable[Markup], height: int
+) -> Markup:
+    """Build a chart with a row of a height for each of the words."""
+    bottom = len(words) * height
+    return figure(title, "; ".join(words), joined(grid(steps, 8, bottom), *rows), bottom + 34)
 
 
 def milli(cores: float) -> str:
@@ -119,9 +108,19 @@ def _of(share: Share) -> str:
     )
 
 
-def _bar(words: Markup, begin: float, wide: float, top: int, kind: str) -> Markup:
-    """Draw a segment of a stacked bar."""
-    return element("rect", words, x=percent(begin), y=top, width=percent(wide), height=18, class_=f"part {kind}")
+def _stacked(parts: Iterable[tuple[str, str, float]], place: Callable[[float], float], top: int) -> Iterator[Markup]:
+    """Draw a stacked bar of parts: each with its kind, its tooltip and its amount."""
+    begin = 0.0
+    for kind, words, amount in parts:
+        if amount > 0:
+            yield _box(place(begin), place(amount), top, f"part {kind}", words)
+        begin += amount
+
+
+def _box(begin: float, wide: float, top: int, class_: str, words: str = "") -> Markup:
+    """Draw a box with a tooltip; its place and its width are percentages."""
+    title = element("title", words) if words else None
+    return element("rect", title, x=percent(begin), y=top, width=percent(wide), height=18, class_=class_)
 
 
 def timeline(findings: Findings) -> Markup:
@@ -194,28 +193,15 @@ def describe_recovery(entry: Entry) -> str:
 
 
 def _lane(robot_period: RobotPeriod, period: Span, place: Callable[[float], float], top: int) -> Iterator[Markup]:
-    yield element(
-        "rect",
-        x=percent(place(period.begin)),
-        y=top,
-        width=percent(place(period.end) - place(period.begin)),
-        height=18,
-        class_="unknown",
-    )
+    def wide(time: Span) -> float:
+        return place(time.end) - place(time.begin)
+
+    yield _box(place(period.begin), wide(period), top, "unknown")
     if robot_period.known is not None:
-        begin, end = place(robot_period.known.begin), place(robot_period.known.end)
-        yield element("rect", x=percent(begin), y=top, width=percent(end - begin), height=18, class_="known")
+        yield _box(place(robot_period.known.begin), wide(robot_period.known), top, "known")
     for outage in robot_period.outages:
-        begin, end = place(outage.span.begin), place(outage.span.end)
-        yield element(
-            "rect",
-            element("title", f"outage of {span(outage.span.length)}"),
-            x=percent(begin),
-            y=top,
-            width=percent(max(_LEAST_SHOWN, end - begin)),
-            height=18,
-            class_="outage",
-        )
+        words = f"outage of {span(outage.span.length)}"
+        yield _box(place(outage.span.begin), max(_LEAST_SHOWN, wide(outage.span)), top, "outage", words)
     for entry in reversed(robot_period.entries):
         yield _at(percent(place(entry.began)), top + 9, kind_of(entry), describe_recovery(entry))
 
@@ -224,17 +210,13 @@ def _recovery_count(robot_period: RobotPeriod) -> str:
     return counted(len(robot_period.entries), "recovery", "recoveries")
 
 
-def _heading(group: Group, spread: Spread, top: int) -> Markup:
-    return joined(
-        element("text", group.name, x="0", y=top + 12, class_="head"),
-        element(
-            "text",
-            f"p50 {length(spread.p50)}, p95 {length(spread.p95)}, n = {spread.count}",
-            x="0",
-            y=top + 27,
-            class_="note",
-        ),
-    )
+def _heading(name: str, note: str, top: int) -> Iterator[Markup]:
+    yield element("text", name, x="0", y=top + 12, class_="head")
+    yield element("text", note, x="0", y=top + 27, class_="note")
+
+
+def _quantiles(spread: Spread) -> str:
+    return f"p50 {length(spread.p50)}, p95 {length(spread.p95)}"
 
 
 def _dots(
@@ -252,4 +234,4 @@ def _at(x: str, y: float, mark: str, words: str) -> Markup:
 
 
 def _describe(name: str, spread: Spread) -> str:
-    return f"{name}: n = {spread.count}, mean {length(spread.mean)}, p50 {length(spread.p50)}, p95 {length(spread.p95)}"
+    return f"{name}: n = {spread.count}, mean {length(spread.mean)}, {_quantiles(spread)}"

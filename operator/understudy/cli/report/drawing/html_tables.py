@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from understudy.cli.common.text.time_bars import length
@@ -46,18 +46,18 @@ def moment(value: float) -> Cell:
     return Cell(clock(value), value)
 
 
-def table(caption: str, head: Sequence[str], rows: Sequence[Sequence[Cell]], *, sortable: bool = False) -> Markup:
-    """Build a table in a box that scrolls sideways in a narrow window."""
+def table(caption: str, rows: Sequence[Mapping[str, Cell]], *, sortable: bool = False) -> Markup:
+    """Build a table of at least one row in a box that scrolls sideways in a narrow window. Each row has its cells by column."""
     heads = [
         element(
             "th",
             element("button", label, type="button") if sortable else label,
             scope="col",
-            class_="number" if rows and rows[0][index].number else None,
+            class_="number" if cell.number else None,
         )
-        for index, label in enumerate(head)
+        for label, cell in rows[0].items()
     ]
-    body = [element("tr", *(_drawn(cell, first=index == 0) for index, cell in enumerate(row))) for row in rows]
+    body = [element("tr", *(_drawn(cell, first=index == 0) for index, cell in enumerate(row.values()))) for row in rows]
     drawn = element(
         "table",
         element("caption", caption),
