@@ -38,8 +38,12 @@ VERBS = (
     Verb("blackbox", "understudy.cli.inspect.blackbox", "list or fetch recordings of a robot's failures"),
     Verb("pause", "understudy.cli.control.pause", "suspend automatic recovery of a robot"),
     Verb("resume", "understudy.cli.control.resume", "end a pause and reset the recovery limits"),
-    Verb("failover", "understudy.cli.control.failover", "switch a robot over to an understudy, as planned"),
-    Verb("failback", "understudy.cli.control.failback", "switch a robot back to a pod of its own workload"),
+    Verb("failover", "understudy.cli.control.failover", "switch a robot to another instance although nothing failed"),
+    Verb(
+        "failback",
+        "understudy.cli.control.failback",
+        "switch a robot back to a pod of its Deployment, StatefulSet or template",
+    ),
     Verb("fence", "understudy.cli.control.fence", "deny all instances access to a robot"),
     Verb("inject", "understudy.cli.inject.command", "make the active instance fail, if the namespace allows it"),
     Verb(
@@ -50,7 +54,7 @@ VERBS = (
     Verb("simulate", "understudy.cli.simulate.simulate", "evaluate a policy on a recorded bag"),
     Verb("watch", "understudy.cli.simulate.watch", "evaluate a policy on a live ROS graph"),
     Verb("learn", "understudy.cli.simulate.learn", "measure gaps and rates in a recorded bag"),
-    Verb("size", "understudy.cli.plan.size", "calculate how many fallbacks a fleet needs"),
+    Verb("size", "understudy.cli.plan.size", "calculate how many waiting pods a fleet needs in a shared pool"),
     Verb("recommend", "understudy.cli.plan.recommend", "recommend strategies for a policy's requirements"),
     Verb("tracker", "understudy.tracker.process", "track robots with a camera"),
     Verb("verify", "understudy.controller.runtime.installation_test", "test the installation (used by helm test)"),

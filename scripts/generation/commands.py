@@ -20,9 +20,9 @@ Run `understudy VERB`, or `kubectl understudy VERB` if [`kubectl-understudy` is 
 the same text as this page, and `understudy --version` prints the version. A verb exits with 2 if it is given an unknown option."""
 
 _IN_PODS = """\
-The containers of Understudy run these. They have no options: the operator configures them through the environment. They exit with 0
-after a termination signal and with 2 if the environment does not name their workload or pod; `prepare` exits with 0 once the profiles
-are written and with 1 if they cannot be written."""
+The containers of Understudy run these verbs. The verbs have no options: the operator configures them through the environment.
+They exit with 0 after a termination signal and with 2 if the environment does not name their workload or pod; `prepare` exits with
+0 once the profiles are written and with 1 if they cannot be written."""
 
 
 def page() -> str:
@@ -31,7 +31,7 @@ def page() -> str:
     kubectl.add_options(where)
     shared = [_row(where, action) for action in where._actions]
     lines = [_INTRODUCTION, "", "## Which cluster", ""]
-    lines += ["Verbs that ask a cluster do so through kubectl, and have its options:", "", *_table(shared)]
+    lines += ["Verbs that access a cluster do so through kubectl, and have these options of it:", "", *_table(shared)]
     for verb, parser in parsers().items():
         lines += ["", f"## {verb}", "", f"`{' '.join([parser.prog, *_needed(parser)])}`", ""]
         lines += [_text(parser, parser.description)]
@@ -39,7 +39,7 @@ def page() -> str:
         if own := [row for row in rows if row not in shared]:
             lines += ["", *_table(own)]
         if len(own) < len(rows):
-            lines += ["", "And those that say [which cluster](#which-cluster)."]
+            lines += ["", "Also the options of [which cluster](#which-cluster)."]
         lines += ["", _text(parser, parser.epilog)]
     lines += ["", "## In pods", "", _IN_PODS, ""]
     lines += [f"- `understudy {verb.name}`: {verb.summary}" for verb in VERBS if not verb.has_options]

@@ -28,15 +28,17 @@ def main(argv: list[str]) -> int:
     """
     parser = argparse.ArgumentParser(
         prog="understudy tracker",
-        description="Publishes where robots with ArUco markers are and how fast they move, as a camera sees them.",
-        epilog="Exit status: 0 if a signal ended it, or if --check finds no mistake; 2 if its configuration is missing or wrong, or "
-        "a package that it needs is not installed.",
+        description="Tracks robots with ArUco markers in the images of a camera, and publishes their poses and "
+        "velocities as ROS topics. The leaf motion of a health tree can compare these with the robot's commands.",
+        epilog="Exit status: 0 if a signal stopped the tracker, or if --check finds no mistake, 2 if the "
+        "configuration is missing or wrong, or if a required package is not installed.",
     )
     parser.add_argument(
         "file", nargs="?", type=Path, default=os.environ.get("UNDERSTUDY_TRACKER"), metavar="FILE",
-        help="what says which camera and which markers; without it, what UNDERSTUDY_TRACKER names",
+        help="configuration file with the camera and the markers (default: the file that the environment variable "
+        "UNDERSTUDY_TRACKER names)",
     )  # fmt: skip
-    parser.add_argument("--check", action="store_true", help="only say whether the file can be used")
+    parser.add_argument("--check", action="store_true", help="only check the configuration file")
     arguments = parser.parse_args(argv)
     if arguments.file is None:
         parser.error("give the configuration's FILE, or set UNDERSTUDY_TRACKER to it")

@@ -97,8 +97,9 @@ def main(arguments: list[str]) -> int:
     """Run the command. The findings go to standard output, one line each, and the totals to standard error."""
     parser = argparse.ArgumentParser(
         prog="understudy check",
-        description="Checks manifests of RobotWorkloads, FailurePolicies and FallbackPools without a cluster: against the rules of the API "
-        "server, with the loaders of the trees, and for references between the given files. Objects of other kinds are skipped.",
+        description="Checks manifests of RobotWorkloads, FailurePolicies and FallbackPools without a cluster. It "
+        "applies the rules of the API server, parses the trees, and checks references between the given files. It "
+        "skips objects of other kinds.",
         epilog="Exit status: 0 without errors, 1 with errors, 2 if a file cannot be read.",
     )
     parser.add_argument(

@@ -23,9 +23,10 @@ def main(arguments: list[str]) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy completion",
-        description="Prints the script with which a shell completes verbs, options, and names of "
-        'objects in the cluster: eval "$(understudy completion bash)" in ~/.bashrc, the same with zsh in ~/.zshrc, and '
-        "understudy completion fish | source in ~/.config/fish/config.fish. kubectl understudy only needs kubectl's own completion.",
+        description="Prints the completion script of a shell. With it, the shell completes verbs, options, and names of objects in the "
+        'cluster. To load it, write into ~/.bashrc: eval "$(understudy completion bash)"; into ~/.zshrc: eval "$(understudy completion '
+        "zsh)\"; into ~/.config/fish/config.fish: understudy completion fish | source. For kubectl understudy, kubectl's own completion "
+        "is enough.",
         epilog="Exit status: 0 if the script was printed, 2 if argcomplete is not installed.",
     )
     parser.add_argument("shell", choices=["bash", "zsh", "fish"], help="the shell")

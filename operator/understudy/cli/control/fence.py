@@ -111,14 +111,14 @@ def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy fence",
-        description="Closes the gate of a RobotWorkload: as soon as the gate is enforced, no output of its instances reaches the robot. "
-        "Also pauses the workload, so that the gate stays closed until understudy resume. This is not an emergency stop: what the robot "
-        "does without commands is up to the robot.",
+        description="Closes the gate of a RobotWorkload: as soon as the network enforces this, no output of its "
+        "instances reaches the robot. Also pauses the workload, so that the gate stays closed until understudy "
+        "resume. This is not an emergency stop: what the robot does without commands is up to the robot.",
         epilog="Exit status: 0 if the gate is closed and its monitor leaves it closed, 1 if it is closed and the monitor has not reported "
         "the pause, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    signature.add_options(parser, reason="why it is fenced, for others who find it so")
+    signature.add_options(parser, reason="why the workload is fenced, for other users")
     confirmation.add_option(parser)
     add_options(parser)
     return parser

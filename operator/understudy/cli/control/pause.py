@@ -57,9 +57,9 @@ def _parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if it is paused now, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
-    signature.add_options(parser, reason="what is being done, for others who find the robot paused")
+    signature.add_options(parser, reason="why the workload is paused, for other users")
     end = parser.add_mutually_exclusive_group()
-    end.add_argument("--until", metavar="MOMENT", help="time at which the pause ends, such as 2026-11-22T18:00:00Z")
+    end.add_argument("--until", metavar="TIME", help="time at which the pause ends, such as 2026-11-22T18:00:00Z")
     end.add_argument("--for", metavar="DURATION", dest="length", help="how long the pause lasts, such as 30m")
     add_options(parser)
     return parser

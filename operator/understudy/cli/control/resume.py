@@ -40,8 +40,9 @@ def _why(given: argparse.Namespace) -> str | None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy resume",
-        description="Ends the pause of a RobotWorkload. It also resets the budget (limits.budget) and retries a deferred recovery "
-        "at once.",
+        description="Ends the pause of a RobotWorkload. The monitor then acts again: it opens a gate that "
+        "understudy fence closed, for an instance that is ready. The command also resets the budget "
+        "(limits.budget), so that a recovery that a limit deferred starts at once.",
         epilog="Exit status: 0 if it was resumed, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")

@@ -68,8 +68,9 @@ def _write(found: Profile, folder: Path) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy robot-profile",
-        description="Prints the environment and the middleware's settings with which the processes of a robot outside the cluster join "
-        "its ROS graph and read its outputs at gated ports, where to put them, and what else they need. It changes nothing.",
+        description="Prints the environment variables and the DDS profiles for the processes of a robot outside "
+        "the cluster. With these, the processes join the robot's ROS graph and read the outputs at gated ports. "
+        "Also prints where to put the two files, and what else the robot needs. It changes nothing.",
         epilog="Exit status: 0 on success, 2 on an error, for example if the files do not exist yet.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
@@ -79,11 +80,15 @@ def _parser() -> argparse.ArgumentParser:
         "--output",
         choices=["text", "env", "xml", "json", "yaml"],
         default="text",
-        help="text; only the environment, as a file of variables; only the profiles; or everything as JSON or YAML",
+        help="text; env: only the environment variables, as a file; xml: only the DDS profiles; or everything as "
+        "JSON or YAML",
     )
     how.add_argument("--write", metavar="FOLDER", help="write both files into a folder of this machine")
     parser.add_argument(
-        "--at", metavar="FOLDER", default=PROFILES_DIR, help="where they will be on the robot (%(default)s)"
+        "--at",
+        metavar="FOLDER",
+        default=PROFILES_DIR,
+        help="folder of the two files on the robot (default: %(default)s)",
     )
     add_options(parser)
     return parser

@@ -16,7 +16,7 @@ def add_options(parser: argparse.ArgumentParser, *, reason: str, required: bool 
         "--owner",
         metavar="WHO",
         default=getpass.getuser(),
-        help="who does it (default: the user who is logged in)",
+        help="name of the person who does it (default: the user name on this machine)",
     )
 
 

@@ -31,11 +31,13 @@ LOOK = 1.0
 """Seconds between two requests without a change."""
 
 _PURPOSE: Mapping[Verb, str] = {
-    "failover": "Switches a RobotWorkload to an understudy, as planned. The understudy first becomes ready and receives the state of "
-    "the active instance; then the gate is switched; once the monitor has verified it, the former instance is removed. If no "
-    "understudy becomes ready, nothing is changed.",
-    "failback": "Switches a RobotWorkload back to a pod of the workload's own controller, after a pool's pod has taken over. "
-    "It works as understudy failover does.",
+    "failover": "Switches a RobotWorkload to another instance although nothing failed (a planned switchover). The "
+    "new instance (the understudy) first becomes ready and receives the state of the active one. Then the monitor "
+    "switches the gate. When the monitor has verified the outputs of the new instance at the robot, it deletes the "
+    "pod of the former one. If no instance becomes ready, nothing changes.",
+    "failback": "Switches a RobotWorkload back to a pod of its Deployment, StatefulSet or (with spec.template) "
+    "ReplicaSet, after a pool's pod has taken over. It is a planned switchover too, and works as understudy "
+    "failover does.",
 }
 
 
@@ -126,7 +128,8 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog=f"understudy {verb}",
         description=_PURPOSE[verb],
-        epilog="Exit status: 0 if it succeeded, 1 if it failed and the former instance keeps control, 2 on an error.",
+        epilog="Exit status: 0 if the switchover succeeded, 1 if it failed and the former instance keeps control, "
+        "2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
     parser.add_argument(
@@ -134,7 +137,7 @@ def _parser(verb: Verb) -> argparse.ArgumentParser:
         metavar="DURATION",
         type=option_rules.duration,
         default=WITHIN,
-        help="how long to wait for its end, such as 30s (default: 2m)",
+        help="how long to wait for the end of the switchover, such as 30s (default: 2m)",
     )
     add_options(parser)
     return parser

@@ -168,16 +168,19 @@ def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy doctor",
-        description="Finds out whether a cluster does what Understudy needs: Kubernetes, operator and CRDs fit this version, you and the "
-        "operator have the rights, gates are enforced for UDP and how soon, clocks agree, and the robots' discovery servers "
-        "answer. It creates two pods and a gate for a while, which touch no robot, and deletes them again.",
+        description="Checks whether a cluster does what Understudy needs: Kubernetes, operator and CRDs fit this "
+        "version; you and the operator have the rights that they need; the network enforces gates for UDP, and how "
+        "soon; clocks agree; and the robots' discovery servers answer. The command creates two pods and a gate for "
+        "the test, which send nothing to a robot, and deletes them at the end.",
         epilog="Exit status: 0 if nothing failed (warnings are reported), 1 if something failed, 2 if this cannot be determined.",
     )
-    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload; all where none is named")
+    parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")
     parser.add_argument(
-        "--no-pods", action="store_true", help="make no pods: send no packets, ask no clocks, join no graph"
+        "--no-pods",
+        action="store_true",
+        help="create no pods, and so skip the checks of packets, clocks and ROS graphs",
     )
-    parser.add_argument("--image", help="what the pods are made of (the monitor's image, as the operator has it)")
+    parser.add_argument("--image", help="image of the test pods (default: the monitor image that the operator uses)")
     option_rules.add_output(parser, "text, or everything as JSON or YAML")
     add_options(parser)
     return parser

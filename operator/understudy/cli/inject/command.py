@@ -142,8 +142,8 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     parser.add_argument(
         "--from", metavar="WHOM", dest="whom", action="append",
-        help=f"partition: cut off only from this peer: {partition.MONITOR} (its monitor's pod), an address or a network; may be given "
-        "several times (default: everything)",
+        help=f"partition: cut off only from this peer: the word {partition.MONITOR} (the pod of the workload's monitor), an IP address or "
+        "a CIDR; may be given several times (default: everything)",
     )  # fmt: skip
     parser.add_argument(
         "-c",

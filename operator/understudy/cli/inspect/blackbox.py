@@ -169,8 +169,9 @@ def _parser() -> argparse.ArgumentParser:
         prog="understudy blackbox",
         # argparse would put the options first, and a name after --fetch would be parsed as an id.
         usage="%(prog)s NAME [options]",
-        description="Lists what the monitor of a RobotWorkload recorded around failures, or fetches a recording as an MCAP file that "
-        "rosbag2 can read. The policy turns recording on (spec.blackBox). It needs kubectl and the permission to forward ports to pods.",
+        description="Lists the recordings that the monitor of a RobotWorkload made of failures, or fetches one as "
+        "an MCAP file that rosbag2 can read. The policy turns recording on (spec.blackBox). The command needs "
+        "kubectl and the permission to forward ports to pods.",
         epilog="Exit status: 0 if there are recordings, or the recording was fetched, 1 if there are none, 2 on an error.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")
@@ -179,8 +180,8 @@ def _parser() -> argparse.ArgumentParser:
         metavar="ID",
         nargs="?",
         const=LATEST,
-        help=f"fetch a recording, by the number of the failure, its id or the beginning of its id, or {LATEST} (the default if "
-        "nothing is given)",
+        help=f"fetch a recording. ID is the number of the failure, its id, a prefix of its id, or {LATEST}, which is also the "
+        "default for --fetch without ID",
     )
     parser.add_argument("--to", metavar="FILE", help="the file for the recording (default: NAME-NUMBER.mcap)")
     parser.add_argument(

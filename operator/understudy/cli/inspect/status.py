@@ -223,8 +223,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy status",
         description="Shows the robots and pools of a namespace: the active instance, ready standbys, the last recovery, and "
-        "problems. It reads the status that operator and monitors write; a recovery under way is read from the "
-        "gate, if you may read it. It changes nothing.",
+        "problems. It reads the status that operator and monitors write. A recovery in progress is recorded at the gate first, and "
+        "shown if you have permission to list NetworkPolicies. The command changes nothing.",
         epilog="Exit status: 0 if every robot shown is protected and healthy (or degraded), 1 if "
         "one is not, 2 on an error or if there is none.",
     )

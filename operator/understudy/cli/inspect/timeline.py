@@ -49,8 +49,8 @@ def main(arguments: list[str]) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy timeline",
-        description="Shows the last recoveries of a RobotWorkload: a comparison of all that its status records, and the newest ones "
-        "in detail, with the parts to scale, their moments, the restored state and failed attempts.",
+        description="Shows the last recoveries of a RobotWorkload: a comparison of all recoveries in its status, and the newest ones in "
+        "detail, with the parts of their time drawn to scale, the time of each step, the restored state and failed attempts.",
         epilog="Exit status: 0 if they were shown, 2 if they could not be read.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")

@@ -148,8 +148,9 @@ def _web(kubectl: Kubectl, workload: str) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy tree",
-        description="Shows the live health tree of a RobotWorkload as its monitor evaluates it: the state of each node, the rate of its "
-        "topic, and why it is not healthy. It needs kubectl and the permission to forward ports to pods, and changes nothing.",
+        description="Shows the live health tree of a RobotWorkload as its monitor evaluates it: the state of each "
+        "node, the rate of its topic, and why a node is not healthy. The command needs kubectl and the permission "
+        "to forward ports to pods. It changes nothing.",
         epilog="Exit status: 0 if the workload is healthy, 1 if it is not, 2 if this cannot be determined.",
     )
     parser.add_argument("name", metavar="NAME", help="the RobotWorkload")

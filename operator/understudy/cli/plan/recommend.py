@@ -97,10 +97,11 @@ def _recorded(given: argparse.Namespace, manifests: Sequence[Manifest]) -> dict[
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy recommend",
-        description="Recommends strategies and their order for each RobotWorkload, from the requirements of its FailurePolicy and "
-        "the pools that serve it, with the time and the reserved CPU of each strategy. Recoveries recorded in the cluster, or in "
-        "files that kubectl wrote, are used as measurements if there are at least three by a strategy. Otherwise published figures are "
-        "used and marked. It changes nothing.",
+        description="Recommends strategies and their order for each RobotWorkload, from the requirements of its "
+        "FailurePolicy and the pools that serve it, with the recovery time and the reserved CPU of each strategy. "
+        "The times are measured ones if the status of the workload, in the cluster or in a file, records at least "
+        "three recoveries by a strategy. Otherwise they are published figures, and marked so. The command changes "
+        "nothing.",
         epilog="Exit status: 0, or 1 if the requirements cannot be met, or 2 on an error. The rules and the "
         "figures are in docs/choosing.md.",
     )
@@ -122,7 +123,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="READINESS=SHARE",
         help="measured CPU of a waiting instance, as a share of a working instance's, such as Initialized=0.4",
     )
-    parser.add_argument("--plot", metavar="FILE.png", help="draw time against CPU (needs the extra understudy[plots])")
+    parser.add_argument(
+        "--plot",
+        metavar="FILE.png",
+        help="plot the recovery time against the reserved CPU (needs the extra understudy[plots])",
+    )
     option_rules.add_output(parser, "output format (default: text)")
     parser.add_argument("-n", "--namespace", help="namespace of workloads whose files do not name one")
     parser.add_argument("--context", help="context of the kubeconfig")

@@ -58,10 +58,13 @@ def main(arguments: list[str]) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy size",
-        description="Calculates how likely it is that the robots of a FallbackPool find too few fallbacks, how long they wait, what "
-        "the pool costs and what downtime it saves; with --risk, how many fallbacks are needed. Failures are assumed to be independent "
-        "of each other; each uses a fallback, which is replaced after the refill time.",
-        epilog="Exit status: 0, or 2 on an error. The models are described in docs/sizing.md.",
+        description="Calculates how likely it is that a FallbackPool has too few fallbacks (waiting pods) for its "
+        "robots, how long the robots wait, what the pool costs and what downtime it saves. With --risk, it "
+        "calculates how many fallbacks are needed. It assumes that failures are independent of each other, and "
+        "that each uses a fallback, which is replaced after the refill time.",
+        epilog="Exit status: 0, or 2 on an error. The models are described in docs/sizing.md. The paper is: Mirus, Pasch, Singhal, Scholl, "
+        "A generic approach for reactive stateful mitigation of application failures in distributed robotics systems deployed with "
+        "Kubernetes.",
     )
     parser.add_argument(
         "--robots", type=option_rules.whole(1, 10_000_000), required=True, help="number of robots that share the pool"
@@ -80,7 +83,7 @@ def _parser() -> argparse.ArgumentParser:
         type=_duration,
         required=True,
         metavar="DURATION",
-        help="downtime of a robot that finds a fallback, such as 6s",
+        help="downtime of a robot for which a fallback is ready, such as 6s",
     )
     parser.add_argument(
         "--refill-seconds",
@@ -103,8 +106,8 @@ def _parser() -> argparse.ArgumentParser:
         type=_cpu,
         default=1.0,
         metavar="SHARE",
-        help="CPU of a waiting fallback as a share of a working instance's (default: 1, as in the paper, which measured 0.6 for one that "
-        "waits uninitialized)",
+        help="CPU of a waiting fallback as a share of a working instance's (default: 1, as in the paper, which measured 0.6 for an "
+        "uninitialized one)",
     )
     asked = parser.add_mutually_exclusive_group(required=True)
     asked.add_argument("--fallbacks", type=option_rules.whole(0, MOST), metavar="N", help="size of the pool")
@@ -117,8 +120,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--risk-of",
         choices=tuple(MEASURES),
-        help="meaning of the risk: loss: a failure finds no fallback; waiting: it has to wait for one; window: more "
-        f"failures than fallbacks occur within a refill time, as in the paper (default: {RISK_OF})",
+        help="what the risk is. loss: no fallback is ready at a failure. waiting: the robot has to wait for one. window: within "
+        f"one refill time there are more failures than fallbacks, as in the paper (default: {RISK_OF})",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw risk against cost (needs the extra understudy[plots])")
     option_rules.add_output(parser, "output format (default: text)")

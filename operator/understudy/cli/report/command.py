@@ -125,10 +125,10 @@ def _summary(found: Findings, given: argparse.Namespace) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy report",
-        description="Writes an HTML report about the recoveries of a period: recovery times by strategy and part, the robots' "
-        "gaps and downtime, reserved resources, and every recovery. The data are the records in the status of the RobotWorkloads, "
-        "which contain the last ten recoveries of each robot; the report says for which time they are incomplete. "
-        "It changes nothing in the cluster.",
+        description="Writes an HTML report about the recoveries of a period: recovery times by strategy and part, "
+        "how long the robots were without commands, reserved resources, and every recovery. The data come from the "
+        "status of the RobotWorkloads, which contains the last ten recoveries of each robot; the report says for "
+        "which time they are incomplete. The command changes nothing in the cluster.",
         epilog="Exit status: 0 if the report was written, 2 if not: kubectl failed, a name does not exist, or there is no robot.",
     )
     parser.add_argument("names", metavar="NAME", nargs="*", help="a RobotWorkload (default: all)")

@@ -114,9 +114,11 @@ def _written(seconds: float) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="understudy learn",
-        description="Proposes leaves for a health tree, with gaps and rates from a recording of a healthy robot. They are "
-        "printed for review, to be pasted into a policy; nothing is written.",
-        epilog="Exit status: 0 if the leaves hold throughout the recording, 1 if they do not, 2 on an error.",
+        description="Proposes leaf nodes for a health tree. Their bounds (longest time between two messages, "
+        "message rate) come from a recording of a healthy robot. The command prints them for review and for use in "
+        "a policy; it writes no file.",
+        epilog="Exit status: 0 if the proposed leaves succeed during the whole recording, 1 if they do not, 2 on "
+        "an error.",
     )
     parser.add_argument("--bag", required=True, metavar="BAG", help="a rosbag2 folder, or an .mcap or .db3 file")
     parser.add_argument(
@@ -126,7 +128,8 @@ def _parser() -> argparse.ArgumentParser:
         "--factor",
         type=option_rules.number(1.0, 100.0),
         default=FACTOR,
-        help="longest allowed gap, as a multiple of the 99.9th percentile (default: %(default)s)",
+        help="longest allowed gap between two messages, as a multiple of the 99.9th percentile of the recorded "
+        "gaps (default: %(default)s)",
     )
     parser.add_argument(
         "--margin",

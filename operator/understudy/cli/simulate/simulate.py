@@ -65,14 +65,14 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="TIME",
-        help="time of a real failure, in seconds from the bag's start or as a wall time, to report the delay until it was "
-        "detected; may be given several times",
+        help="time of a real failure, to report the delay until its detection: seconds from the start of the bag, "
+        "or a time such as 2026-11-22T18:00:00Z; may be given several times",
     )
     parser.add_argument(
         "--grace",
-        metavar="TIME",
-        help="time within which the instance must become healthy first, instead of the policy's startupGrace: 0s if it was "
-        "running when the recording began",
+        metavar="DURATION",
+        help="how long the instance may take to become healthy for the first time, instead of the policy's "
+        "startupGrace; use 0s if it was already running at the start of the recording",
     )
     parser.add_argument("--plot", metavar="FILE.png", help="draw the result (needs the extra understudy[plots])")
     add_output(parser, "output format (default: text)")

@@ -163,12 +163,14 @@ def _parser() -> argparse.ArgumentParser:
         "policy_file", metavar="POLICY.yaml", help="a file with a FailurePolicy, or - for standard input"
     )
     parser.add_argument("--policy", metavar="NAME", help="the policy, if the file contains several")
-    parser.add_argument("--for", dest="length", type=_duration, metavar="TIME", help="end after this time, such as 30s")
+    parser.add_argument(
+        "--for", dest="length", type=_duration, metavar="DURATION", help="end after this time, such as 30s"
+    )
     parser.add_argument(
         "--grace",
-        metavar="TIME",
-        help="time within which topics must arrive first, instead of the policy's startupGrace: if the application has "
-        "been running for a while, a short time such as 3s",
+        metavar="DURATION",
+        help="how long the application may take to become healthy for the first time, instead of the policy's "
+        "startupGrace; use a short time such as 3s if it is already running",
     )
     return parser
 

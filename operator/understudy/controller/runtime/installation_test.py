@@ -182,7 +182,9 @@ def main(argv: Sequence[str]) -> int:
         epilog="Exit status: 0 if every check passes, 1 otherwise.",
     )
     parser.add_argument("--operator", required=True, metavar="NAME", help="name of the operator's Deployment")
-    parser.add_argument("--no-admission", action="store_true", help="the admission policy is not installed")
+    parser.add_argument(
+        "--no-admission", action="store_true", help="do not check the admission policy, because it is not installed"
+    )
     given = parser.parse_args(argv)
     place = Place(os.environ["UNDERSTUDY_NAMESPACE"], given.operator, os.environ["POD_NAME"], not given.no_admission)
     found = asyncio.run(verify(default_access(), place))

@@ -140,11 +140,11 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
     parser = argparse.ArgumentParser(
         prog="understudy operator",
         description="Reconciles RobotWorkloads, FailurePolicies and FallbackPools, while it holds the lease.",
-        epilog="Exit status: 0 if it was stopped, 1 if it lost the lease or a part of it failed, 2 if the image of the "
-        "monitor is missing.",
+        epilog="Exit status: 0 if the operator was stopped, 1 if it lost the lease or one of its tasks failed, 2 "
+        "if --monitor-image is missing.",
     )
     parser.add_argument(
-        "--kubeconfig", help="kubeconfig to use instead of the pod's ServiceAccount; credential plugins included"
+        "--kubeconfig", help="kubeconfig to use instead of the pod's ServiceAccount (credential plugins are supported)"
     )
     parser.add_argument(
         "--monitor-image",
@@ -176,38 +176,45 @@ def options(argv: Sequence[str]) -> tuple[argparse.Namespace, Options]:
         type=_percent,
         default=environment("UNDERSTUDY_ROLLOUT_PERCENT", str(PERCENT)),
         metavar="PERCENT",
-        help=f"share of the workloads whose monitors are replaced at the same time, as after an upgrade; at least one ({PERCENT}, unless "
-        "UNDERSTUDY_ROLLOUT_PERCENT says otherwise)",
+        help="percentage of the workloads whose monitors are replaced at the same time, as after an upgrade, rounded up "
+        f"(default: UNDERSTUDY_ROLLOUT_PERCENT, or else {PERCENT})",
     )
     parser.add_argument(
         "--watch-namespace", action="append", default=[], help="watch this namespace only; may be repeated"
     )
     parser.add_argument(
-        "--lease", default=LEASE, metavar="NAME", help="name of the Lease for leader election (%(default)s)"
+        "--lease", default=LEASE, metavar="NAME", help="name of the Lease for leader election (default: %(default)s)"
     )
     parser.add_argument(
         "--lease-namespace",
         default=environment("UNDERSTUDY_NAMESPACE") or _own_namespace(),
         metavar="NAMESPACE",
-        help="namespace of the Lease; the operator's own by default",
+        help="namespace of the Lease (default: the operator's own)",
     )
     parser.add_argument(
         "--identity",
         default=environment("POD_NAME") or socket.gethostname(),
         metavar="NAME",
-        help="identity in the Lease; the pod's name by default",
+        help="identity in the Lease (default: the pod's name)",
     )
     parser.add_argument(
-        "--resync", type=float, default=30.0, metavar="SECONDS", help="interval between full lists (%(default)g)"
+        "--resync",
+        type=float,
+        default=30.0,
+        metavar="SECONDS",
+        help="seconds between two complete lists of all objects (default: %(default)g)",
     )
     parser.add_argument(
-        "--port", type=int, default=names.METRICS_PORT, help="port of /healthz, /ready and /metrics (%(default)s)"
+        "--port",
+        type=int,
+        default=names.METRICS_PORT,
+        help="port of /healthz, /ready and /metrics (default: %(default)s)",
     )
     parser.add_argument(
         "--log-level",
         default=environment("UNDERSTUDY_LOG_LEVEL", "info"),
         metavar="LEVEL",
-        help="debug, info, warning or error; info, unless UNDERSTUDY_LOG_LEVEL says otherwise",
+        help="debug, info, warning or error (default: UNDERSTUDY_LOG_LEVEL, or else info)",
     )
     given = parser.parse_args(argv)
     if not given.monitor_image:
