@@ -112,7 +112,7 @@ def _suitable_provider() -> str | None:
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Tells the golden files which test begins."""
-    golden.begin(item.name)
+    golden.begin(f"{item.path.stem}::{item.name}")
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

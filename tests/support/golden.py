@@ -1,7 +1,7 @@
 """Compares what the product says with the wording that is kept: in ``tests/golden``, and in pages of the documentation.
 
 A test asserts on reasons, fields and numbers. The sentences around them stand in one file per surface, such as
-``tests/golden/explain.yaml``, under the name of the test. After an intended change of wording, ``UPDATE_GOLDEN=1`` makes the
+``tests/golden/explain.yaml``, under the test's file and name. After an intended change of wording, ``UPDATE_GOLDEN=1`` makes the
 tests write what the product says now; the difference in these files is what a review reads.
 """
 
@@ -28,17 +28,21 @@ def begin(test: str) -> None:
     _compared.clear()
 
 
-def assert_golden(surface: str, said: str | Iterable[str]) -> None:
+def assert_golden(surface: str, said: str | Iterable[str], *facts: str) -> None:
     """Assert that the next text of this test is the one in the surface's file, or write it there.
 
-    Several lines can be given instead of one text.
+    Several lines can be given instead of one text. ``facts`` are what the text must contain whatever its wording: reasons,
+    fields, names, numbers.
     """
     text = said if isinstance(said, str) else "\n".join(said)
+    for fact in facts:
+        assert fact in text
     number = _compared.get(surface, 0)
     _compared[surface] = number + 1
     path = FOLDER / f"{surface}.yaml"
     if os.environ.get("UPDATE_GOLDEN"):
         _write(path, number, text)
+        return
     kept = texts(path).get(_test, [])
     expected = kept[number] if number < len(kept) else None
     assert text == expected, f"not as in {path.name}; if this wording is intended: UPDATE_GOLDEN=1"
@@ -46,14 +50,14 @@ def assert_golden(surface: str, said: str | Iterable[str]) -> None:
 
 def texts(path: Path) -> dict[str, list[str]]:
     """The texts of a golden file by the name of their test."""
-    return yaml.load(path.read_text(), yaml.CSafeLoader) if path.exists() else {}
+    return (yaml.load(path.read_text(), yaml.CSafeLoader) if path.exists() else None) or {}
 
 
 def _write(path: Path, number: int, text: str) -> None:
     path.parent.mkdir(exist_ok=True)
     with path.open("a") as file:
         fcntl.flock(file, fcntl.LOCK_EX)  # Several test processes write at a time.
-        kept = texts(path) or {}
+        kept = texts(path)
         kept[_test] = [*kept.get(_test, [])[:number], text]
         path.write_text(yaml.dump(kept, Dumper=_Dumper, allow_unicode=True, width=10**6))
 

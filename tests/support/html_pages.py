@@ -54,6 +54,10 @@ class Read(HTMLParser):
         (found,) = (rows for caption, rows in self.tables.items() if caption.startswith(beginning))
         return found
 
+    def texts_with(self, *facts: str) -> list[str]:
+        """The texts in which one of these facts stands."""
+        return [text for text in self.texts if any(fact in text for fact in facts)]
+
     @property
     def text(self) -> str:
         return " ".join(self.texts)

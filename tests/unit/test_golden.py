@@ -14,6 +14,9 @@ TESTS = Path(__file__).resolve().parents[1]
 
 @pytest.mark.parametrize("path", sorted(golden.FOLDER.iterdir()), ids=lambda path: path.stem)
 def test_every_text_belongs_to_a_test(path: Path) -> None:
-    sources = [file.read_text() for file in TESTS.rglob("test_*.py")]
-    tests = {name for source in sources for name in re.findall(r"def (test_\w+)\(", source)}
+    tests = {
+        f"{file.stem}::{name}"
+        for file in TESTS.rglob("test_*.py")
+        for name in re.findall(r"def (test_\w+)\(", file.read_text())
+    }
     assert {name.partition("[")[0] for name in golden.texts(path)} <= tests, "remove what no test compares"

@@ -6,6 +6,7 @@ import asyncio
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.agent.conftest import Pod, eventually
 from tests.unit.agent.localization import OUTPUTS, TREE, WITHIN, localize, run
 from understudy.kube.agent_client import AgentLink, AgentRefused
@@ -64,7 +65,7 @@ async def test_a_failed_procedure_reports_its_leaf_and_the_reason(robot: Pod, li
     status = await link.ask()
     assert not status.ready
     assert status.initialized == ""
-    assert status.reason.startswith("not initialized: initialization.sequence[1].parameter_is")
+    assert_golden("agent", status.reason, "initialization.sequence[1].parameter_is")
 
 
 WRITTEN = {
@@ -96,7 +97,7 @@ async def test_a_procedure_in_another_language_does_the_same_and_reports_places_
         TREE, OUTPUTS, 20.0, standby={"check": check.node, "places": check.places, "period": 0.1, "brought": ""}
     )
     status = await link.wait_for(lambda s: "is active, not inactive" in s.check, WITHIN)
-    assert status.check == "readinessCheck, line 1, column 49: <LifecycleIs>: node /localizer is active, not inactive"
+    assert_golden("agent", status.check, "line 1, column 49", "LifecycleIs", "/localizer is active, not inactive")
 
 
 CHECK_XML = (
@@ -149,7 +150,7 @@ async def test_a_check_is_evaluated_repeatedly(robot: Pod, links):
     node = localize(robot)
     link = await connected(robot, links, standby={"brought": "", "check": CHECK, "period": 0.1})
     status = await link.wait_for(lambda s: "is unconfigured, not active" in s.reason, WITHIN)
-    assert "readinessCheck.lifecycle_is: node /localizer is unconfigured" in status.check
+    assert_golden("agent", status.check, "readinessCheck.lifecycle_is", "/localizer", "unconfigured")
     await link.procedure(ACTIVATE, WITHIN, name="initialization")
     assert (await link.wait_for(lambda s: s.ready, WITHIN)).check == ""
     robot.kill(node)

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -120,7 +122,7 @@ async def test_a_missing_confirmation_fails_in_bounded_time(
     assert time.monotonic() - begun < 20
     (entry,) = report.failed
     assert entry.name == "/amcl_pose"
-    assert entry.reason.startswith("it was published on /initialpose, but not confirmed: nothing ")
+    assert_golden("agent", entry.reason.partition(" within ")[0], "/initialpose")
 
 
 async def test_a_topic_without_a_subscriber_fails_in_bounded_time_and_is_named(restorer: StateRestorer) -> None:
@@ -181,7 +183,7 @@ async def test_only_named_samples_are_restored(
     state = KeptState((pose(),), (ParameterValues("/localizer", {"speed": 0.5}, 1.0),))
     report = await restorer.restore(state, within=WITHIN, only=["/amcl_pose", "/map"])
     assert names(report) == ["/amcl_pose"]
-    assert report.problem == "/map: it is not among what the policy keeps and restores"
+    assert_golden("agent", report.problem, "/map")
     found = await restorer.inspect({"/localizer": ["speed"]}, [], within=WITHIN)
     assert found["parameters"] == {"/localizer": {"speed": 0.25}}
 

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from tests.support.golden import assert_golden
 from understudy.api.protocol.agent_messages import MAX_LINE, ProtocolError, encode
 from understudy.api.protocol.kept_state import (
     LARGEST,
@@ -84,7 +85,7 @@ def test_in_batches_everything_comes_once() -> None:
 
 def test_what_none_of_was_given_is_all_in_the_report() -> None:
     report = KEPT.not_given("gone")
-    assert report.problem == "/amcl_pose: gone; /controller (parameters): gone; /controller (lifecycle): gone"
+    assert_golden("api", report.problem, "/amcl_pose", "/controller")
     assert OLD in report.not_restored
 
 

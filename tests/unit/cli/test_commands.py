@@ -15,7 +15,7 @@ import yaml
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
-from tests.support.golden import assert_shown
+from tests.support.golden import assert_golden, assert_shown
 from understudy.cli.completion import command as completion
 from understudy.cli.control import fence, pause, resume, robot_profile
 from understudy.cli.doctor import command as doctor
@@ -124,7 +124,7 @@ def test_what_a_workload_refers_to_is_asked_for(stand: FakeKubectl, capsys: pyte
     item["spec"]["workloadRef"] = {"kind": "Deployment", "name": "nav2"}
     stand.tell(fleet.around(item))
     assert explain.main(["robot-17-navigation"]) == 0, "what was built before protects it still"
-    assert '✗ not accepted (ReferenceNotFound): spec.workloadRef: no Deployment "nav2"' in capsys.readouterr().out
+    assert_golden("command_line", capsys.readouterr().out, "ReferenceNotFound", "spec.workloadRef", '"nav2"')
     assert any("get deployments.apps nav2 --ignore-not-found" in line for line in stand.asked)
 
 
@@ -149,8 +149,13 @@ def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(
 def test_a_missing_workload_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], command: str) -> None:
     more = ["--reason", "a new gripper"] if command == "pause" else []
     assert COMMANDS[command](["robot-2", *more]) == 2
-    assert f'understudy {command}: Error from server (NotFound): robotworkloads.understudy.dev "robot-2" not found' in (
-        capsys.readouterr().err
+    assert_golden(
+        "command_line",
+        capsys.readouterr().err,
+        f"understudy {command}: ",
+        "NotFound",
+        "robotworkloads.understudy.dev",
+        '"robot-2"',
     )
 
 

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.controller.world import (
     World,
     applied,
@@ -153,7 +154,9 @@ class TestWhatIsSaid:
         asked = prewarming(pool="spare")
         found = policy_status.conditions(asked, {"hot": hot(), "spare": spare()}, {})
         assert (found[0].status, found[0].reason) == ("False", "PoolNotPrewarmed")
-        assert found[0].message.startswith("spec.degraded.actions[0].prewarm.poolRef.name: FallbackPool spare is")
+        assert_golden(
+            "operator", found[0].message, "spec.degraded.actions[0].prewarm.poolRef.name", "FallbackPool spare"
+        )
         assert policy_reader.problem(asked, {}) is None, "the rest of the policy is followed"
 
 

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.controller.world import IMAGES, World, applied, policy, workload
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.desired.workload_plan import evaluate
@@ -95,7 +96,7 @@ class TestCondition:
     def test_one_that_is_missing_may_come_later(self) -> None:
         status, reason, message = told({"planning": ["localisation"], "localization": []}, "planning")
         assert (status, reason) == ("False", "DependencyNotFound")
-        assert 'no RobotWorkload "localisation" in namespace fleet (did you mean "localization"?)' in message
+        assert_golden("operator", message, 'RobotWorkload "localisation"', '"localization"')
 
     def test_the_order_is_told_where_all_is_well(self) -> None:
         assert told(LADDER, "control")[:2] == ("True", "Resolved")

@@ -3,6 +3,7 @@ from __future__ import annotations
 import copy
 from typing import Any
 
+from tests.support.golden import assert_golden
 from tests.unit.kube.memory import ApplyingClient, MemoryClient
 from understudy.api import names
 from understudy.controller.plan import Apply, Create
@@ -152,7 +153,7 @@ async def test_who_changes_an_object_back_each_time_is_told_of_and_not_fought_fo
     assert client.applies == 1 + AT_ONCE
     assert told[: 1 + AT_ONCE] == [[]] * (1 + AT_ONCE)
     (message,) = told[-1]
-    assert "ConfigMap w-robot-env is changed repeatedly by another client (" in message
+    assert_golden("operator", message, "ConfigMap w-robot-env")
     assert "data.A" in message
 
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.controller.world import World, gate, policy, source_pod, workload
 from understudy.api.kinds.degraded_spec import Resize
 from understudy.api.quantities import amount
@@ -100,8 +101,14 @@ def test_nothing_is_done_once_it_is_no_longer_degraded_or_the_policy_is_not_acce
 def test_a_container_that_is_not_there_is_told_with_those_that_are() -> None:
     found = only(world({"resize": {"container": "ap", "cpu": "1"}}))
     assert (found.reason, found.write) == ("ContainerNotFound", None)
-    assert found.message == (
-        'FailurePolicy: spec.degraded.actions[0].resize.container: pod w-a has no container "ap" (did you mean "app"?)'
+    assert_golden(
+        "operator",
+        found.message,
+        "FailurePolicy",
+        "spec.degraded.actions[0].resize.container",
+        "pod w-a",
+        '"ap"',
+        '"app"',
     )
 
 

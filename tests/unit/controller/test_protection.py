@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.controller.world import (
     World,
     applied,
@@ -36,7 +37,7 @@ def test_protected_by_a_ready_standby() -> None:
     found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
     protected = found.condition("Protected")
     assert protected["status"] == "True"
-    assert protected["message"] == "If it failed now, Fallback from pool hot would be used: pod w-s (Executing)."
+    assert_golden("operator", protected["message"], "pool hot", "w-s (Executing)")
     assert found.status()["standby"] == "Executing (1/1)"
 
 
@@ -50,7 +51,7 @@ def test_a_standby_that_would_be_lost_with_the_node_of_the_pod_in_control_is_tol
     active, standby = found.pods
     active["spec"], standby["spec"] = {"nodeName": "one"}, {"nodeName": standby_on}
     message = found.condition("Protected")["message"]
-    assert message == f"If it failed now, Fallback from pool hot would be used: pod w-s (Executing){told}."
+    assert_golden("operator", message, "pool hot", f"w-s (Executing){told}")
 
 
 def test_not_protected_while_the_standby_is_not_ready_but_the_next_strategy_is_told() -> None:
@@ -190,9 +191,8 @@ def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: in
     assert made.status().get("stocked") == (["spare"] if priority else None)
     if not priority:
         assert protected["reason"] == "PodsReserved"
-        assert protected["message"] == (
-            "FallbackPool spare keeps its last 1 for workloads with a higher spec.poolPriority (spec.reserve), and has no more ready. "
-            "If it failed now, Restart would be used."
+        assert_golden(
+            "operator", protected["message"], "FallbackPool spare", "last 1", "spec.poolPriority", "spec.reserve"
         )
 
 

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.controller.pools import condition, observe, plan, present, status
 from tests.unit.controller.world import (
     NOW,
@@ -126,7 +127,7 @@ def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
     waiting = standby_pod("w-s", of=item, ready=False)
     told = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
     assert told["reason"] == "PodsNotReady"
-    assert "0 of 1 are ready; see the condition BroughtUp of RobotWorkload w" in told["message"]
+    assert_golden("operator", told["message"], "0 of 1", "BroughtUp", "RobotWorkload w")
 
 
 class TestAPoolThatHasRunDry:
@@ -160,9 +161,12 @@ class TestAPoolThatHasRunDry:
         found = observe(spare(replicas=1), workloads=[workload()], waiting=waiting)
         told = condition(found, "Available")
         assert (told["status"], told["reason"]) == ("False", "Dry")
-        assert told["message"] == (
-            "0 of 1 can be claimed now; workloads that wait, in this order: b (poolPriority 100, since 22:13:18 UTC), "
-            "a (poolPriority 0, since 22:13:18 UTC)."
+        assert_golden(
+            "operator",
+            told["message"],
+            "0 of 1",
+            "b (poolPriority 100, since 22:13:18",
+            "a (poolPriority 0, since 22:13:18",
         )
         assert status(found)["waiting"] == 2
 
@@ -176,7 +180,7 @@ class TestAPoolThatHasRunDry:
         pool = spare(replicas=2, reserve={"poolPriority": 100})
         pod = held_pod("spare-a", of=pool, template_hash=present(pool))
         told = condition(observe(pool, [pod]), "Available")["message"]
-        assert told == "1 of 2 can be claimed now, the last 1 only with poolPriority 100 or higher."
+        assert_golden("operator", told, "1 of 2", "last 1", "poolPriority 100")
 
     def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
         found = status(observe(hot(), workloads=[workload()]))

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.controller.strategy_policies import auto, order, pools_of, told, warm
 from tests.unit.controller.world import (
     World,
@@ -108,9 +109,12 @@ def test_a_situation_has_its_standby_made_and_changes_nothing_else_until_that_is
     assert order(plan) == ["warm", "spare", "Restart"], "what is there would be used, as ever"
     assert [choice.name for choice in told(plan).pools] == ["warm", "spare", "hot"], "the monitor brings it up"
     assert covered(made) == ("False", "StandbyNotReady")
-    assert made.condition("SituationCovered")["message"] == (
-        "The robot is in situation carrying. Until its first strategy is available, the strategies stay "
-        "Initialized (warm), Uninitialized (spare), Restart: no pod of FallbackPool hot is ready for it."
+    assert_golden(
+        "operator",
+        made.condition("SituationCovered")["message"],
+        "carrying",
+        "Initialized (warm), Uninitialized (spare), Restart",
+        "FallbackPool hot",
     )
     assert made.condition("Protected")["status"] == "True"
     assert made.status()["standby"] == "Initialized (1/1)"
@@ -143,9 +147,7 @@ def test_after_it_the_same_in_the_other_direction() -> None:
     assert pools_of(plan) == {"warm"}
     assert deleted(plan) == []
     assert order(plan) == ["hot", "spare", "Restart"]
-    assert made.condition("SituationCovered")["message"].startswith(
-        "Situation carrying ended. Until the policy's own first strategy is available, the strategies stay Executing (hot)"
-    )
+    assert_golden("operator", made.condition("SituationCovered")["message"], "carrying", "Executing (hot)")
     made.pods.append(standby(made, "w-warm", "warm"))
     made.build()
     assert deleted(made.plan()) == ["w-hot"]
@@ -289,14 +291,14 @@ def test_a_policy_without_situations_says_nothing_of_them() -> None:
 def test_a_pool_that_no_situation_finds_is_told_with_its_place() -> None:
     (found,) = policy_status.conditions(CARRYING, {"warm": warm(), "spare": spare()}, {})
     assert (found.status, found.reason) == ("False", "PoolNotFound")
-    assert found.message.startswith('spec.situations[0].strategies[0].poolRef.name: FallbackPool "hot" is not in')
+    assert_golden("operator", found.message, "spec.situations[0].strategies[0].poolRef.name", "FallbackPool", '"hot"')
 
 
 def test_a_wait_for_a_standby_of_one_s_own_is_told_with_its_place() -> None:
     asked = situational(("carrying", ("hot",)))
     asked["spec"]["situations"][0]["strategies"][0]["waitFor"] = "5s"
     (found,) = policy_status.conditions(asked, {"hot": hot(), "warm": warm(), "spare": spare()}, {})
-    assert found.message.startswith("spec.situations[0].strategies[0].waitFor: FallbackPool hot is Executing")
+    assert_golden("operator", found.message, "spec.situations[0].strategies[0].waitFor", "FallbackPool")
 
 
 def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
@@ -304,7 +306,7 @@ def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
     asked["spec"]["situations"][0]["when"] = {"yaml": {"topik": {}}}
     found = policy_reader.problem(asked, {})
     assert found is not None
-    assert found.message.startswith("spec.situations[0].when.yaml.topik: unknown key 'topik'")
+    assert_golden("operator", found.message, "spec.situations[0].when.yaml.topik", "'topik'")
 
 
 async def test_a_pool_wants_no_standby_of_a_workload_in_whose_situation_it_does_not_count() -> None:

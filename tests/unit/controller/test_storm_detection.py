@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from tests.support.golden import assert_golden
 from tests.unit.controller import world
 from understudy.api import names
 from understudy.api.conditions import Condition
@@ -46,7 +47,7 @@ def test_more_than_the_share_must_fail() -> None:
     assert judged(*fleet(3, 6))[0].status == "False", "half of them isn't more than half"
     found, again = judged(*fleet(4, 6))
     assert (found.status, found.reason, again) == ("True", "ManyFail", None)
-    assert found.message.startswith("4 of 6 workloads fail now or failed within 10s: w-0, w-1, w-2, w-3. ")
+    assert_golden("operator", found.message, "4 of 6", "10s", "w-0", "w-1", "w-2", "w-3")
 
 
 def test_and_at_least_so_many() -> None:

@@ -6,6 +6,7 @@ import json
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.controller.world import (
     IMAGES,
     NAMESPACE,
@@ -198,7 +199,7 @@ class TestBadInputKeepsWhatProtects:
         protected = world.condition("Protected")
         assert (protected["status"], protected["reason"]) == ("False", "NoPool")
         assert '"missing"' in protected["message"]
-        assert "If it failed now, Fallback from pool hot would be used" in protected["message"]
+        assert_golden("operator", protected["message"], "Fallback from pool hot")
 
 
 class TestSettings:

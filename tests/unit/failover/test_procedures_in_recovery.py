@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.failover.recoveries import choices, failure, protected
 from tests.unit.failover.world import Killed, World
 from understudy.api.kinds.procedure_spec import Procedure
@@ -41,7 +42,7 @@ def test_the_same_procedure_in_another_language_is_the_same() -> None:
     assert written.places == {"set_lifecycle": "line 3, column 8: set_lifecycle()"}
     assert not written.problem
     broken = bring_up(procedure=Procedure(osc=text.replace("active", "asleep")))
-    assert broken.problem.startswith("bringUp, line 3, column 31: set_lifecycle() state: found lifecycle_state!asleep")
+    assert_golden("failover", broken.problem, "line 3, column 31", "set_lifecycle", "lifecycle_state!asleep")
 
 
 async def test_an_initialized_standby_is_brought_up_behind_a_closed_gate() -> None:
@@ -106,7 +107,7 @@ async def test_a_procedure_that_fails_is_said_with_its_leaf_and_the_next_strateg
     done = await recover(failure(world), tried, world.means())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert done.attempts[0].result == "NotVerified"
-    assert done.attempts[0].message == "agent w-2: procedure: bringUp.set_lifecycle: node /amcl is gone"
+    assert_golden("failover", done.attempts[0].message, "w-2", "bringUp.set_lifecycle", "/amcl")
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 

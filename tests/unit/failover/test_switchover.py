@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.failover.world import Killed, Store, World
 from understudy.api.protocol.kept_state import KeptSample, KeptState
 from understudy.failover import switchover
@@ -118,7 +119,7 @@ async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is
     assert found.target is None
     assert found.passing
     assert "Fallback/Executing: w-2: no /cmd_vel for 500 ms" in found.reason
-    assert "Fallback/Uninitialized: no pod of FallbackPool spare is ready" in found.reason
+    assert_golden("failover", found.reason, "Fallback/Uninitialized", "FallbackPool spare")
     assert "Restart: its own controller runs one pod" in found.reason
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
 

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from understudy.kinematics.command_following import SILENT, Allowance, CommandFollowing, Motion, Reach, Sums
 
 ALLOWED = Allowance()
@@ -127,7 +128,7 @@ def test_a_robot_that_moves_without_a_command_is_detected():
     for tick in range(60, 80):
         following.command(tick * PERIOD, forward(0.0))
         following.see(tick * PERIOD, forward(0.2), CERTAIN)
-    assert "forward it was seen at 0.20 m/s, commanded at 0.00 m/s" in str(following.discrepancy(4.0))
+    assert_golden("kinematics", str(following.discrepancy(4.0)), "0.20 m/s", "0.00 m/s")
 
 
 def turning(

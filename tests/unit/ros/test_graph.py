@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from understudy.api.kinds.robot_workload import Output
@@ -47,10 +49,7 @@ def test_publishers_that_disagree_have_no_type(graph, eventually):
         assert graph.type_of("/chat") is None
         watching = TopicWatch(graph)
         watching.follow([WatchedTopic("/chat", None, 0.0, None)])
-        assert watching.problems == [
-            "the publishers of /chat disagree about its type (std_msgs/msg/Bool, std_msgs/msg/String): "
-            "give the type in the tree"
-        ]
+        assert_golden("ros", watching.problems, "/chat", "std_msgs/msg/Bool", "std_msgs/msg/String")
     finally:
         other.close()
 

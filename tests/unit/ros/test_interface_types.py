@@ -5,6 +5,7 @@ from types import ModuleType
 
 import pytest
 
+from tests.support.golden import assert_golden
 from understudy.ros.runtime.interface_types import TypeNotInstalled, interface_class, message_class
 
 pytestmark = pytest.mark.ros
@@ -22,10 +23,7 @@ def test_installed_types_are_found_ready_for_use(name):
 def test_missing_package_says_what_to_do():
     with pytest.raises(TypeNotInstalled) as caught:
         message_class("robots_msgs/msg/Costmap")
-    assert str(caught.value) == (
-        "robots_msgs/msg/Costmap is not installed in the monitor's image (there is no package robots_msgs): build a "
-        "monitor image with it, and set spec.monitor.image to that"
-    )
+    assert_golden("ros", str(caught.value), "robots_msgs", "spec.monitor.image", "no package robots_msgs")
 
 
 def test_misspelt_type_names_the_nearest():

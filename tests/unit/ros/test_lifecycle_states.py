@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
@@ -166,10 +168,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
     try:
         states.follow([NODE])
         eventually(lambda: states.look() or states.problems)
-        assert states.problems == [
-            "the state of /managed cannot be determined: of 2 nodes of that name, in different pods, some are active and some "
-            "inactive, and the one of the active instance has reported no transition since it has been watched"
-        ]
+        assert_golden("ros", states.problems, "/managed", "2 nodes", "active", "inactive")
         assert states.of(NODE).state is None
         record.contents.append(Told(time.time(), "active"))
         states.look()

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
@@ -54,9 +56,7 @@ def test_what_the_node_logs_fails_and_what_others_and_it_otherwise_log_does_not(
     assert states == {"Healthy"}
     said(controller, "error no way out")
     eventually(lambda: judged.now().state == "Failed")
-    assert judged.now().reason == (
-        "a message of ERROR or worse by node /controller with 'no * out' on /rosout (controller says ERROR: no way out)"
-    )
+    assert_golden("ros", judged.now().reason, "/controller", "/rosout", "controller says ERROR: no way out")
     eventually(lambda: judged.now().state == "Healthy")
 
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
@@ -71,9 +73,7 @@ def test_a_robot_that_stands_while_it_is_commanded_is_found_and_one_that_is_not_
     eventually(lambda: judged.now().state == "Healthy" and reason() == "the robot moves as /cmd_vel says")
     driving.seen = 0.0
     eventually(lambda: judged.now().state == "Failed")
-    assert judged.now().reason == (
-        "the robot does not move as /cmd_vel says by /seen: forward it was seen at 0.00 m/s, commanded at 0.30 m/s"
-    )
+    assert_golden("ros", judged.now().reason, "/cmd_vel", "/seen", "0.00 m/s", "0.30 m/s")
     own = _OwnOutputs(watching, [], b"")
     there = judged.tree.evaluate(own, now=time.time(), since=judged.since)
     assert there.state == "Healthy", "in a standby's agent: what the robot does is another's doing"

@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
@@ -62,7 +64,7 @@ def test_a_value_that_is_changed_fails_and_what_it_was_before_is_asked_for(watch
     assert not watching.own(EVENTS) or not watching.own(EVENTS).contents, "it was told by an answer alone"
     put(speed=2.5)
     eventually(lambda: judged.now().state == "Failed")
-    assert judged.now().reason == "parameter speed of node /driver equal to 1.0 does not hold (it is 2.5)"
+    assert_golden("ros", judged.now().reason, "/driver", "1.0", "2.5")
     (host,) = {end.gid[HOST] for end in graph.servers(f"{NODE}/get_parameters")}
     for late in (TopicWatch(graph), TopicWatch(graph, host)):
         try:
@@ -163,10 +165,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
         parameters.follow([speed, label])
         eventually(lambda: parameters.look() or (parameters.problems and parameters.of(label)))
         assert parameters.of(label).value == "a", "both say the same"
-        assert parameters.problems == [
-            "parameter speed of /driver cannot be determined: of 2 nodes of that name, in different pods, some are 1.5 and some "
-            "2.5, and the one of the active instance has reported no change since it has been watched"
-        ]
+        assert_golden("ros", parameters.problems, "/driver", "1.5", "2.5")
         assert not parameters.of(speed).is_known
         record.contents.append(Told(time.time(), 1.75))
         parameters.look()

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
@@ -72,7 +74,7 @@ def test_silence_fails_by_the_gap_and_the_type_is_learnt_from_the_graph(watching
     judged = Judged(watching, {"progress": {"action": "/go", "gap": "1s", "settle": "10ms"}}, grace=0.001)
     server = processes.node("work", "/go")
     eventually(lambda: feed_back(server, 1) or (judged.now().state == "Healthy" and fed(watching)))
-    assert judged.until_failed().reason == "no feedback of /go for 1 s while a goal of /go is active"
+    assert_golden("ros", judged.until_failed().reason, "/go", "1 s")
     eventually(lambda: feed_back(server, 1) or judged.now().state == "Healthy")
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from tests.unit.ros.judging import Judged
@@ -45,9 +47,7 @@ def test_a_publisher_that_is_gone_fails_whoever_else_publishes(watching, others,
     eventually(lambda: judged.now().state == "Healthy")
     controller.node.destroy_publisher(own)
     eventually(lambda: judged.now().state == "Failed")
-    assert judged.now().reason == (
-        "a count of at least 1 publisher of /chat in node /controller has not held for 300 ms (there is none)"
-    )
+    assert_golden("ros", judged.now().reason, "/chat", "/controller", "300 ms", "none")
     publisher(controller, "/chat")
     eventually(lambda: judged.now().state == "Healthy")
 

@@ -5,6 +5,8 @@ import time
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from rclpy.serialization import deserialize_message
@@ -79,9 +81,7 @@ def test_messages_are_kept_as_they_came_where_there_is_a_ring(watching, processe
 
 def test_the_type_comes_from_the_graph_if_the_tree_gives_none(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", None, 0.0, None)])
-    assert watching.waiting == [
-        "the type of /chat is not known, since nobody publishes it yet: correct its name, or give the type in the tree"
-    ]
+    assert_golden("ros", watching.waiting, "/chat")
     processes.node("publish", "/chat", "20")
     eventually(lambda: watching.drain() and watching.topic("/chat").count)
     assert watching.waiting == watching.problems == []
@@ -90,7 +90,7 @@ def test_the_type_comes_from_the_graph_if_the_tree_gives_none(watching, processe
 def test_a_topic_with_a_missing_type_is_a_problem_and_the_others_are_watched(watching, processes, eventually):
     watching.follow([WatchedTopic("/plan", "nav2_msgs/msg/Plan", 0.0, None), WatchedTopic("/chat", STRING, 0.0, None)])
     (problem,) = watching.problems
-    assert problem.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
+    assert_golden("ros", problem, "/plan", "nav2_msgs/msg/Plan")
     assert problem.endswith("set spec.monitor.image to that")
     assert watching.unwatchable == {"/plan"}
     processes.node("publish", "/chat", "20")
@@ -115,7 +115,7 @@ def test_a_topic_that_this_process_has_as_another_type_is_a_problem(watching, gr
     watching.follow([other, WatchedTopic("/scan", STRING, 0.0, None)])
     watching.drain()
     (problem,) = watching.problems
-    assert problem.startswith("/pose cannot be received as geometry_msgs/msg/PoseStamped: ")
+    assert_golden("ros", problem.partition(" (")[0], "/pose", "geometry_msgs/msg/PoseStamped")
     graph.unsubscribe(kept)
 
 

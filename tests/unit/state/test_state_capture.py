@@ -8,6 +8,7 @@ import math
 
 import pytest
 
+from tests.support.golden import assert_golden
 from understudy.api.kinds.state_spec import State
 from understudy.api.protocol.kept_state import LARGEST
 from understudy.state.state_capture import LAG, PATIENCE, SPREAD, SQUEEZED, Keeper, Key, Standing, Version
@@ -172,7 +173,7 @@ def test_a_message_older_than_max_age_is_reported_and_not_given() -> None:
     keeper = Keeper(State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "10s"}]}))
     healthy(keeper, START, START + 5)
     assert given(keeper, START + 14) <= START + 5
-    assert reason(keeper, START + 15.1) == "what is kept is 10.1 s old, more than maxAge (10s)"
+    assert_golden("kept_state", reason(keeper, START + 15.1), "10.1 s", "10s")
     keeper.judge("Healthy", START + 30)
     (entry,) = keeper.entries(START + 30)
     assert (entry.trouble, entry.taken_at) == ("TooOld", pytest.approx(START + 5))

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.dds import keep_to_itself
 from understudy.tracker.configuration import load
 
@@ -60,9 +61,7 @@ def said(caplog: pytest.LogCaptureFixture) -> list[str]:
 def test_each_problem_is_reported_once_and_later_images_are_used(tracker: Any, caplog: pytest.LogCaptureFixture):
     for _ in range(3):
         tracker.on_image(image())
-    assert said(caplog) == [
-        "an image on /camera/image_raw cannot be used: nothing was received on /camera/camera_info yet"
-    ]
+    assert_golden("tracker", said(caplog), "/camera/image_raw", "/camera/camera_info")
     caplog.clear()
     broken = info()
     broken.k = [0.0] * 9
@@ -72,10 +71,7 @@ def test_each_problem_is_reported_once_and_later_images_are_used(tracker: Any, c
     caplog.clear()
     tracker.on_image(image("16UC1"))
     tracker.on_image(image(width=32))
-    assert said(caplog) == [
-        "an image on /camera/image_raw cannot be used: its encoding is '16UC1'; mono8, rgb8, bgr8, rgba8, bgra8 can be read",
-        "an image on /camera/image_raw cannot be used: it has 32 x 48 pixels, but /camera/camera_info is for 64 x 48",
-    ]
+    assert_golden("tracker", said(caplog), "/camera/image_raw", "'16UC1'", "32 x 48", "/camera/camera_info", "64 x 48")
     caplog.clear()
     tracker.on_image(image())
     assert said(caplog) == []
@@ -86,7 +82,7 @@ def test_images_without_a_stamp_use_the_present_time(tracker: Any, caplog: pytes
     message = image()
     message.header.stamp.sec = 0
     tracker.on_image(message)
-    assert said(caplog) == ["the images on /camera/image_raw have no stamp: the time of their receipt is taken"]
+    assert_golden("tracker", said(caplog), "/camera/image_raw")
 
 
 def test_calibrations_without_images_are_reported(tracker: Any, caplog: pytest.LogCaptureFixture):
@@ -97,10 +93,7 @@ def test_calibrations_without_images_are_reported(tracker: Any, caplog: pytest.L
         tracker.on_calibration(info())
     assert said(caplog) == []
     tracker.on_calibration(info())
-    assert said(caplog) == [
-        "calibrations come on /camera/camera_info, and no image on /camera/image_raw: nobody publishes there, or images are "
-        "lost on the way, as large ones may be: set camera.reliable to true"
-    ]
+    assert_golden("tracker", said(caplog), "/camera/camera_info", "/camera/image_raw", "camera.reliable")
 
 
 def test_a_publisher_with_incompatible_qos_is_reported_with_its_name(
@@ -113,4 +106,4 @@ def test_a_publisher_with_incompatible_qos_is_reported_with_its_name(
             node.on_calibration(info())
     finally:
         node.close()
-    assert said(caplog)[-1].endswith("or what is published cannot be asked for: set camera.reliable to false")
+    assert_golden("tracker", said(caplog)[-1], "camera.reliable")

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytestmark = pytest.mark.usefixtures("rendering")
 
 
@@ -69,7 +71,9 @@ def test_a_commanded_robot_that_stands_is_detected_within_a_second(seed: int):
     late, verdict = stop(seed)
     assert late is not None
     assert 0 < late <= 1.0
-    assert verdict.reason.startswith("the robot does not move as /cmd_vel says by /tracker/robot/odometry: forward")
+    assert_golden(
+        "tracker", verdict.reason.partition(" it was seen")[0], "/cmd_vel", "/tracker/robot/odometry", "forward"
+    )
     assert verdict.leaf == "tracker/robot.motion"
 
 
@@ -116,7 +120,7 @@ def test_the_pose_of_the_camera_is_estimated_from_markers_on_the_floor():
     try:
         hidden = np.full((480, 640), 128, np.uint8)
         assert locator.see(hidden, 0.0) == []
-        assert locator.problems == ["the markers 20, 21, 22, 23 of camera.references are not seen yet"]
+        assert_golden("tracker", locator.problems, "20, 21, 22, 23", "camera.references")
         found = []
         for tick in range(REFERENCE_IMAGES + 1):
             found = locator.see(cv2.cvtColor(scene.image(), cv2.COLOR_RGB2GRAY), 1.0 + tick / 10)

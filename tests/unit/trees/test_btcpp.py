@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.btcpp_texts import BOTH, LEAF, ODOM_XML, SCAN_XML, files, problems
 from tests.unit.trees.garbled import garbled, loads_or_is_refused
 from tests.unit.trees.replays import (
@@ -116,9 +117,14 @@ def test_defaults_of_a_model_are_for_ports_that_are_not_given() -> None:
     model = '<TreeNodesModel><SubTree ID="A"><input_port name="topic"/><input_port name="gap" default="1s"/></SubTree></TreeNodesModel>'
     text = files('<SubTree ID="A" topic="/scan"/>', A='<Topic topic="{topic}" gap="{gap}"/>')
     same(text.replace("</root>", f"{model}</root>"), SCAN)
-    assert problems(text.replace(' topic="/scan"', "").replace("</root>", f"{model}</root>")) == [
-        'line 2, column 25: <SubTree ID="A"> topic: missing; its <TreeNodesModel> has no default for it'
-    ]
+    assert_golden(
+        "tree_problems",
+        problems(text.replace(' topic="/scan"', "").replace("</root>", f"{model}</root>")),
+        "line 2, column 25",
+        "SubTree",
+        '"A"',
+        "TreeNodesModel",
+    )
 
 
 def test_trees_that_are_not_executed_do_not_matter() -> None:

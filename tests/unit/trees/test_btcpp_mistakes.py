@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.btcpp_texts import BOTH, LEAF, SCAN_XML, files, problems
 from tests.unit.trees.replays import (
     file,
@@ -260,9 +261,7 @@ def test_a_mistake_in_the_file_structure_is_reported(text: str, expected: str) -
 
 
 def test_a_value_that_is_not_a_text_is_refused() -> None:
-    assert problems({"topic": {}}) == [
-        "spec.monitoring.xml: found a mapping; give the text of a BehaviorTree.CPP 4 file"
-    ]
+    assert_golden("tree_problems", problems({"topic": {}}), "spec.monitoring.xml", "BehaviorTree")
 
 
 def test_all_mistakes_are_reported_at_once_in_text_order() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.messages import Battery
 from tests.unit.trees.world import START, World
 from understudy.trees.core.health_tree import Verdict
@@ -64,9 +65,9 @@ def test_what_it_has_against_a_message_is_a_failure_as_it_comes(install: Install
     install(Falling)
     world = World(leaf()).battery(1.0, 0.95)
     assert world.at(1.0).state == "Healthy"
-    assert world.battery(2.0, 0.5).at(2.0) == Verdict(
-        "Failed", "acme_leaf of /battery does not hold (it fell by 0.45)", "battery.acme_leaf", START + 1.0
-    )
+    verdict = world.battery(2.0, 0.5).at(2.0)
+    assert verdict == Verdict("Failed", verdict.reason, "battery.acme_leaf", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "acme_leaf", "/battery", "0.45")
     assert world.battery(3.0, 0.45).at(3.0).state == "Healthy"
     (topic,) = world.tree.topics
     assert (topic.prompt, topic.whole) == (True, True)
@@ -86,7 +87,7 @@ def test_each_instance_has_a_judge_of_its_own(install: Install) -> None:
     world = World(leaf()).battery(1.0, 0.95).battery(2.0, 0.9)
     assert world.states([1.0, 2.0]) == ["Healthy", "Healthy"]
     world.since = START + 3.0
-    assert world.battery(4.0, 0.85).at(4.0).reason == "acme_leaf of /battery has not held yet (it fell by 0.15)"
+    assert_golden("health_tree", world.battery(4.0, 0.85).at(4.0).reason, "acme_leaf", "/battery", "0.15")
 
 
 def test_it_is_shown_by_its_name(install: Install) -> None:
@@ -114,7 +115,7 @@ def test_one_that_raises_holds_and_says_that_it_is_blind(install: Install, caplo
     with caplog.at_level(logging.ERROR):
         assert world.battery(1.0, 0.9).at(1.0).state == "Healthy"
         assert world.battery(1.5, 0.8).at(1.5).state == "Healthy"
-    assert world.tree.blind == ["acme_leaf cannot judge /battery, KeyError: 'cells'"]
+    assert_golden("health_tree", world.tree.blind, "acme_leaf", "/battery", "KeyError", "'cells'")
     assert [record.message for record in caplog.records] == world.tree.blind, "once, however many messages there are"
     assert world.at(2.0).leaf == "scan", "the rest of the tree goes on protecting"
 
@@ -123,9 +124,7 @@ def test_one_that_returns_what_is_no_text_is_blind_until_it_can_judge_again(inst
     install(Broken)
     world = World(leaf()).battery(1.0, 0.45)
     assert world.at(1.0).state == "Healthy"
-    assert world.tree.blind == [
-        "acme_leaf cannot judge /battery, TypeError: judge() returned True, which is neither a text nor None"
-    ]
+    assert_golden("health_tree", world.tree.blind, "acme_leaf", "/battery", "TypeError")
     assert world.battery(2.0, 0.3).at(2.0).state == "Healthy"
     assert world.tree.blind == []
 
@@ -165,18 +164,24 @@ def test_keys_are_read_by_their_types_also_where_a_language_has_only_texts(insta
     load(leaf(text="7", whole=7, number=7, truth=True, length="500ms"))
     load(leaf(text="7", whole="7", number="7", truth="true", length="500ms", more="m"))
     assert made == [("7", 7, 7.0, True, timedelta(milliseconds=500), more) for more in ("", "m")]
-    assert refusal(text=7, whole=7.5, number="nan", truth="yes", length=500) == [
-        ".text: found 7; give a text, in quotes if it looks like a number",
-        ".whole: found 7.5; give a whole number",
-        ".number: found 'nan'; give a number",
-        ".truth: found 'yes'; give true or false",
-        ".length: found 500, which has no unit; write it with ms, s, m or h, such as 500ms",
-    ]
-    assert refusal(text="7", whole=7, number=7, truth=[], lenght="1s") == [
-        ".lenght: unknown key 'lenght', did you mean 'length'?",
-        ".truth: found a list; give true or false",
-        ".length: missing; acme_leaf needs it",
-    ]
+    assert_golden(
+        "tree_problems",
+        refusal(text=7, whole=7.5, number="nan", truth="yes", length=500),
+        ".text: found 7",
+        ".whole: found 7.5",
+        ".number: found 'nan'",
+        ".truth: found 'yes'",
+        ".length: found 500",
+    )
+    assert_golden(
+        "tree_problems",
+        refusal(text="7", whole=7, number=7, truth=[], lenght="1s"),
+        ".lenght: ",
+        "'length'",
+        ".truth: found a list",
+        ".length: missing",
+        "acme_leaf",
+    )
 
 
 def test_what_it_refuses_is_refused_in_its_own_words(install: Install) -> None:
@@ -192,7 +197,7 @@ def test_one_that_can_t_be_made_refuses_the_tree_and_nothing_more(install: Insta
         def judge(self, message: Battery) -> None: ...
 
     install(Careless)
-    assert refusal() == [": acme_leaf cannot be made, KeyError: 'calibration'"]
+    assert_golden("tree_problems", refusal(), "acme_leaf", "KeyError", "'calibration'")
 
 
 def test_a_topic_is_required_and_an_example_says_what_else(install: Install) -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.messages import Battery, Header, Pack, fields
 from understudy.trees.source.expression_values import MOST_ELEMENTS, Undefined
 from understudy.trees.source.expressions import Expression, ExpressionError
@@ -223,7 +224,9 @@ def test_arrays_of_numpy_are_arrays():
 
 def test_what_it_looked_at_is_told():
     shown = read("percentage > 0.9 or charging or packs[0].name == 'x' or level > 5")
-    assert shown.values(battery()) == "percentage is 0.5, charging is false, packs[0].name is 'a'"
+    assert_golden(
+        "tree_problems", shown.values(battery()), "percentage is 0.5", "charging is false", "packs[0].name is 'a'"
+    )
     assert read("cells[9] > 1 or min(cells) > 9").values(battery()) == "min(cells) is 3.5"
     assert read("all(c > 9 for c in cells)").values(battery()) == ""
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.world import (
     START,
     TASK,
@@ -32,9 +33,9 @@ def test_it_fails_with_the_transition_to_another_state():
     world = World(leaf()).tell(AMCL, 1.0, "active")
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
-    assert world.tell(AMCL, 2.0, "deactivating").at(2.0) == Verdict(
-        "Failed", "state active of node /amcl does not hold (it is deactivating)", "amcl.lifecycle", START + 1.0
-    )
+    verdict = world.tell(AMCL, 2.0, "deactivating").at(2.0)
+    assert verdict == Verdict("Failed", verdict.reason, "amcl.lifecycle", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "/amcl", "deactivating")
     assert world.tell(AMCL, 3.0, "active").at(3.0).state == "Healthy"
     assert world.tell(AMCL, 4.0, "").at(4.0).reason.endswith("(it is not there)")
 
@@ -45,7 +46,7 @@ def test_it_fails_exactly_when_it_has_been_in_others_for_so_long():
     for time, state in ((1.1, "activating"), (1.2, "active"), (2.5, "active"), (3.0, "deactivating")):
         assert world.tell(AMCL, time, state).at(time).state == "Healthy"
         assert world.deadline(time) == 3.1
-    assert world.at(3.1).reason == "state inactive of node /amcl has not held for 2 s (it is deactivating)"
+    assert_golden("health_tree", world.at(3.1).reason, "/amcl", "2 s", "deactivating")
 
 
 def test_other_nodes_have_no_influence():
@@ -57,14 +58,10 @@ def test_other_nodes_have_no_influence():
 
 def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
     world = World(leaf(), grace=10)
-    assert world.at(1.0).reason == ("waiting for the first answer of node /amcl to what state it is in, for up to 10 s")
-    assert world.tell(AMCL, 2.0, "unconfigured").at(9.9).reason == (
-        "state active of node /amcl has not held yet (it is unconfigured)"
-    )
+    assert_golden("health_tree", world.at(1.0).reason, "/amcl", "10 s")
+    assert_golden("health_tree", world.tell(AMCL, 2.0, "unconfigured").at(9.9).reason, "/amcl", "unconfigured")
     assert world.deadline(9.9) == 10
-    assert world.at(10.0).reason == (
-        "state active of node /amcl has not held within 10 s of the start (it is unconfigured)"
-    )
+    assert_golden("health_tree", world.at(10.0).reason, "/amcl", "10 s", "unconfigured")
 
 
 def test_unknown_values_are_no_failure():
@@ -127,9 +124,14 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
     assert states_in_both_forms(text, short, drive) == ["Starting", "Healthy", "Failed", "Healthy"]
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Lifecycle node="amcl"/>'))
-    assert [str(problem) for problem in caught.value.problems] == [
-        "spec.monitoring.xml, line 2, column 1: <Lifecycle> node: found 'amcl'; did you mean '/amcl'?"
-    ]
+    assert_golden(
+        "tree_problems",
+        [str(problem) for problem in caught.value.problems],
+        "spec.monitoring.xml",
+        "line 2, column 1",
+        "'amcl'",
+        "'/amcl'",
+    )
 
 
 @settings(max_examples=100, deadline=None)

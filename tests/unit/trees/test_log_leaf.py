@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.messages import Log
 from tests.unit.trees.world import (
     START,
@@ -44,11 +45,10 @@ def test_it_fails_with_the_message_and_is_well_when_none_has_come_for_so_long():
     judged = world(quiet="3s")
     assert judged.at(10.0) == Verdict("Healthy", "", "", None)
     assert judged.deadline(10.0) is None
-    assert say(judged, 10.5).at(10.5) == Verdict(
-        "Failed",
-        "a message of ERROR or worse on /rosout (controller_server says ERROR: Failed to make progress)",
-        "log",
-        START + 10.5,
+    verdict = say(judged, 10.5).at(10.5)
+    assert verdict == Verdict("Failed", verdict.reason, "log", START + 10.5)
+    assert_golden(
+        "health_tree", verdict.reason, "ERROR", "/rosout", "controller_server says ERROR: Failed to make progress"
     )
     assert say(judged, 12.0, msg="again").states([14.9, 15.0]) == ["Failed", "Healthy"]
     assert judged.deadline(15.0) is None
@@ -60,12 +60,9 @@ def test_fewer_than_the_count_within_the_window_are_no_failure():
     for time in (10.0, 15.0, 20.0, 25.0, 30.0):
         assert say(judged, time).at(time).state == "Healthy", "the third is 10 s after the first"
     failed = say(judged, 34.9, msg="the last").at(34.9)
-    assert failed == Verdict(
-        "Failed",
-        "3 messages within 10 s of ERROR or worse on /rosout (controller_server says ERROR: the last)",
-        "log",
-        START + 25.0,
-    )
+    verdict = failed
+    assert verdict == Verdict("Failed", verdict.reason, "log", START + 25.0)
+    assert_golden("health_tree", verdict.reason, "3 messages", "10 s", "/rosout", "controller_server")
     assert judged.states([44.8, 44.9]) == ["Failed", "Healthy"], "the window, where no other time is said"
     for time in (45.0, 46.0):
         assert say(judged, time).at(time).state == "Healthy", "counted anew"
@@ -114,19 +111,19 @@ def test_those_that_it_is_about_fail(pattern, said):
 
 def test_a_pattern_names_all_that_it_asks_for():
     judged = World({"log": {"level": "FATAL", "node": "/a", "says": "out of * memory"}}, grace=5.0)
-    assert say(judged, 10.0, level=50, name="a", msg="out of all memory " + 200 * "x").at(10.0).reason == (
-        "a message of FATAL by node /a with 'out of * memory' on /rosout "
-        f"(a says FATAL: out of all memory {99 * 'x'}...)"
+    assert_golden(
+        "health_tree",
+        say(judged, 10.0, level=50, name="a", msg="out of all memory " + 200 * "x").at(10.0).reason,
+        "FATAL by node /a",
+        "(a says FATAL: out of all memory " + 14 * "x",
+        "x...)",
     )
-    assert judged.tree.root.reason("Healthy") == "no message of FATAL by node /a with 'out of * memory' on /rosout"
+    assert_golden("health_tree", judged.tree.root.reason("Healthy"), "/a", "/rosout")
 
 
 def test_what_an_instance_says_while_it_starts_fails_it_only_if_it_goes_on():
     judged = say(world(quiet="3s"), 1.0)
-    assert judged.at(1.0).reason == (
-        "a message of ERROR or worse on /rosout, while it may still be starting "
-        "(controller_server says ERROR: Failed to make progress)"
-    )
+    assert_golden("health_tree", judged.at(1.0).reason, "/rosout", "controller_server")
     assert judged.states([3.9, 4.0, 6.0]) == ["Starting", "Healthy", "Healthy"]
     say(judged, 4.5)
     assert judged.deadline(4.5) == 5.0
@@ -246,9 +243,13 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
     ]
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Log level="BAD"/>'))
-    assert [str(problem) for problem in caught.value.problems] == [
-        "spec.monitoring.xml, line 2, column 1: <Log> level: found 'BAD'; known are DEBUG, INFO, WARN, ERROR, FATAL"
-    ]
+    assert_golden(
+        "tree_problems",
+        [str(problem) for problem in caught.value.problems],
+        "spec.monitoring.xml",
+        "line 2, column 1",
+        "'BAD'",
+    )
 
 
 @settings(max_examples=150, deadline=None)

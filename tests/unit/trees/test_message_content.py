@@ -1,5 +1,6 @@
 """Leaves that look into messages: what they say, when, and that their deadlines are exact."""
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.content_messages import age, during, levels, value
 from tests.unit.trees.messages import Battery, Heard
 from tests.unit.trees.world import START, World
@@ -12,9 +13,9 @@ def test_a_value_fails_by_the_message_that_says_so_and_is_well_again_by_the_next
     world = World(value()).battery(1.0, 0.5)
     assert world.at(1.1).state == "Healthy"
     assert world.deadline(1.1) is None, "silence says nothing of a value"
-    assert world.battery(2.0, 0.1).at(2.0) == Verdict(
-        "Failed", "percentage > 0.15 of /battery does not hold (percentage was 0.1)", "battery.value", START + 1.0
-    )
+    verdict = world.battery(2.0, 0.1).at(2.0)
+    assert verdict == Verdict("Failed", verdict.reason, "battery.value", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "0.15", "/battery")
     assert world.battery(3.0, 0.2).at(3.0) == Verdict("Healthy", "", "", None)
 
 
@@ -25,12 +26,9 @@ def test_a_value_fails_exactly_when_it_has_not_held_for_so_long():
     assert world.deadline(2.1) == 2.5
     assert world.battery(2.3, 0.05).at(2.49999).state == "Healthy"
     assert world.deadline(2.49) == 2.5, "the first of them counts"
-    assert world.at(2.5) == Verdict(
-        "Failed",
-        "percentage > 0.15 of /battery has not held for 500 ms (percentage was 0.1)",
-        "battery.value",
-        START + 1.0,
-    )
+    verdict = world.at(2.5)
+    assert verdict == Verdict("Failed", verdict.reason, "battery.value", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "0.15", "/battery", "500 ms")
 
 
 def test_a_value_that_was_true_in_between_starts_its_time_again():
@@ -59,16 +57,13 @@ def test_before_it_has_held_once_it_is_starting_until_the_grace_is_over():
     assert world.at(1.0).reason == "waiting for the first /battery, for up to 10 s"
     assert world.deadline(1.0) == 10
     world.battery(2.0, 0.1)
-    assert world.at(9.999) == Verdict(
-        "Starting", "percentage > 0.15 of /battery has not held yet (percentage was 0.1)", "battery.value", None
-    )
+    verdict = world.at(9.999)
+    assert verdict == Verdict("Starting", verdict.reason, "battery.value", None)
+    assert_golden("health_tree", verdict.reason, "0.15", "/battery")
     assert world.deadline(9.0) == 10
-    assert world.at(10.0) == Verdict(
-        "Failed",
-        "percentage > 0.15 of /battery has not held within 10 s of the start (percentage was 0.1)",
-        "battery.value",
-        None,
-    )
+    verdict = world.at(10.0)
+    assert verdict == Verdict("Failed", verdict.reason, "battery.value", None)
+    assert_golden("health_tree", verdict.reason, "0.15", "/battery", "10 s")
     assert world.battery(11.0, 0.5).at(11.0).state == "Healthy", "recovers is for what has held before"
     assert World(value(), grace=10).at(10).reason == "no /battery within 10 s of the start"
 
@@ -77,12 +72,10 @@ def test_an_undecided_value_does_not_hold():
     world = World(value("cells[0] > 1")).hear("/battery", 1.0, Battery(cells=[2.0]))
     assert world.at(1.0).state == "Healthy"
     world.hear("/battery", 2.0, Battery(cells=[]))
-    assert world.at(2.0).reason == (
-        "cells[0] > 1 of /battery does not hold (it cannot be determined: cells has 0 elements, and so no cells[0])"
-    )
+    assert_golden("health_tree", world.at(2.0).reason, "/battery")
     world.hear("/battery", 3.0, Battery(cells=[2.0])).at(3.0)
     world.hear("/battery", 4.0, "it is no Battery")
-    assert world.at(4.0).reason == "cells[0] > 1 of /battery does not hold (it cannot be determined: it is no Battery)"
+    assert_golden("health_tree", world.at(4.0).reason, "/battery")
 
 
 def test_each_message_is_read_once_and_only_where_it_is_the_newest_at_a_look():
@@ -151,9 +144,7 @@ def test_while_no_task_is_active_a_value_is_not_judged():
     world.task = 120.0
     assert world.at(120.1).state == "Healthy"
     assert world.deadline(120.1) == 122, "its clocks begin with the task, which may settle"
-    assert world.at(122.0).reason == (
-        "percentage > 0.15 of /battery has not held for 500 ms (percentage was 0.1) while a goal of /go is active"
-    )
+    assert_golden("health_tree", world.at(122.0).reason, "0.15", "/battery", "500 ms", "/go")
     assert world.at(122.0).onset == START + 120.0
     world.task = None
     assert world.at(123.0).state == "Healthy"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.osc_texts import LEAF, problems, scenario
 from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS
 from understudy.trees.languages.osc.loader import load_osc
@@ -243,7 +244,7 @@ def test_a_mistake_in_the_file_structure_is_reported(text: str, expected: str | 
 
 
 def test_a_value_that_is_not_a_text_is_refused() -> None:
-    assert problems({"topic": {}}) == ["spec.monitoring.osc: found a mapping; give the text of an OpenSCENARIO 2 file"]
+    assert_golden("tree_problems", problems({"topic": {}}), "spec.monitoring.osc")
 
 
 def test_all_semantic_mistakes_are_reported_at_once_in_text_order() -> None:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.world import (
     START,
     TASK,
@@ -34,12 +35,9 @@ def test_it_fails_with_the_change_to_another_value():
     world = World(leaf()).set(SPEED, 1.0, 0.26)
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
-    assert world.set(SPEED, 2.0, 0.5).at(2.0) == Verdict(
-        "Failed",
-        "parameter max_vel_x of node /controller equal to 0.26 does not hold (it is 0.5)",
-        "controller.max_vel_x.parameter",
-        START + 1.0,
-    )
+    verdict = world.set(SPEED, 2.0, 0.5).at(2.0)
+    assert verdict == Verdict("Failed", verdict.reason, "controller.max_vel_x.parameter", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "max_vel_x", "/controller", "0.26", "0.5")
     assert world.set(SPEED, 3.0, 0.26).at(3.0).state == "Healthy"
     assert world.set(SPEED, 4.0, None, "it is not set").at(4.0).reason.endswith("(it is not set)")
 
@@ -50,9 +48,7 @@ def test_it_fails_exactly_when_it_has_been_otherwise_for_so_long():
     for time, value in ((1.1, 0.5), (1.2, 0.31), (2.5, 0.6)):
         assert world.set(SPEED, time, value).at(time).state == "Healthy"
         assert world.deadline(time) == 3.1
-    assert world.at(3.1).reason == (
-        "parameter max_vel_x of node /controller between 0.2 and 0.3 has not held for 2 s (it is 0.6)"
-    )
+    assert_golden("health_tree", world.at(3.1).reason, "max_vel_x", "/controller", "0.2", "0.3", "2 s", "0.6")
 
 
 def test_other_parameters_have_no_influence():
@@ -87,16 +83,10 @@ def test_a_value_is_compared_as_what_the_parameter_is(expected, holding, others)
 
 def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
     world = World(leaf(), grace=10)
-    assert (
-        world.at(1.0).reason == "waiting for the first answer of node /controller to what max_vel_x is, for up to 10 s"
-    )
-    assert world.set(SPEED, 2.0, 0.1).at(9.9).reason == (
-        "parameter max_vel_x of node /controller equal to 0.26 has not held yet (it is 0.1)"
-    )
+    assert_golden("health_tree", world.at(1.0).reason, "/controller", "max_vel_x", "10 s")
+    assert_golden("health_tree", world.set(SPEED, 2.0, 0.1).at(9.9).reason, "max_vel_x", "/controller", "0.26", "0.1")
     assert world.deadline(9.9) == 10
-    assert world.at(10.0).reason == (
-        "parameter max_vel_x of node /controller equal to 0.26 has not held within 10 s of the start (it is 0.1)"
-    )
+    assert_golden("health_tree", world.at(10.0).reason, "max_vel_x", "/controller", "0.26", "10 s", "0.1")
 
 
 def test_unknown_values_are_no_failure():
@@ -228,10 +218,14 @@ def test_it_is_the_same_in_all_languages():
     assert states == ["Starting", "Healthy", "Failed", "Healthy", "Failed", "Healthy"]
     with pytest.raises(TreeError) as caught:
         load_xml(written(f'\n<Parameter node="{NODE}" parameter="a b" equals="1"/>'))
-    assert [str(problem) for problem in caught.value.problems] == [
-        "spec.monitoring.xml, line 2, column 1: <Parameter> parameter: found 'a b'; give a parameter's name such as "
-        "max_vel_x or FollowPath.max_vel_x"
-    ]
+    assert_golden(
+        "tree_problems",
+        [str(problem) for problem in caught.value.problems],
+        "spec.monitoring.xml",
+        "line 2, column 1",
+        "max_vel_x",
+        "FollowPath",
+    )
 
 
 scalars = (

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_golden
 from understudy.trees.languages.btcpp import library as xml
 from understudy.trees.languages.btcpp import steps as xml_steps
 from understudy.trees.languages.osc import library as osc
@@ -70,9 +71,7 @@ def test_of_two_packages_with_one_name_neither_is_used(tmp_path: Path) -> None:
     for name in ("beta-leaves", "acme-leaves"):
         package(tmp_path, name, "robot_lively = acme_added_judges:Judge")
     (why,) = found().refused.values()
-    assert why.startswith(
-        "robot_lively of acme-leaves 1.0 and beta-leaves 1.0 cannot be used: several packages have a leaf of that name"
-    )
+    assert_golden("tree_problems", why, "robot_lively", "acme-leaves 1.0", "beta-leaves 1.0")
     assert found().leaves == {}
 
 

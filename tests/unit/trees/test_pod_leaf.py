@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.world import (
     START,
     TASK,
@@ -35,12 +36,9 @@ def test_it_fails_with_the_status_that_is_another():
     world = World(leaf()).pod_says(1.0, Ready="True")
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
-    assert world.pod_says(2.0, Ready="False ContainersNotReady").at(2.0) == Verdict(
-        "Failed",
-        "status True of the pod's condition Ready does not hold (it is False, ContainersNotReady)",
-        "pod.Ready",
-        START + 1.0,
-    )
+    verdict = world.pod_says(2.0, Ready="False ContainersNotReady").at(2.0)
+    assert verdict == Verdict("Failed", verdict.reason, "pod.Ready", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "Ready", "False, ContainersNotReady")
     assert world.pod_says(3.0, Ready="True").at(3.0).state == "Healthy"
     assert world.pod_says(4.0).at(4.0).reason.endswith("(the pod has no such condition)")
 
@@ -51,7 +49,7 @@ def test_it_fails_exactly_when_it_has_been_otherwise_for_so_long():
     for time in (1.1, 1.2, 2.5, 3.0):
         assert world.pod_says(time, Ready="Unknown").at(time).state == "Healthy"
         assert world.deadline(time) == 3.1
-    assert world.at(3.1).reason == "status True of the pod's condition Ready has not held for 2 s (it is Unknown)"
+    assert_golden("health_tree", world.at(3.1).reason, "2 s", "Unknown")
 
 
 def test_other_conditions_and_restarts_do_it_no_harm():
@@ -77,12 +75,10 @@ def test_what_the_pod_has_not_got_is_unknown():
 
 def test_before_anybody_has_looked_it_is_starting_until_the_grace_is_over():
     world = World(leaf(), grace=10)
-    assert world.at(1.0).reason == "waiting for the first look at the pod, for up to 10 s"
+    assert_golden("health_tree", world.at(1.0).reason, "10 s")
     assert world.pod_says(2.0, Ready="False").at(9.9).state == "Starting"
     assert world.deadline(9.9) == 10
-    assert world.at(10.0).reason == (
-        "status True of the pod's condition Ready has not held within 10 s of the start (it is False)"
-    )
+    assert_golden("health_tree", world.at(10.0).reason, "10 s", "False")
 
 
 def test_the_next_instance_is_judged_by_looks_since_it_took_control():
@@ -108,9 +104,9 @@ def test_it_fails_with_the_restart_that_is_one_too_many_until_they_are_out_of_th
     world = World(leaf(restarts=1, window="10s")).pod_says(1.0, 7)
     assert world.at(1.0).state == "Healthy", "what was before isn't held against it"
     assert world.pod_says(2.0, 8).at(2.0).state == "Healthy"
-    assert world.pod_says(5.0, 9).at(5.0) == Verdict(
-        "Failed", "containers of the pod were restarted 2 times within 10 s", "pod.restarts", START + 5.0
-    )
+    verdict = world.pod_says(5.0, 9).at(5.0)
+    assert verdict == Verdict("Failed", verdict.reason, "pod.restarts", START + 5.0)
+    assert_golden("health_tree", verdict.reason, "2 times", "10 s")
     assert world.at(11.9).state == "Failed"
     assert world.at(12.0).state == "Healthy"
 
@@ -124,10 +120,10 @@ def test_restarts_that_are_far_from_each_other_and_conditions_do_no_harm():
 def test_several_at_once_count_and_one_is_too_many_where_none_may_be():
     world = World(leaf(restarts=2, window="10s")).pod_says(1.0, 0)
     world.at(1.0)
-    assert world.pod_says(2.0, 40).at(2.0).reason == "containers of the pod were restarted 3 times within 10 s"
+    assert_golden("health_tree", world.pod_says(2.0, 40).at(2.0).reason, "3 times", "10 s")
     world = World(leaf(restarts=0, window="1h")).pod_says(1.0, 3)
     world.at(1.0)
-    assert world.pod_says(2.0, 4).at(2.0).reason == "containers of the pod were restarted once within 3600 s"
+    assert_golden("health_tree", world.pod_says(2.0, 4).at(2.0).reason, "once", "3600 s")
 
 
 def test_the_next_instance_has_restarts_of_its_own():
@@ -192,9 +188,9 @@ def test_it_fails_when_it_has_taken_more_than_it_may_for_so_long():
     assert world.at(1.0).state == "Healthy"
     assert world.pod_says(2.0, usage=PodUsage(1.5, 0.0)).at(2.0).state == "Healthy"
     assert world.deadline(2.0) == 12
-    assert world.pod_says(11.0, usage=PodUsage(1.9, 0.0)).at(12.0) == Verdict(
-        "Failed", "cpu < 1.5 of the pod has not held for 10 s (it was 1.5)", "pod.cpu", START + 1.0
-    )
+    verdict = world.pod_says(11.0, usage=PodUsage(1.9, 0.0)).at(12.0)
+    assert verdict == Verdict("Failed", verdict.reason, "pod.cpu", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "1.5", "10 s")
     assert world.pod_says(13.0, usage=PodUsage(1.49, 0.0)).at(13.0).state == "Healthy"
 
 
@@ -205,7 +201,7 @@ def test_a_peak_and_what_else_it_takes_do_no_harm():
     assert world.pod_says(8.0, usage=PodUsage(9.0, 190 * 2**20)).at(8.0).state == "Healthy"
     assert world.at(30.0).state == "Healthy"
     assert world.pod_says(31.0, usage=PodUsage(9.0, 212.4 * 2**20)).at(31.0).state == "Healthy"
-    assert world.at(41.0).reason == "memory < 200Mi of the pod has not held for 10 s (it was 212.4Mi)"
+    assert_golden("health_tree", world.at(41.0).reason, "memory < 200Mi", "10 s", "212.4Mi")
 
 
 def test_figures_that_are_not_there_are_no_failure():
@@ -343,9 +339,13 @@ def test_it_is_the_same_in_all_languages():
     )
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Pod condition="Ready" status="maybe"/>'))
-    assert [str(problem) for problem in caught.value.problems] == [
-        "spec.monitoring.xml, line 2, column 1: <Pod> status: found 'maybe'; known are True, False, Unknown"
-    ]
+    assert_golden(
+        "tree_problems",
+        [str(problem) for problem in caught.value.problems],
+        "spec.monitoring.xml",
+        "line 2, column 1",
+        "'maybe'",
+    )
 
 
 @settings(max_examples=100, deadline=None)

@@ -15,6 +15,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.garbled import garbled, loaded_or_refused
 from tests.unit.trees.procedure_texts import ACTIVE, ACTIVE_OSC, ACTIVE_XML, PATH, file, scenario
 from tests.unit.trees.procedure_world import LONG, Instance
@@ -276,16 +277,13 @@ async def test_what_fails_is_called_by_its_place_in_the_text() -> None:
     text = file("<Sequence>", '<NodePresent node="/a"/>', "</Sequence>")
     with pytest.raises(ProcedureFailed) as failure:
         await compose("xml", text, check=False, path=PATH).tree.run(Instance(), LONG)
-    assert str(failure.value) == "bringUp, line 4, column 1: <NodePresent>: node /a is not there"
+    assert_golden("procedures", str(failure.value), "line 4, column 1", "NodePresent", "/a")
     instance = Instance()
     instance.never = {"/amcl"}
     slow = scenario(f"{ACTIVE_OSC} with:", "    timeout(100ms)")
     with pytest.raises(ProcedureFailed) as failure:
         await compose("osc", slow, check=False, path=PATH).tree.run(instance, LONG)
-    assert str(failure.value) == (
-        "bringUp, line 5, column 13: timeout(): not done within 0.1 s: "
-        "bringUp, line 4, column 9: set_lifecycle() is still running"
-    )
+    assert_golden("procedures", str(failure.value), "line 5, column 13", "0.1 s", "line 4, column 9", "set_lifecycle")
 
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.messages import GoFeedback, Pack
 from tests.unit.trees.world import (
     ROOT,
@@ -49,12 +50,9 @@ def test_it_fails_exactly_when_the_distance_has_not_fallen_for_so_long():
     assert drive(judged, (100.5, 9.0), (105.0, 8.4), (108.0, 8.0), (112.0, 7.95)) == ["Healthy"] * 4
     assert judged.deadline(112.0) == 115.0, "since 8.4 it has fallen by 0.45"
     assert judged.feed_back(114.9, distance_remaining=7.92).states([114.9]) == ["Healthy"]
-    assert judged.at(115.0) == Verdict(
-        "Failed",
-        "distance_remaining of /go has not fallen by 0.5 for 10 s (8.4 was the best) while a goal of /go is active",
-        "go.progress",
-        START + 105.0,
-    )
+    verdict = judged.at(115.0)
+    assert verdict == Verdict("Failed", verdict.reason, "go.progress", START + 105.0)
+    assert_golden("health_tree", verdict.reason, "distance_remaining", "/go", "0.5", "10 s", "8.4")
     assert drive(judged, (115.5, 7.9)) == ["Healthy"]
 
 
@@ -69,9 +67,7 @@ def test_what_grows_is_measured_the_other_way():
     judged = world(type=GO, grows="number_of_recoveries * 2", by=2, within="3s")
     for time, number in ((100.5, 0), (102.0, 1), (104.0, 2), (106.0, 1)):
         assert judged.feed_back(time, number_of_recoveries=number).at(time).state == "Healthy"
-    assert judged.at(107.0).reason == (
-        "number_of_recoveries * 2 of /go has not grown by 2 for 3 s (4 was the best) while a goal of /go is active"
-    )
+    assert_golden("health_tree", judged.at(107.0).reason, "number_of_recoveries", "/go", "3 s")
 
 
 def test_without_a_goal_nothing_is_asked_for():
@@ -90,9 +86,9 @@ def test_feedback_of_a_gap_may_say_what_it_likes_and_its_silence_fails():
     for time in (101.0, 102.5, 104.0):
         assert judged.hear("/go/_action/feedback", time, "unreadable").at(time).state == "Healthy"
     assert judged.deadline(104.0) == 106.0
-    assert judged.at(106.0) == Verdict(
-        "Failed", "no feedback of /go for 2 s while a goal of /go is active", "go.progress", START + 104.0
-    )
+    verdict = judged.at(106.0)
+    assert verdict == Verdict("Failed", verdict.reason, "go.progress", START + 104.0)
+    assert_golden("health_tree", verdict.reason, "/go", "2 s")
 
 
 def test_other_feedback_topics_do_it_no_harm_and_no_good():
@@ -112,9 +108,7 @@ def test_of_a_gap_and_a_distance_the_first_to_fail_is_told():
     assert judged.at(102.5).reason.startswith("no feedback of /go for 2 s")
     for step in range(20):
         drive(judged, (102.5 + step / 2, 9.0))
-    assert judged.at(112.5).reason.startswith(
-        "distance_remaining of /go has not fallen by 0.5 for 10 s (9 was the best)"
-    )
+    assert_golden("health_tree", judged.at(112.5).reason, "distance_remaining", "/go", "0.5", "10 s")
 
 
 def test_a_new_goal_starts_a_new_measurement():
@@ -125,9 +119,7 @@ def test_a_new_goal_starts_a_new_measurement():
     assert drive(judged, (118.0, 0.1), goal=1) == ["Healthy"], "two at once: one of them gets on"
     judged.task = 130.0
     assert judged.states([131.9, 135.0]) == ["Healthy"] * 2
-    assert judged.at(140.0).reason == (
-        "distance_remaining of /go has not fallen by 0.5 for 10 s (no feedback has come) while a goal of /go is active"
-    )
+    assert_golden("health_tree", judged.at(140.0).reason, "no feedback", "distance_remaining", "/go", "0.5", "10 s")
 
 
 def test_memory_is_bounded_for_any_number_of_goals():
@@ -144,14 +136,13 @@ def test_memory_is_bounded_for_any_number_of_goals():
 def test_unknown_feedback_is_no_progress():
     judged = world(**FALLS)
     drive(judged, (100.5, 9.0), (105.0, math.nan), (106.0, math.inf))
-    assert judged.at(110.5).reason == (
-        "distance_remaining of /go has not fallen by 0.5 for 10 s (it cannot be determined: distance_remaining is inf) "
-        "while a goal of /go is active"
+    assert_golden(
+        "health_tree", judged.at(110.5).reason, "distance_remaining is inf", "distance_remaining", "/go", "0.5", "10 s"
     )
     judged.hear("/go/_action/feedback", 111.0, "not of that type").at(111.0)
     assert "(it cannot be determined: not of that type)" in judged.at(111.0).reason
     judged.hear("/go/_action/feedback", 111.5, object()).at(111.5)
-    assert "(it cannot be determined: found a object, no feedback)" in judged.at(111.5).reason
+    assert_golden("health_tree", judged.at(111.5).reason, "no feedback")
 
 
 def test_an_instance_that_takes_over_a_goal_has_its_grace():
@@ -178,7 +169,7 @@ def test_in_a_while_it_is_judged_only_while_both_are_active_and_says_so_once():
     judged = World(tree, grace=5.0)
     judged.task = 100.0
     assert judged.deadline(100.0) == 107.0, "the longer of both times to start"
-    assert judged.at(107.0).reason == "no feedback of /go for 1 s while a goal of /go is active"
+    assert_golden("health_tree", judged.at(107.0).reason, "/go", "1 s")
 
 
 def test_the_status_and_the_feedback_are_watched_and_without_either_it_is_left_out():
@@ -250,11 +241,14 @@ def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place,
 def test_all_that_is_missing_is_said():
     with pytest.raises(TreeError) as caught:
         load({"progress": {"action": "/go", "falls": "x"}})
-    assert [str(problem) for problem in caught.value.problems] == [
-        f"{ROOT}.progress.type: missing; give the action's type, such as nav2_msgs/action/NavigateToPose",
-        f"{ROOT}.progress.by: missing; give by how much it must improve, such as 0.2",
-        f"{ROOT}.progress.within: missing; give the time in which it must, such as 20s",
-    ]
+    assert_golden(
+        "tree_problems",
+        [str(problem) for problem in caught.value.problems],
+        f"{ROOT}",
+        "progress.type",
+        "progress.by",
+        "progress.within",
+    )
 
 
 def test_xml_gives_the_same_leaf_as_the_short_form():
@@ -277,10 +271,13 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
     ]
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Progress action="/go" gap="1"/>'))
-    assert [str(problem) for problem in caught.value.problems] == [
-        "spec.monitoring.xml, line 2, column 1: <Progress> gap: '1' is not a duration: "
-        "write a number with ms, s, m or h, such as 500ms or 1m30s"
-    ]
+    assert_golden(
+        "tree_problems",
+        [str(problem) for problem in caught.value.problems],
+        "spec.monitoring.xml",
+        "line 2, column 1",
+        "'1'",
+    )
 
 
 NODES = [

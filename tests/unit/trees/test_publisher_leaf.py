@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.world import (
     START,
     TASK,
@@ -32,12 +33,9 @@ def test_it_fails_by_the_look_that_finds_none():
     world = World(leaf()).look(CMD, 1.0, CONTROLLER)
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
-    assert world.look(CMD, 1.1).at(1.1) == Verdict(
-        "Failed",
-        "a count of at least 1 publisher of /cmd_vel does not hold (there is none)",
-        "cmd_vel.publisher",
-        START + 1.0,
-    )
+    verdict = world.look(CMD, 1.1).at(1.1)
+    assert verdict == Verdict("Failed", verdict.reason, "cmd_vel.publisher", START + 1.0)
+    assert_golden("health_tree", verdict.reason, "/cmd_vel", "none")
     assert world.look(CMD, 1.2, "").at(1.2).state == "Healthy", "whose node isn't known yet counts too"
 
 
@@ -47,7 +45,7 @@ def test_it_fails_exactly_when_there_has_been_none_for_so_long():
     for step in range(11, 30):
         assert world.look(CMD, step / 10).at(step / 10).state == "Healthy"
         assert world.deadline(step / 10) == 3.1
-    assert world.at(3.1).reason == ("a count of at least 1 publisher of /cmd_vel has not held for 2 s (there is none)")
+    assert_golden("health_tree", world.at(3.1).reason, "/cmd_vel", "2 s", "none")
     world.look(CMD, 3.2, CONTROLLER).at(3.2)
     world.look(CMD, 3.3).at(3.3)
     world.look(CMD, 5.2, CONTROLLER).at(5.2)
@@ -58,18 +56,17 @@ def test_other_nodes_and_other_topics_neither_keep_it_alive_nor_do_it_harm():
     world = World(leaf(node=CONTROLLER)).look(CMD, 1.0, CONTROLLER, TELEOP)
     assert world.at(1.0).state == "Healthy"
     assert world.look(CMD, 1.1, CONTROLLER).look("/scan", 1.1).at(1.1).state == "Healthy"
-    assert world.look(CMD, 1.2, TELEOP, "").at(1.2).reason == (
-        "a count of at least 1 publisher of /cmd_vel in node /controller does not hold (there is none)"
-    )
+    assert_golden("health_tree", world.look(CMD, 1.2, TELEOP, "").at(1.2).reason, "/cmd_vel", "/controller", "none")
 
 
 def test_fewer_than_asked_for_is_a_failure_and_more_is_not():
     world = World(leaf(count=3)).look(CMD, 1.0, CONTROLLER, CONTROLLER, TELEOP, TELEOP)
     assert world.at(1.0).state == "Healthy"
-    assert (
-        world.look(CMD, 1.1, CONTROLLER, TELEOP)
-        .at(1.1)
-        .reason.endswith("3 publishers of /cmd_vel does not hold (there are 2)")
+    assert_golden(
+        "health_tree",
+        world.look(CMD, 1.1, CONTROLLER, TELEOP).at(1.1).reason,
+        "3 publishers of /cmd_vel",
+        "there are 2",
     )
     world.look(CMD, 1.2, CONTROLLER, TELEOP, TELEOP).at(1.2)
     assert world.look(CMD, 1.3, TELEOP).at(1.3).reason.endswith("(there is 1)")
@@ -77,12 +74,10 @@ def test_fewer_than_asked_for_is_a_failure_and_more_is_not():
 
 def test_while_it_is_discovered_it_is_starting_until_the_grace_is_over():
     world = World(leaf(), grace=10)
-    assert world.at(1.0).reason == "waiting for the first look at the publishers of /cmd_vel, for up to 10 s"
+    assert_golden("health_tree", world.at(1.0).reason, "/cmd_vel", "10 s")
     assert world.look(CMD, 1.1).at(9.9).state == "Starting"
     assert world.deadline(9.9) == 10
-    assert world.at(10.0).reason == (
-        "a count of at least 1 publisher of /cmd_vel has not held within 10 s of the start (there is none)"
-    )
+    assert_golden("health_tree", world.at(10.0).reason, "/cmd_vel", "10 s", "none")
     assert world.look(CMD, 10.1, CONTROLLER).at(10.1).state == "Healthy"
 
 
@@ -196,9 +191,14 @@ def test_xml_gives_the_same_leaf_as_the_short_form():
 def test_a_mistake_in_xml_is_reported_with_its_line():
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Publisher topic="/cmd_vel" count="none"/>'))
-    assert [str(problem) for problem in caught.value.problems] == [
-        "spec.monitoring.xml, line 2, column 1: <Publisher> count: found 'none'; give a whole number from 1 to 1000"
-    ]
+    assert_golden(
+        "tree_problems",
+        [str(problem) for problem in caught.value.problems],
+        "spec.monitoring.xml",
+        "line 2, column 1",
+        "'none'",
+        "1000",
+    )
 
 
 @settings(max_examples=150, deadline=None)

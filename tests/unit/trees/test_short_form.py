@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.support.golden import assert_golden
 from understudy.trees.languages.short.health_loader import Problem, TreeError, load
 
 ROOT = "spec.monitoring.yaml"
@@ -200,7 +201,7 @@ def test_tree_too_deep_is_refused_and_not_recursed_into():
 
 def test_tree_too_large_is_refused_once():
     leaves = [{**SCAN, "name": f"leaf{i}"} for i in range(600)]
-    assert problems({"parallel": leaves}) == ["spec.monitoring.yaml.parallel[511]: the tree has more than 512 nodes"]
+    assert_golden("tree_problems", problems({"parallel": leaves}), "spec.monitoring.yaml.parallel", "511", "512")
 
 
 @pytest.mark.parametrize(

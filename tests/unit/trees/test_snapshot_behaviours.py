@@ -8,6 +8,7 @@ from typing import Any
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.support.golden import assert_golden
 from tests.unit.trees.snapshot_trees import TREE, taken
 from tests.unit.trees.tools import Row, drawn, rebuilt
 from tests.unit.trees.world import World
@@ -54,7 +55,7 @@ def test_the_decision_is_followed_down_to_the_leaf_that_made_it() -> None:
     found = listed(world, 4.1)
     root, driving, leaf = found["sequence"], found["driving"], found["driving/cmd_vel"]
     assert (root.status, driving.status, leaf.status) == (FAILURE, FAILURE, FAILURE)
-    assert leaf.message == "no /cmd_vel for 500 ms while a goal of /go is active"
+    assert_golden("health_tree", leaf.message, "/cmd_vel", "500 ms", "/go")
     assert root.current == driving.id
     assert root.tip == driving.tip == leaf.id
     assert driving.current == leaf.tip == NOBODY, "a decorator has no choice, and a leaf nothing below it"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
 
 AUTO = POLICY.replace("{type: Restart}", "{type: Auto}") + "  requirements: {availability: High, resourceUsage: High}\n"
@@ -16,11 +17,7 @@ def test_pools_that_give_what_is_required_have_no_warning() -> None:
 def test_requirements_that_the_pools_do_not_meet_are_told_where_they_are_written() -> None:
     finding = only(AUTO, WORKLOAD)
     assert (finding.severity, finding.field, finding.place.line) == ("warning", "spec.requirements", 9)
-    assert finding.message == (
-        "for RobotWorkload robot-17 the result is Restart: availability High requires 500 ms, but Restart, the fastest that may go first, "
-        "needs 4.67 s (published): add a FallbackPool with a higher readiness that serves the workload, "
-        "or lower the requirement. Ignore this if it is in the cluster already"
-    )
+    assert_golden("check", finding.message, "RobotWorkload", "robot-17", "500 ms", "4.67 s", "FallbackPool")
 
 
 def test_a_pool_that_serves_others_does_not_count() -> None:

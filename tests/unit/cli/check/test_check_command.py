@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.golden import assert_golden
 from tests.unit.cli.check.given import POLICY, WORKLOAD
 from understudy.cli.check.command import main
 
@@ -33,24 +34,23 @@ def test_a_folder_is_its_manifests(folder: Path, capsys: pytest.CaptureFixture[s
     assert main(["fleet", "fleet/policy.yaml"]) == 0
     told = capsys.readouterr()
     assert told.out == ""
-    assert told.err == "understudy check: 2 objects checked in 2 files: 0 errors, 0 warnings\n"
+    assert_golden("check", told.err, "2 objects", "2 files", "0 errors", "0 warnings")
 
 
 def test_errors_end_with_1_and_warnings_only_where_it_is_strict(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["fleet/workload.yml"]) == 0
-    assert capsys.readouterr().out.startswith("fleet/workload.yml:8:22: warning: RobotWorkload robot-17: ")
+    assert_golden("check", capsys.readouterr().out, "fleet/workload.yml:8:22: warning", "RobotWorkload", "robot-17")
     assert main(["--strict", "fleet/workload.yml"]) == 1
     (folder / "fleet" / "policy.yaml").write_text(POLICY.replace("gap: 500ms", "gap: 500"))
     capsys.readouterr()
     assert main(["fleet"]) == 1
     told = capsys.readouterr()
-    assert told.out == (
-        "fleet/policy.yaml:6:36: error: FailurePolicy navigation: spec.monitoring.yaml.topic.gap: found 500, which has no "
-        "unit; write it with ms, s, m or h, such as 500ms\n"
+    assert_golden(
+        "check", told.out, "fleet/policy.yaml:6:36: error", "FailurePolicy", "spec.monitoring.yaml.topic.gap", "500"
     )
-    assert told.err == "understudy check: 2 objects checked in 2 files: 1 error, 0 warnings\n"
+    assert_golden("check", told.err, "2 objects", "2 files", "1 error", "0 warnings")
 
 
 @pytest.mark.parametrize(("form", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
@@ -62,7 +62,7 @@ def test_for_programs_everything_that_was_found_is_told(
     told = capsys.readouterr()
     (finding,) = (found := read(told.out)).pop("findings")
     assert found == {"files": 2, "checked": 2, "passedOver": 0, "errors": 1, "warnings": 0}
-    assert finding.pop("message").startswith("found 500, which has no unit; write it with ms, s, m or h")
+    assert_golden("check", finding.pop("message"), "500")
     assert finding == {
         "file": "fleet/policy.yaml",
         "line": 6,
@@ -79,7 +79,7 @@ def test_for_programs_everything_that_was_found_is_told(
 def test_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(POLICY.replace("Restart", "Reboot").encode())))
     assert main(["-"]) == 1
-    assert capsys.readouterr().out.startswith("<stdin>:8:8: error: FailurePolicy navigation: spec.strategies[0].type: ")
+    assert_golden("check", capsys.readouterr().out, "<stdin>:8:8: error", "FailurePolicy", "spec.strategies[0].type")
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.cli.check.given import POLICY, checked, found, only
 
 REFERRING = POLICY.replace(
@@ -35,8 +36,8 @@ def test_one_that_is_not_among_the_files() -> None:
 
 def test_a_problem_is_told_where_it_is_in_the_file() -> None:
     finding = only(REFERRING, TREES.replace("500ms", "500 parsecs"))
-    assert str(finding).startswith(
-        "b.yaml:9:7: error: ConfigMap trees: data.health.yaml: topic.gap: '500 parsecs' is not a duration"
+    assert_golden(
+        "check", str(finding), "b.yaml:9:7: error", "ConfigMap", "data.health.yaml", "topic.gap", "'500 parsecs'"
     )
 
 

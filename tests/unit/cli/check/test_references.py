@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.support.golden import assert_golden
 from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
 
 FALLBACK = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}}")
@@ -9,9 +10,16 @@ FALLBACK = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: h
 
 def test_a_policy_that_is_not_among_the_files() -> None:
     finding = only(WORKLOAD, POLICY.replace("name: navigation}", "name: navigating}"))
-    assert str(finding).startswith(
-        "a.yaml:8:22: warning: RobotWorkload robot-17: spec.failurePolicyRef.name: "
-        'no FailurePolicy "navigation" in the given files (did you mean "navigating"?)'
+    assert_golden(
+        "check",
+        str(finding),
+        "a.yaml:8:22: warning",
+        "RobotWorkload",
+        "robot-17",
+        "spec.failurePolicyRef.name",
+        "FailurePolicy",
+        '"navigation"',
+        '"navigating"',
     )
 
 
@@ -32,7 +40,7 @@ def test_a_pool_that_selects_nobody() -> None:
 def test_a_pool_without_any_workload() -> None:
     finding = only(POOL)
     assert (finding.severity, finding.field) == ("warning", "spec.workloadSelector")
-    assert finding.message.startswith("there is no RobotWorkload in the given files that it could match; give")
+    assert_golden("check", finding.message, "no RobotWorkload")
 
 
 def test_a_workload_that_another_pool_of_its_policy_serves_has_no_warning() -> None:
@@ -63,7 +71,7 @@ def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
     waits = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}, waitFor: 10s}")
     finding = only(waits, WORKLOAD, POOL)
     assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].waitFor")
-    assert "FallbackPool hot is Executing, so each workload has its own standbys" in finding.message
+    assert_golden("check", finding.message, "FallbackPool hot is Executing")
     shared = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
     assert found(waits, WORKLOAD, shared + "  templateFrom: {workload: robot-17}\n") == []
 
@@ -71,7 +79,7 @@ def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
 def test_a_policy_that_looks_at_no_output_of_its_workload() -> None:
     finding = only(POLICY.replace("/cmd_vel", "/cmd_vell"), WORKLOAD)
     assert (finding.severity, finding.file, finding.field) == ("warning", "a.yaml", "spec.monitoring")
-    assert finding.message.startswith("watches /cmd_vell but no output of RobotWorkload robot-17 (/cmd_vel)")
+    assert_golden("check", finding.message, "/cmd_vell", "RobotWorkload", "robot-17")
 
 
 def test_one_output_that_is_looked_at_is_enough() -> None:

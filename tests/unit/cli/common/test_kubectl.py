@@ -13,6 +13,7 @@ import pytest
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_golden
 from understudy.cli.common.cluster_access.kubectl import Kubectl
 from understudy.cli.common.errors import CommandError
 from understudy.cli.inspect import timeline
@@ -75,15 +76,13 @@ def test_a_kubeconfig_without_credentials_is_told_as_that(
 ) -> None:
     stand.tell(fleet.fleet(), error="error: EOF")
     assert timeline.main([NAME]) == 2
-    assert capsys.readouterr().err.startswith("understudy timeline: the kubeconfig has no credentials for this cluster")
+    assert_golden("command_line", capsys.readouterr().err, "understudy timeline: ", "no credentials")
 
 
 def test_what_it_says_itself_is_left_as_it_is(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(fleet.fleet(), error="Unable to connect to the server: net/http: TLS handshake timeout")
     assert timeline.main([NAME]) == 2
-    assert capsys.readouterr().err == (
-        "understudy timeline: Unable to connect to the server: net/http: TLS handshake timeout\n"
-    )
+    assert_golden("command_line", capsys.readouterr().err, "understudy timeline: ", "TLS handshake timeout")
 
 
 def test_kubectl_is_left_nothing_to_read(stand: FakeKubectl) -> None:
@@ -133,7 +132,7 @@ def test_what_it_does_not_take_is_told(stand: FakeKubectl) -> None:
         os.write(ours, b"bad\n")
         _, told = running.communicate(timeout=60)
     assert running.returncode == 2
-    assert "executable login failed with exit code 1: log in with the kubeconfig's credential plugin" in told.decode()
+    assert_golden("command_line", told.decode(), "login failed with exit code 1")
 
 
 def test_a_plugin_that_waits_for_somebody_is_heard(stand: FakeKubectl) -> None:

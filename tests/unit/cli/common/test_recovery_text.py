@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tests.support import fleet
+from tests.support.golden import assert_golden
 from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
 from understudy.cli.common.text.recovery_text import lines
 
@@ -33,19 +34,17 @@ def test_each_part_begins_where_the_one_before_it_ended_and_all_are_to_scale() -
 
 def test_what_failed_who_took_over_and_what_was_tried_in_vain() -> None:
     found = told(fleet.recoveries()[1])
-    assert found[2] == "#2  2026-11-22 13:03:24Z (1h3m ago)  recovered in 3.68 s by Restart"
-    assert found[3] == "    commands: no /cmd_vel for 500 ms while /navigate_to_pose was active"
-    assert "…-m2c7p → …-7k2xq, gate epoch 40, first command 31 ms after the switch" in row(found, "control")
-    assert "detected +502 ms · fenced +2.33 s · started +3.09 s" in row(found, "moments")
-    assert row(found, "state").endswith(
-        "/amcl_pose 612 ms old, propagated by 0.21 m · /map NOT restored: it never came"
-    )
-    assert "Fallback/Executing: not available: robot-17-navigation-v4d9s" in row(found, "failed")
+    assert_golden("command_line", found[2], "#2", "2026-11-22 13:03:24", "3.68 s by Restart")
+    assert_golden("command_line", found[3], "/cmd_vel", "500 ms", "/navigate_to_pose")
+    assert_golden("command_line", row(found, "control"), "…-m2c7p → …-7k2xq", "gate epoch 40", "31 ms")
+    assert_golden("command_line", row(found, "moments"), "detected +502 ms", "fenced +2.33 s", "started +3.09 s")
+    assert_golden("command_line", row(found, "state"), "/amcl_pose 612 ms", "0.21 m", "/map")
+    assert_golden("command_line", row(found, "failed"), "Fallback/Executing", "robot-17-navigation-v4d9s")
 
 
 def test_all_that_are_kept_are_compared_to_one_scale() -> None:
     found = told(*fleet.recoveries(), count=12)
-    assert found[0] == "fleet/robot-17: 12 recoveries; the last 3 are recorded"
+    assert_golden("command_line", found[0], "robot-17", "12 recoveries")
     fast, slow = found[2], found[3]
     assert fast.endswith("509 ms")
     assert slow.endswith("3.68 s")
@@ -72,7 +71,7 @@ def test_a_failed_recovery_is_shown() -> None:
     found = told(failed)
     assert found[2].endswith("FAILED: no strategy was verified")
     assert not any(line.startswith("    control") for line in found)
-    assert row(found, "failed").endswith("Restart with robot-17-abc: not verified: not verified within 60 s")
+    assert_golden("command_line", row(found, "failed"), "Restart with robot-17-abc", "60 s")
 
 
 def test_a_hand_over_that_was_planned_and_one_that_another_monitor_finished() -> None:

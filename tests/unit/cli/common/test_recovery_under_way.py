@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.support import fleet
+from tests.support.golden import assert_golden
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Attempt, RobotWorkloadStatus
 from understudy.cli.common.recovery_under_way import UnderWay, under_way
@@ -32,22 +33,33 @@ def test_what_is_done_why_and_since_when() -> None:
     found = seen(fleet.under_way())
     assert found is not None
     assert (found.occasion, found.since, found.strategy) == ("FailureDetected", fleet.ago(1), "Fallback/Executing")
-    assert found.message == "no /cmd_vel for 500 ms; Fallback/Executing is tried with robot-17-navigation-w7h5k."
+    assert_golden(
+        "command_line", found.message, "/cmd_vel", "500 ms", "Fallback/Executing", "robot-17-navigation-w7h5k"
+    )
 
 
 def test_as_much_as_is_known_of_how() -> None:
-    assert message(target=None) == "no /cmd_vel for 500 ms; Fallback/Executing is tried."
+    assert_golden("command_line", message(target=None), "/cmd_vel", "500 ms", "Fallback/Executing")
     assert message(strategy="") == "no /cmd_vel for 500 ms.", "as a monitor of an earlier version commits it"
     waiting = Waiter(workload="w", pool="navigation-spare", since=fleet.NOW - 1, until=fleet.NOW + 60)
-    assert message(strategy="Fallback/Uninitialized", waiting=waiting) == (
-        "no /cmd_vel for 500 ms; Fallback/Uninitialized waits for a pod of navigation-spare."
+    assert_golden(
+        "command_line",
+        message(strategy="Fallback/Uninitialized", waiting=waiting),
+        "Fallback/Uninitialized",
+        "navigation-spare",
     )
 
 
 def test_what_came_to_nothing_before_is_named_once() -> None:
     attempts = [Attempt(strategy="Fallback/Executing", result="NotVerified") for _ in range(2)]
-    assert message(strategy="Restart", target=PodIdentity(name="w-9", uid="u"), attempts=attempts) == (
-        "no /cmd_vel for 500 ms; Restart is tried with w-9, after Fallback/Executing."
+    assert_golden(
+        "command_line",
+        message(strategy="Restart", target=PodIdentity(name="w-9", uid="u"), attempts=attempts),
+        "/cmd_vel",
+        "500 ms",
+        "Restart",
+        "w-9",
+        "Fallback/Executing",
     )
 
 

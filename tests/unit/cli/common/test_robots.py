@@ -8,6 +8,7 @@ import pytest
 
 from tests.support import fleet
 from tests.support.fleet import said
+from tests.support.golden import assert_golden
 from understudy.cli.common.errors import CommandError
 from understudy.cli.common.robots import UNWATCHED, pool, robot
 
@@ -115,7 +116,7 @@ def test_once_the_status_says_so_too_it_is_told_once() -> None:
     item = fleet.workload(name, status=fleet.status(name, "x8v2m", 41, said_too, **since))
     found = robot(item, fleet.gate(item, fleet.under_way(began=began, strategy="Restart"), active=""), fleet.NOW)
     (problem,) = found.problems
-    assert problem.message == "no /cmd_vel for 500 ms; Restart is tried with robot-17-navigation-w7h5k."
+    assert_golden("command_line", problem.message, "/cmd_vel", "500 ms", "Restart", "robot-17-navigation-w7h5k")
     assert (found.health, found.active) == ("Recovering", "")
 
 

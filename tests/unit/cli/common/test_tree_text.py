@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tests.support.fake_monitor import leaf, state
+from tests.support.golden import assert_golden
 from understudy.cli.common.text.tree_text import Rates, lines
 
 
@@ -18,9 +19,8 @@ def test_a_healthy_tree() -> None:
     later["tree"]["children"][0]["received"] = 30
     head, control, empty, *nodes = told(state(), later)
     assert head == "fleet/robot-1-drive  Healthy"
-    assert (
-        control
-        == "active instance: robot-1-drive-abc (epoch 3); policy navigation; next strategy: Executing; recoveries: 2"
+    assert_golden(
+        "command_line", control, "robot-1-drive-abc", "epoch 3", "policy navigation", "Executing", "recoveries: 2"
     )
     assert empty == ""
     assert [line.split("  ", 1)[0] if line[0] != " " else line[:45].rstrip() for line in nodes] == [
@@ -60,7 +60,7 @@ def test_control_characters_in_foreign_texts_are_escaped() -> None:
 
 def test_no_tree_and_nobody_in_control() -> None:
     found = told(state(tree=None, active="", strategy="", policy="", health="Unknown", notes=["/scan: no type"]))
-    assert found[1] == "active instance: none (epoch 3); policy none; next strategy: unknown; recoveries: 2"
+    assert_golden("command_line", found[1], "none (epoch 3)", "policy none", "unknown", "recoveries: 2")
     assert found[3:] == ["There is no health tree to evaluate.", "", "/scan: no type"]
 
 

@@ -13,6 +13,7 @@ import yaml
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_golden
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.cli.control import fence, robot_profile
@@ -66,7 +67,7 @@ def test_a_gate_that_is_closed_already_is_left_as_it_is(stand: FakeKubectl, caps
     stand.tell(fleet.around(heard(fleet.well())))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
-    assert "gate closed at epoch 42 (fenced: no instance was in control)." in capsys.readouterr().out.splitlines()[2]
+    assert_golden("control", capsys.readouterr().out.splitlines()[2], "closed at epoch 42")
 
 
 def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
@@ -80,7 +81,7 @@ def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys:
 def test_who_fences_it_says_who_and_why(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], option: str) -> None:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, option, " ", "--yes"]) == 2
-    assert f"{option} is empty: others who find the robot fenced need to know it" in capsys.readouterr().err
+    assert_golden("control", capsys.readouterr().err, f"{option}")
     assert not any(line.startswith("patch ") for line in stand.asked)
 
 
@@ -138,7 +139,7 @@ def test_both_files_are_given_out_with_where_they_go(stand: FakeKubectl, capsys:
     assert robot_profile.main([ROBOT, "--at", "/opt/robot/"]) == 0
     told = capsys.readouterr().out
     assert "# /opt/robot/ros.env\n" in told
-    assert "FASTRTPS_DEFAULT_PROFILES_FILE=/opt/robot/profiles.xml\n" in told
+    assert_golden("control", told, "FASTRTPS_DEFAULT_PROFILES_FILE=/opt/robot/profiles.xml")
     assert "ROS_DISCOVERY_SERVER=10.96.0.7:11811\n" in told
     assert '<data_reader profile_name="/cmd_vel">' in told
     assert "EnvironmentFile=/opt/robot/ros.env" in told
@@ -177,8 +178,7 @@ def test_a_robot_with_an_address_and_a_server_of_its_own(
     stand.tell(given_out(item))
     assert robot_profile.main([ROBOT]) == 0
     told = capsys.readouterr().out
-    assert "1. The robot's address must be in spec.gate.robots (10.20.17.4/32)" in told
-    assert "2. The robot must reach the discovery server 10.20.0.5:11811." in told
+    assert_golden("control", told, "spec.gate.robots", "10.20.17.4/32", "10.20.0.5:11811")
 
 
 def test_before_the_operator_has_written_anything_there_is_nothing(

@@ -8,6 +8,7 @@ import pytest
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_golden
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.cli.control import pause, resume
@@ -27,7 +28,7 @@ def test_it_is_paused_with_reason_owner_and_end(
     }
     assert RobotWorkloadSpec.model_validate(stand.item(ROBOT)["spec"]).pause is not None
     told = capsys.readouterr().out
-    assert told.startswith("fleet/robot-17-navigation: paused by ann: a new gripper, until 2026-11-22 15:36:24 UTC.")
+    assert_golden("control", told, "fleet/robot-17-navigation", "ann", "a new gripper", "2026-11-22 15:36:24")
     assert stand.asked[-1].startswith(
         "--namespace=fleet patch robotworkloads.understudy.dev robot-17-navigation --type=merge"
     )
@@ -77,4 +78,4 @@ def test_resume_records_who_and_why_if_given(stand: FakeKubectl, capsys: pytest.
     assert resume.main([ROBOT]) == 0
     assert names.RESUMED_FOR not in stand.item(ROBOT)["metadata"]["annotations"], "that was of the time before"
     assert resume.main([ROBOT, "--reason", " "]) == 2
-    assert "--reason is empty: others who find the robot resumed need to know it" in capsys.readouterr().err
+    assert_golden("control", capsys.readouterr().err, "--reason")

@@ -9,6 +9,7 @@ import pytest
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_golden
 from understudy.api.kinds.robot_workload import Attempt, Moments, Recovery
 from understudy.api.kinds.switchover_spec import SwitchoverStatus, parse
 from understudy.cli.control import failback, failover, switchover_request
@@ -65,12 +66,7 @@ def test_it_asks_waits_and_tells_what_the_robot_saw(stand: FakeKubectl, capsys: 
         ],
     )
     assert failover.main([NAME, "-n", "fleet"]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        "requested",
-        "preparing: An understudy is being prepared.",
-        "done: …-7k2xq → …-x8v2m by Fallback/Executing, gate epoch 42",
-        "  at the robot: no command for 52 ms",
-    ]
+    assert_golden("control", capsys.readouterr().out.splitlines(), "42", "52 ms")
     (asked,) = [line for line in stand.asked if "annotate" in line]
     found = re.search(
         r"annotate robotworkloads\.understudy\.dev (\S+) --overwrite understudy\.dev/switchover=(.*) --", asked

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import fleet
+from tests.support.golden import assert_golden
 from tests.unit.cli.doctor.server import ENFORCED, Server, deployment
 from understudy import __version__
 from understudy.api.schema.definitions import definitions
@@ -40,16 +41,16 @@ FOUND = [
 
 
 def test_findings_stand_in_columns_with_the_cure_below() -> None:
-    assert list(findings.lines(FOUND, columns=70, colours=False)) == [
-        "OK    clocks                at most 2 ms apart",
-        "WARN  gate                  enforced late",
-        "                            cure: give it more CPU",
-        "FAIL  discovery of robot-1  nobody is found by 10.0.0.7:11811 within 8",
-        "                            s, not even the monitor",
-        "                            cure: look there",
-        "",
-        "3 checks: 1 failed, 1 warning",
-    ]
+    assert_golden(
+        "doctor",
+        list(findings.lines(FOUND, columns=70, colours=False)),
+        "2 ms",
+        "robot-1",
+        "10.0.0.7:11811",
+        "3 checks",
+        "1 failed",
+        "1 warning",
+    )
 
 
 def test_colours_are_only_added_to_words() -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_golden
 from understudy.cli.inject import command as inject
 from understudy.cli.inject import fault_commands
 
@@ -24,7 +25,7 @@ def test_failures_are_made_only_where_the_namespace_allows_it(
 ) -> None:
     stand.tell([fleet.well(), namespace(**labels)])
     assert inject.main([ROBOT, "kill", "--yes"]) == 2
-    assert "kubectl label namespace fleet understudy.dev/allow-inject=true" in capsys.readouterr().err
+    assert_golden("inject", capsys.readouterr().err, "namespace fleet understudy.dev/allow-inject=true")
     assert not any(line.startswith("delete ") for line in stand.asked)
 
 
@@ -66,7 +67,7 @@ def test_a_share_that_is_none_is_refused_in_a_line(capsys: pytest.CaptureFixture
         inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
     assert ended.value.code == 2
     told = capsys.readouterr().err.splitlines()[-1]
-    assert told.endswith(f"argument --percent: found {given!r}; give a whole number from 1 to 99; use freeze for 100")
+    assert_golden("inject", told, "--percent", repr(given), "99", "100")
 
 
 @pytest.mark.parametrize(("length", "percent"), [(10.0, 80), (0.1, 50), (3.0, 99), (2.0, 100)])

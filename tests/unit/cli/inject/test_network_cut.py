@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.ros.network import Network, network
 from understudy.cli.inject import network_cut
 
@@ -212,11 +213,11 @@ def test_a_late_start_cuts_nothing() -> None:
     running = program([], 60, latest=time.time() - 1)
     out, error = running.communicate(timeout=60)
     assert (running.returncode, out) == (1, "")
-    assert error == "the container started too late; the caller no longer waits\n"
+    assert_golden("inject", error, "too late")
 
 
 def test_a_missing_capability_is_reported() -> None:
     running = program(["setpriv", "--bounding-set=-net_admin", "--inh-caps=-net_admin"], 60)
     _, error = running.communicate(timeout=60)
     assert running.returncode == 1
-    assert error == "permission denied: the capability NET_ADMIN in the pod's network is required\n"
+    assert_golden("inject", error, "permission denied", "NET_ADMIN")

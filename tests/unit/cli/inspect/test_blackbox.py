@@ -16,6 +16,7 @@ import pytest
 import yaml
 
 from tests.support.fake_monitor import KUBECTL, READY
+from tests.support.golden import assert_golden
 from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.cli.inspect.blackbox import lines, main
 from understudy.process.http_pages import JSON, Page, serve
@@ -100,16 +101,13 @@ def test_scripts_have_them_whole(monitor: Monitor, capsys: pytest.CaptureFixture
 def test_where_there_are_none_it_is_said_why(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     monitor.told = Recordings(workload="robot-1", on=False)
     assert main(["robot-1"]) == 1
-    assert "Recording is off: set spec.blackBox in the workload's FailurePolicy" in capsys.readouterr().out
+    assert_golden("blackbox", capsys.readouterr().out, "spec.blackBox", "FailurePolicy")
 
 
 def test_topics_that_are_left_out_are_named() -> None:
     found = Recordings(workload="robot-1", on=True, left_out={"/image": "too much"})
     told = list(lines(found, 0.0, columns=None))
-    assert told == [
-        "No failure has been recorded yet.",
-        "Not recorded: /image (too much; blackBox.memory bounds it).",
-    ]
+    assert_golden("blackbox", told, "/image", "blackBox.memory")
 
 
 @pytest.mark.parametrize(
@@ -132,7 +130,7 @@ def test_one_is_fetched(monitor: Monitor, capsys: pytest.CaptureFixture[str], ar
 def test_a_recording_that_is_not_there(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "--fetch", "7"]) == 2
     told = capsys.readouterr().err
-    assert "there is no recording 7 of robot-1; available: 3abcdef (failure 3), 2abcdef (failure 2)" in told
+    assert_golden("blackbox", told, "recording 7 of robot-1", "3abcdef (failure 3), 2abcdef (failure 2)")
     monitor.told = Recordings(workload="robot-1", on=True)
     assert main(["robot-1", "--fetch"]) == 2
     assert "there is no recording of robot-1" in capsys.readouterr().err
@@ -149,7 +147,7 @@ def test_the_beginning_of_several_ids_means_none_of_them(monitor: Monitor, capsy
     both = [recording(number).model_copy(update={"id": f"e{number}"}) for number in (3, 2)]
     monitor.told = Recordings(workload="robot-1", on=True, recordings=both)
     assert main(["robot-1", "--fetch", "e"]) == 2
-    assert "e matches several recordings of robot-1: e3 (failure 3), e2 (failure 2)" in capsys.readouterr().err
+    assert_golden("blackbox", capsys.readouterr().err, "robot-1", "e3 (failure 3), e2 (failure 2)")
     assert here() == []
 
 
@@ -163,7 +161,7 @@ def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: py
     Path("robot-1-3.mcap").write_bytes(b"an earlier one")
     monitor.file.write_bytes(FILE[:-1] + b"?")
     assert main(["robot-1", "--fetch"]) == 2
-    assert "recording 3abcdef is damaged, on the monitor's disk or in transit" in capsys.readouterr().err
+    assert_golden("blackbox", capsys.readouterr().err, "3abcdef", "damaged")
     assert here() == ["robot-1-3.mcap"]
     assert Path("robot-1-3.mcap").read_bytes() == b"an earlier one"
 
@@ -171,10 +169,10 @@ def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: py
 def test_one_that_has_gone_meanwhile(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     del monitor.pages["/3abcdef.mcap"]
     assert main(["robot-1", "--fetch"]) == 2
-    assert "recording 3abcdef is gone: it was replaced by a newer one" in capsys.readouterr().err
+    assert_golden("blackbox", capsys.readouterr().err, "3abcdef", "gone")
     assert here() == []
 
 
 def test_a_file_that_cannot_be_written_is_reported(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "--fetch", "--to", "none/such.mcap"]) == 2
-    assert "recording 3abcdef cannot be written to none/such.mcap" in capsys.readouterr().err
+    assert_golden("blackbox", capsys.readouterr().err, "3abcdef", "none/such.mcap")

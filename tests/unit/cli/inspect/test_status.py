@@ -22,6 +22,7 @@ import yaml
 
 from tests.support import fleet
 from tests.support.fake_kubectl import FakeKubectl
+from tests.support.golden import assert_golden
 from understudy.cli.common.text.terminal import BEGIN, END
 from understudy.cli.inspect.status import REFRESH, main
 
@@ -84,8 +85,19 @@ def test_a_recovery_is_told_by_the_gate_before_the_status_does(
     stand.tell(recovering())
     assert main([]) == 1
     told = capsys.readouterr().out
-    assert told.endswith("3 robots: 1 not protected; 1 degraded, 1 healthy, 1 recovering\n")
-    assert "  recovering (FailureDetected, 1s): no /cmd_vel for 500 ms; Fallback/Executing is tried" in told
+    assert_golden(
+        "status",
+        told,
+        "3 robots",
+        "1 not protected",
+        "1 degraded",
+        "1 healthy",
+        "1 recovering",
+        "recovering (FailureDetected, 1s)",
+        "Fallback/Executing",
+        "/cmd_vel",
+        "500 ms",
+    )
     assert main(["-o", "json"]) == 1
     first, second, _ = json.loads(capsys.readouterr().out)["robots"]
     assert (first["health"], first["active"], first["epoch"]) == ("Recovering", "robot-17-navigation-w7h5k", 42)
@@ -124,7 +136,7 @@ def test_who_may_not_read_gates_sees_what_the_status_says(
     assert told.err == ""
     stand.tell(fleet.fleet(), forbidden=["robotworkloads"])
     assert main([]) == 2, "without robots there is nothing to be shown"
-    assert "robotworkloads.understudy.dev,fallbackpools.understudy.dev is forbidden" in capsys.readouterr().err
+    assert_golden("status", capsys.readouterr().err, "robotworkloads.understudy.dev", "fallbackpools.understudy.dev")
 
 
 @pytest.mark.parametrize(
@@ -196,6 +208,12 @@ class Watching:
         os.close(self._reading)
 
 
+def line_of(health: str, written: str) -> str:
+    """The line of the robot in this state, without the time of day."""
+    (line,) = (line for line in written.splitlines() if f"; {health}; " in line)
+    return line.partition(" ")[2]
+
+
 @pytest.fixture
 def watching(request: pytest.FixtureRequest, stand: FakeKubectl) -> Iterator[Watching]:
     made = Watching(**request.param)
@@ -250,8 +268,11 @@ def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_
     began = time.time()
     beside = fleet.gate(fleet.well(), fleet.under_way(began=began))
     stand.tell([*fleet.fleet(), beside])
-    assert "fleet/robot-17-navigation; Recovering; protected; active robot-17-navigation-w7h5k (epoch 42)" in (
-        watching.until("Fallback/Executing is tried with robot-17-navigation-w7h5k.")
+    assert_golden(
+        "status",
+        line_of("Recovering", watching.until("Fallback/Executing is tried with robot-17-navigation-w7h5k.")),
+        "fleet/robot-17-navigation; Recovering; protected",
+        "robot-17-navigation-w7h5k (epoch 42)",
     )
     assert time.time() - began < REFRESH, "it was told of it, and didn't find it by asking again"
     recovered = fleet.well()
@@ -289,7 +310,12 @@ def test_elsewhere_each_change_is_a_line(stand: FakeKubectl, watching: Watching)
     failed["status"] |= {"health": "Failed"}
     stand.tell([failed, fleet.degraded()])
     changed = watching.until("fleet/robot-19-navigation; deleted")
-    assert "fleet/robot-17-navigation; Failed; protected; active robot-17-navigation-x8v2m (epoch 41)" in changed
+    assert_golden(
+        "status",
+        line_of("Failed", changed),
+        "fleet/robot-17-navigation; Failed; protected",
+        "robot-17-navigation-x8v2m (epoch 41)",
+    )
     assert "robot-18" not in changed, "it is as it was"
     stand.tell([fleet.well(), fleet.degraded()])
     watching.until("fleet/robot-17-navigation; Healthy")

@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from tests.support.fake_monitor import KUBECTL, READY, state
+from tests.support.golden import assert_golden
 from understudy.cli.inspect.tree import main
 from understudy.process.http_pages import JSON, serve
 
@@ -118,7 +119,7 @@ def test_an_older_monitor(cluster: Cluster, capsys: pytest.CaptureFixture[str]) 
     server = asyncio.run_coroutine_threadsafe(begin(), loop).result(20)
     cluster.tell(port=server.sockets[0].getsockname()[1])
     assert main(["robot-1-drive"]) == 2
-    assert "does not support a live tree; upgrade the operator" in capsys.readouterr().err
+    assert_golden("tree", capsys.readouterr().err, "upgrade the operator")
     loop.call_soon_threadsafe(server.close)
     loop.call_soon_threadsafe(loop.stop)
     thread.join(20)

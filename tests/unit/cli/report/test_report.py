@@ -11,7 +11,7 @@ import pytest
 
 from tests.support import fleet as others
 from tests.support.fake_kubectl import FakeKubectl
-from tests.support.golden import assert_shown
+from tests.support.golden import assert_golden, assert_shown
 from tests.unit.cli.report import fleet
 from understudy.cli.report.command import main
 
@@ -29,9 +29,9 @@ def written(stand: FakeKubectl, tmp_path: Path) -> Path:
 
 def test_a_page_and_the_data(stand: FakeKubectl, written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["-n", "fleet", "-o", str(written), "--csv", str(written.parent / "data")]) == 0
-    assert capsys.readouterr().out == (
-        f"{written}: 5 robots, 18 recoveries from 2026-11-21 14:06:24Z to 2026-11-22 14:06:24Z; the data on 1 robot is "
-        "incomplete, because a status records only the last ten recoveries\n"
+    told = capsys.readouterr().out.removeprefix(f"{written}: ")
+    assert_golden(
+        "report", told, "5 robots", "18 recoveries", "2026-11-21 14:06:24Z", "2026-11-22 14:06:24Z", "1 robot"
     )
     robots, *pods = stand.asked
     assert robots.startswith("--namespace=fleet get robotworkloads.understudy.dev -o json")
@@ -114,4 +114,4 @@ def test_unavailable_information_is_reported(
 def test_a_place_that_can_not_be_written_to(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written.mkdir()
     assert main(["-o", str(written)]) == 2
-    assert "cannot be written: Is a directory; give another path" in capsys.readouterr().err
+    assert_golden("report", capsys.readouterr().err.replace(str(written), "report.html"), "Is a directory")

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.support.bag_recording import Said, Storage, every, policy, unix, write
+from tests.support.golden import assert_golden
 from understudy.cli.common.errors import CommandError
 from understudy.cli.simulate import policy_file
 from understudy.cli.simulate.bags import Bag
@@ -86,7 +87,7 @@ def test_a_value_is_read_out_of_the_messages(tmp_path: Path, storage: Storage) -
     tree = f'{{value: {{topic: /battery, type: {BATTERY}, holds: "percentage > 0.15"}}}}'
     found = Tried(tmp_path, said, tree, storage).only()
     assert (found.detected, found.onset, found.recovered) == (unix(2), unix(1), unix(4))
-    assert found.reason == "percentage > 0.15 of /battery does not hold (percentage was 0.1)"
+    assert_golden("simulate", found.reason, "percentage > 0.15", "/battery", "percentage was 0.1")
 
 
 def test_fields_of_fields_arrays_and_truths_are_as_ros_has_them(tmp_path: Path) -> None:
@@ -207,8 +208,8 @@ def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
     assert told.keys() == {"imu", "scan.publisher", "sent", "pod.Ready", "a.b.parameter", "driving/scan"}
     assert told["imu"] == "the bag does not contain /imu"
     assert "needs the live ROS graph" in told["scan.publisher"]
-    assert told["sent"] == "it needs the time at which messages were sent, which a bag does not contain (/scan)"
-    assert told["pod.Ready"] == "it needs the cluster's API, which a bag does not contain (pod)"
+    assert_golden("simulate", told["sent"], "/scan")
+    assert_golden("simulate", told["pod.Ready"], "(pod)")
     assert "needs the live ROS graph" in told["a.b.parameter"]
     assert "--include-hidden-topics" in told["driving/scan"]
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import pytest
 from prometheus_client import REGISTRY
 
+from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.interleavings.apiserver import ApiServer
 from understudy.api.kinds.robot_workload import MonitorStatus
@@ -66,9 +67,7 @@ async def test_a_switchover_is_no_recovery_of_the_metrics_and_no_hand_over_of_a_
     assert found.status.planned is None
     assert counted("Drain", "Recovered") == before + 1
     assert REGISTRY.get_sample_value("understudy_recoveries_total", recoveries) == failures
-    assert describe_switchover(recovery) == (
-        "slow. w-2 took over from w-1 by Fallback/Executing, epoch 0. The robot received no command for 0.052 s"
-    )
+    assert_golden("monitor", describe_switchover(recovery), "w-2", "w-1", "Fallback/Executing", "epoch 0", "0.052 s")
 
 
 async def test_one_that_is_given_back_again_and_again_is_one_record_and_no_failure_s() -> None:
