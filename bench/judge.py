@@ -105,13 +105,13 @@ class _Judge:
         """As understudy.monitor.loop does, of which this leaves out all that isn't for noticing."""
         from understudy.api.base import seconds
         from understudy.monitor.loop import SLOW
-        from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, Looks, Wakeups
+        from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, LookSchedule, Wakeups
         from understudy.trees.core.debounce import Debounce
 
         answers = {"received": self._received, "seen": self._seen, "record": self._record}
         asyncio.get_running_loop().add_reader(sys.stdin, lambda: answer(sys.stdin.readline(), answers))
         self._recording = asyncio.create_task(self.box.run())
-        looks, debounce = Looks(Wakeups(), self.sight.coming), Debounce()
+        looks, debounce = LookSchedule(Wakeups(), self.sight.coming), Debounce()
         since, slow, state = time.time(), 0.0, "Starting"
         gc.collect()
         gc.freeze()

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from tests.e2e.console import offline, understudy
 from tests.e2e.scenario import Robot, eventually
 from understudy.api.base import seconds
-from understudy.cli.simulate.bags import Bag, Taken
+from understudy.cli.simulate.bags import Bag, BagTrack
 
 COMMANDS, EVENTS, TREE = "/cmd_vel", "/understudy/events", "/understudy/tree"
 KEPT = 5.0
@@ -28,7 +28,7 @@ def told(robot: Robot) -> dict[str, Any]:
     return found
 
 
-def messages(bag: Bag, topic: str) -> list[tuple[Taken, Any]]:
+def messages(bag: Bag, topic: str) -> list[tuple[BagTrack, Any]]:
     (type_,) = bag.topics[topic].types
     return [(taken, bag.definitions.read(taken.data, type_)) for taken in bag.messages({topic: type_})]
 

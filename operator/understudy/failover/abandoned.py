@@ -6,7 +6,7 @@ from understudy.api.base import Model
 from understudy.failover.progress import Progress, beside
 
 
-class GivenUp(Model):
+class AbandonedRecovery(Model):
     """What may stand beside a gate of a recovery that was given up."""
 
     id: str

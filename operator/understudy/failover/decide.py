@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
-from understudy.failover.limits.state import InForce, LimitsInForce
+from understudy.failover.limits.state import ActiveLimit, LimitsInForce
 
 
 class Trigger(StrEnum):
@@ -70,7 +70,7 @@ class Occurrence:
     """What happened, as a sentence without a full stop."""
     counts_from: float = 0.0
     """When the debounce of the policy ends."""
-    upstream: InForce | None = None
+    upstream: ActiveLimit | None = None
     """A failure of a workload in spec.dependsOn that may have caused this one."""
     unmet: Requirement | None = None
     first_strategy: int | None = 0
@@ -172,7 +172,7 @@ class Prevention:
     """A limit in force that prevents the action of a trigger."""
 
     row: LimitRow
-    limit: InForce
+    limit: ActiveLimit
     decision: Wait | Defer | Hold
     """What this limit alone would lead to."""
 
@@ -318,25 +318,25 @@ def in_force(facts: Facts, occurrence: Occurrence) -> Iterator[Prevention]:
             yield Prevention(row, found, row.decision(row.reason, message, found.until, occurrence.trigger))
 
 
-def left(found: InForce, now: float) -> str:
+def left(found: ActiveLimit, now: float) -> str:
     """Return the seconds until a limit ends, rounded, as text."""
     return f"{max(0.0, found.until - now) if found.until is not None else 0.0:.0f}"
 
 
-def _until(moment: float, now: float) -> InForce | None:
-    return InForce(until=moment) if now < moment else None
+def _until(moment: float, now: float) -> ActiveLimit | None:
+    return ActiveLimit(until=moment) if now < moment else None
 
 
-def _unmet(occurrence: Occurrence, row: LimitRow) -> InForce | None:
+def _unmet(occurrence: Occurrence, row: LimitRow) -> ActiveLimit | None:
     found = occurrence.unmet
-    return InForce(found.words) if found is not None and found.reason == row.reason else None
+    return ActiveLimit(found.words) if found is not None and found.reason == row.reason else None
 
 
-def _crash_loop(facts: Facts, occurrence: Occurrence) -> InForce | None:
-    return InForce(until=facts.now + occurrence.retry_after) if occurrence.first_strategy is None else None
+def _crash_loop(facts: Facts, occurrence: Occurrence) -> ActiveLimit | None:
+    return ActiveLimit(until=facts.now + occurrence.retry_after) if occurrence.first_strategy is None else None
 
 
-_CHECKS: Mapping[Limit, Callable[[Facts, Occurrence, LimitRow], InForce | None]] = {
+_CHECKS: Mapping[Limit, Callable[[Facts, Occurrence, LimitRow], ActiveLimit | None]] = {
     Limit.STALE_SAMPLES: lambda facts, occurrence, row: _until(facts.trusted_from, facts.now),
     Limit.DEBOUNCE: lambda facts, occurrence, row: _until(occurrence.counts_from, facts.now),
     Limit.UPSTREAM_FAILURE: lambda facts, occurrence, row: occurrence.upstream,

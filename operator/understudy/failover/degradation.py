@@ -11,7 +11,7 @@ TreeState = Literal["Starting", "Healthy", "Failed"]
 """The state of the tree of ``spec.degraded``; Starting if it is unknown."""
 
 
-class Lasting:
+class Period:
     """Whether something holds and has lasted. Times are seconds of a monotonic clock."""
 
     def __init__(self, since: float | None = None) -> None:
@@ -42,7 +42,7 @@ class Level:
 
     def __init__(self, since: float | None = None) -> None:
         """``since`` is when it became degraded, if that is known."""
-        self._degraded = Lasting(since)
+        self._degraded = Period(since)
 
     @property
     def since(self) -> float | None:

@@ -35,7 +35,7 @@ class Recovered:
 
 
 @dataclass(frozen=True)
-class Seen:
+class UpstreamState:
     """What is known of a workload that this one depends on."""
 
     health: str = ""
@@ -52,7 +52,7 @@ class Seen:
         return self.health in FAILING
 
     @classmethod
-    def of(cls, status: RobotWorkloadStatus, committed: Progress | None) -> Seen:
+    def of(cls, status: RobotWorkloadStatus, committed: Progress | None) -> UpstreamState:
         """Return it from the status, and from the record next to its gate, which changes first."""
         health, since = status.health or "", _unix(status.failing_since)
         recoveries = status.recoveries or []
@@ -79,7 +79,7 @@ class Outage:
     """When it ended; None while it lasts."""
 
 
-def outage(before: Outage | None, seen: Seen, now: float) -> Outage | None:
+def outage(before: Outage | None, seen: UpstreamState, now: float) -> Outage | None:
     """The present outage of a workload upstream, or else the last one that is known; ``before`` is what was known until now."""
     lasting = before if before is not None and before.end is None else None
     if seen.failing:
@@ -97,7 +97,7 @@ def outage(before: Outage | None, seen: Seen, now: float) -> Outage | None:
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldFailure:
     """A failure that is not acted on yet."""
 
     until: float
@@ -115,14 +115,14 @@ def held(
     *,
     depends_on: Sequence[Dependency],
     outages: Mapping[str, Outage],
-) -> Held | None:
+) -> HeldFailure | None:
     """Whether a failure with its last healthy output at ``onset`` isn't acted on yet, since it may follow from another's.
 
     ``noticed`` is when it was noticed first; ``outages`` are those of all workloads upstream, by name.
     """
     if not depends_on:
         return None
-    found: Held | None = None
+    found: HeldFailure | None = None
     for name, known in outages.items():
         if onset < known.onset - SLACK:
             continue  # it was first
@@ -133,11 +133,11 @@ def held(
                 continue
             until = min(until, known.end + settle)
         if until > now and (found is None or until > found.until):
-            found = Held(until, name, known.end is not None)
+            found = HeldFailure(until, name, known.end is not None)
     if found is not None:
         return found
     look = noticed + max(seconds(one.notice_within) for one in depends_on)
-    return Held(look) if look > now else None
+    return HeldFailure(look) if look > now else None
 
 
 def _patience(name: str, depends_on: Sequence[Dependency]) -> tuple[float, float]:
@@ -149,7 +149,7 @@ def _patience(name: str, depends_on: Sequence[Dependency]) -> tuple[float, float
 
 
 @dataclass(frozen=True)
-class Due:
+class DueReaction:
     """A reaction that is due now because other workloads recovered."""
 
     follows: list[DependencyRecovery]
@@ -160,12 +160,12 @@ class Due:
 def due(
     depends_on: Sequence[Dependency],
     upstream: Sequence[Upstream],
-    seen: Mapping[str, Seen],
+    seen: Mapping[str, UpstreamState],
     outages: Mapping[str, Outage],
     *,
     followed: Mapping[str, str],
     now: float,
-) -> Due | None:
+) -> DueReaction | None:
     """Return the recoveries after which something is due now; None if there are none, or if others come first.
 
     ``followed`` are those after which it was done. It waits for each of those that are recovered, and for each upstream that has to do
@@ -183,10 +183,10 @@ def due(
     patience = max(seconds(one.wait_for) for one in depends_on if one.name in pending)
     if now < since + patience and any(_unsettled(upstream, seen)):
         return None
-    return Due([DependencyRecovery(name=name, recovery=last.id) for name, last in pending.items()], since)
+    return DueReaction([DependencyRecovery(name=name, recovery=last.id) for name, last in pending.items()], since)
 
 
-def _last(seen: Mapping[str, Seen], name: str) -> Recovered | None:
+def _last(seen: Mapping[str, UpstreamState], name: str) -> Recovered | None:
     return seen[name].last if name in seen else None
 
 
@@ -197,9 +197,9 @@ def _over(last: Recovered, known: Outage | None) -> float:
     return known.end if known is not None and known.end is not None else last.onset
 
 
-def _unsettled(upstream: Sequence[Upstream], seen: Mapping[str, Seen]) -> Iterator[bool]:
+def _unsettled(upstream: Sequence[Upstream], seen: Mapping[str, UpstreamState]) -> Iterator[bool]:
     for one in upstream:
-        known = seen.get(one.name, Seen())
+        known = seen.get(one.name, UpstreamState())
         yield known.failing
         for name in one.depends_on:
             last = _last(seen, name)

@@ -20,7 +20,7 @@ class NotAvailable(Exception):
     """The resources of a strategy are missing, for example because its pool has no ready pod. Nothing was changed."""
 
 
-class Overtaken(NotAvailable):
+class ClaimsLost(NotAvailable):
     """Other workloads claimed every free pod first. Another attempt may succeed."""
 
 

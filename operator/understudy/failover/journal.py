@@ -8,10 +8,10 @@ from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from understudy.failover.abandoned import GivenUp
+from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.progress import Progress
 
-_GIVEN_UP = TypeAdapter(list[GivenUp])
+_GIVEN_UP = TypeAdapter(list[AbandonedRecovery])
 
 
 class Journal:
@@ -36,14 +36,14 @@ class Journal:
         """Forget it: the recovery is in the status."""
         self._path.unlink(missing_ok=True)
 
-    def give_up(self, given_up: Sequence[GivenUp]) -> None:
+    def give_up(self, given_up: Sequence[AbandonedRecovery]) -> None:
         """Store exactly these abandoned recoveries. The gate may still report them."""
         if given_up:
             _replace(self._given_up, _GIVEN_UP.dump_json(list(given_up)).decode())
         else:
             self._given_up.unlink(missing_ok=True)
 
-    def given_up(self) -> list[GivenUp]:
+    def given_up(self) -> list[AbandonedRecovery]:
         """Those kept; a damaged file counts as none."""
         try:
             return _GIVEN_UP.validate_json(self._given_up.read_text())

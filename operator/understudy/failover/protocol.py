@@ -11,7 +11,7 @@ from collections.abc import Coroutine, Sequence
 from typing import Literal
 
 from understudy.api.kinds.robot_workload import Attempt
-from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Overtaken, Superseded
+from understudy.failover.interfaces import ClaimsLost, Instance, NotAvailable, NotVerified, Superseded
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Choice, Means
 
@@ -89,7 +89,7 @@ async def _in_its_time(progress: Progress, choice: Choice, means: Means, *, last
             async with asyncio.timeout(choice.verify_within):
                 await unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
             return
-        except Overtaken as reason:
+        except ClaimsLost as reason:
             _logger.info("%s", reason)
 
 

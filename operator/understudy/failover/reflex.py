@@ -26,7 +26,7 @@ FENCE_WITHIN = 1.0
 
 
 @dataclass(frozen=True)
-class TakenOver:
+class ReflexSwitch:
     """A standby drives the robot instead of the instance that the gate names. Times are unix seconds."""
 
     standby: PodIdentity
@@ -85,7 +85,7 @@ def measured(arrivals: Sequence[float], now: float) -> bool:
     return len(arrivals) >= ENOUGH and arrivals[-1] - arrivals[0] >= ENOUGH_FOR and now - arrivals[-1] < ENOUGH_FOR
 
 
-def begin(taken: TakenOver, active: PodIdentity, deadline: float) -> Progress:
+def begin(taken: ReflexSwitch, active: PodIdentity, deadline: float) -> Progress:
     """The recovery that the reflex has all but carried out."""
     progress = Progress.begin(
         f"{active.name} was silent for more than the deadline of {deadline * 1000:.0f} ms and {taken.standby.name} took over "

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from understudy.failover.degradation import Lasting
+from understudy.failover.degradation import Period
 
 
 @dataclass(frozen=True)
@@ -24,18 +24,18 @@ class Situations:
     """The situations of a policy, of which one applies at a time. Times are seconds of a monotonic clock."""
 
     def __init__(self) -> None:
-        self._lasting: dict[str, Lasting] = {}
+        self._lasting: dict[str, Period] = {}
 
     def adopt(self, name: str, now: float) -> None:
         """Continue with a situation that applied before this process started."""
-        self._lasting[name] = Lasting(now)
+        self._lasting[name] = Period(now)
 
     def note(self, rules: Sequence[Rule], seen: Mapping[str, bool | None], now: float) -> str | None:
         """Record for each situation whether it is observed (None if that is unknown), and return the first one that applies.
 
         Situations that are no longer in ``rules`` are dropped.
         """
-        self._lasting = {rule.name: self._lasting.get(rule.name) or Lasting() for rule in rules}
+        self._lasting = {rule.name: self._lasting.get(rule.name) or Period() for rule in rules}
         counting = [
             rule.name
             for rule in rules

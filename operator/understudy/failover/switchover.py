@@ -34,7 +34,7 @@ SILENT_WITHIN = 30.0
 
 
 @dataclass(frozen=True)
-class Prepared:
+class Preparation:
     """The result of a preparation."""
 
     progress: Progress
@@ -54,7 +54,7 @@ class Prepared:
         return all(attempt.result == "NotAvailable" for attempt in self.attempts)
 
 
-async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, unfit: Unfit) -> Prepared:
+async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, unfit: Unfit) -> Preparation:
     """Bring an understudy to where it can drive, by the first of the strategies that gets there in its time.
 
     The gate stays as it is, and nothing is persisted that a new monitor would continue: a new monitor begins again.
@@ -73,7 +73,7 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
         try:
             async with asyncio.timeout(choice.verify_within):
                 await unless_lost(work(), progress, means, crashing_counts=True)
-            return Prepared(progress, found[0], attempts)
+            return Preparation(progress, found[0], attempts)
         except NotAvailable as error:
             result, reason = "NotAvailable", str(error)
         except NotVerified as error:
@@ -87,10 +87,10 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
             progress.fail_target()
             await retire(progress, means)
         progress.forget_attempt()
-    return Prepared(progress, None, attempts)
+    return Preparation(progress, None, attempts)
 
 
-async def switch(prepared: Prepared, means: Means) -> Progress:
+async def switch(prepared: Preparation, means: Means) -> Progress:
     """Have a prepared understudy drive, and the instance that drives now no longer.
 
     Returns the progress with its result; with Failed the former instance drives. Raises NotAvailable where the understudy is gone

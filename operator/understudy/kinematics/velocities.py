@@ -20,7 +20,7 @@ FULL = 0.5
 """The part of the window that the poses must span at least, so that a body that has just come into sight has no velocity yet."""
 
 
-class Seen(NamedTuple):
+class Position(NamedTuple):
     """Where a body was seen on the floor."""
 
     stamp: float
@@ -54,9 +54,9 @@ class Velocities:
     def __init__(self, window: float) -> None:
         """``window`` in seconds."""
         self._window = window
-        self._poses: deque[Seen] = deque()
+        self._poses: deque[Position] = deque()
 
-    def add(self, seen: Seen) -> Velocity | None:
+    def add(self, seen: Position) -> Velocity | None:
         """Note where the body was seen, and say how fast it moves; None if too little has been seen.
 
         A stamp that is not later than the last one begins again: its clock was set, or the images come from the start again.

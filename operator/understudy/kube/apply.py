@@ -18,7 +18,7 @@ APPLIED = f"{GROUP}/applied"
 show."""
 
 
-class Taken(Exception):
+class OwnedByOther(Exception):
     """An object of that name exists and belongs to another owner. It was not changed."""
 
     def __init__(self, kind: str, namespace: str, name: str, owner: str) -> None:
@@ -164,4 +164,4 @@ def refuse_foreign(live: Object, body: Object) -> None:
         found = controller_of(live)
         owner = f"{found['kind']} {found['name']}" if found else "nobody of ours"
         metadata = live["metadata"]
-        raise Taken(body.get("kind", "object"), metadata.get("namespace", ""), metadata["name"], owner)
+        raise OwnedByOther(body.get("kind", "object"), metadata.get("namespace", ""), metadata["name"], owner)

@@ -62,7 +62,7 @@ class _Reported:
 
 
 @dataclass
-class _Similar:
+class _MessageCount:
     since: float
     messages: set[str] = field(default_factory=set)
 
@@ -82,7 +82,7 @@ class Recorder:
         """``component`` is for example ``understudy-operator``; ``instance`` is the pod that reports."""
         self._client, self._component, self._instance, self._clock = client, component, instance, clock
         self._reported: OrderedDict[tuple[str, ...], _Reported] = OrderedDict()
-        self._similar: OrderedDict[tuple[str, ...], _Similar] = OrderedDict()
+        self._similar: OrderedDict[tuple[str, ...], _MessageCount] = OrderedDict()
         self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
 
     async def warning(self, target: Mapping[str, Any], reason: str, message: str) -> None:
@@ -114,7 +114,7 @@ class Recorder:
             _logger.info("event %s about %s %s not written: %s", reason, subject[2], subject[3], error)
 
     def _too_many(self, common: tuple[str, ...], message: str, now: float) -> bool:
-        similar = _remember(self._similar, common, lambda: _Similar(now))
+        similar = _remember(self._similar, common, lambda: _MessageCount(now))
         if now - similar.since > SIMILAR_SECONDS:
             similar.since, similar.messages = now, set()
         if message in similar.messages:

@@ -141,14 +141,14 @@ class Reflector:
         return self._changed.wait()
 
 
-class Changing(Protocol):
+class Watchable(Protocol):
     """Something that can change."""
 
     def changed(self) -> Awaitable[object]:
         """Return an awaitable that ends with the next change."""
 
 
-async def any_changed(sources: Iterable[Changing]) -> None:
+async def any_changed(sources: Iterable[Watchable]) -> None:
     """Wait until the first of these sources changes."""
     waits = [asyncio.ensure_future(source.changed()) for source in sources]
     try:

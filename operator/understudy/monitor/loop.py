@@ -17,7 +17,7 @@ from understudy.failover import switchover
 from understudy.failover.decide import Activate, Decision, Hold, Recover, SwitchOver, Wait
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import Means
-from understudy.failover.switchover import Prepared
+from understudy.failover.switchover import Preparation
 from understudy.monitor.act.instances.state_keeping import StateKeeping
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.pool_waiting import PoolQueue
@@ -146,12 +146,12 @@ class MonitorLoop:
             await self._while_closed(resolution.decision, resolution.candidates, now)
         return resolution
 
-    def _prepared_switchover(self, judgement: Judgement) -> Prepared | None:
+    def _prepared_switchover(self, judgement: Judgement) -> Preparation | None:
         """Return the planned switchover that can be carried out now, or is not settled yet."""
         if judgement.verdict is None or judgement.verdict.state == "Failed":
             return None
         if (unsettled := self.act.switchovers.unsettled()) is not None:
-            return Prepared(unsettled)
+            return Preparation(unsettled)
         if self._view.settings is None:
             return None
         return self.act.switchovers.look(self.decide.prevents_switchover(judgement))
@@ -177,7 +177,7 @@ class MonitorLoop:
             if interrupted.switchover is None:
                 await self.carry_out(interrupted)
             elif interrupted.result != "Running" or switchover.committed(interrupted, self.decide.options.means()):
-                self.conclude(await self.act.switchovers.carry_out(Prepared(interrupted)))
+                self.conclude(await self.act.switchovers.carry_out(Preparation(interrupted)))
         elif (done := interrupted_recovery.concluded(gate, self._notices.status)) is not None:
             self.decide.limits.retries.note(done)
 

@@ -93,7 +93,7 @@ MOST_MISS = 5.0
 """Maximum distance in pixels between a reference marker and where it should be seen."""
 
 
-class Placed(NamedTuple):
+class FloorPose(NamedTuple):
     """The pose of a robot on the floor."""
 
     x: float
@@ -105,7 +105,7 @@ class Placed(NamedTuple):
     """3 x 3, of x, y and heading."""
 
 
-def place(corners: Corners, marker: Marker, calibration: Calibration, view: View, noise: float) -> Placed:
+def place(corners: Corners, marker: Marker, calibration: Calibration, view: View, noise: float) -> FloorPose:
     """Return the pose of the robot whose marker is seen. ``noise`` is the standard deviation of a corner in pixels.
 
     Raises Misfit.
@@ -135,7 +135,7 @@ def place(corners: Corners, marker: Marker, calibration: Calibration, view: View
     steps[:, 2] = (steps[:, 2] + math.pi) % math.tau - math.pi
     jacobian = steps.T / _STEP
     x, y, heading = (float(value) for value in poses[0])
-    return Placed(x, y, heading, jacobian @ jacobian.T * noise**2)
+    return FloorPose(x, y, heading, jacobian @ jacobian.T * noise**2)
 
 
 def _pose(points: Matrix, marker: Marker) -> tuple[float, float, float]:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from understudy.kinematics.velocities import Seen, Velocities, Velocity
+from understudy.kinematics.velocities import Position, Velocities, Velocity
 from understudy.tracker.aruco_markers import Corners, Detector
 from understudy.tracker.configuration import Configuration, Marker
-from understudy.tracker.floor_projection import Misfit, Placed, View, place, view_by, view_of
+from understudy.tracker.floor_projection import FloorPose, Misfit, View, place, view_by, view_of
 from understudy.tracker.image_messages import Calibration, Gray, Unusable
 
 REFERENCE_IMAGES = 20
@@ -18,12 +18,12 @@ REFERENCE_IMAGES = 20
 
 
 @dataclass(frozen=True)
-class Sighting:
+class DetectedRobot:
     """A robot that was seen."""
 
     marker: Marker
     corners: Corners
-    placed: Placed
+    placed: FloorPose
     velocity: Velocity | None
     """None until the robot has been seen for long enough."""
 
@@ -48,7 +48,7 @@ class Locator:
         """Set the projection of the camera."""
         self._calibration = calibration
 
-    def see(self, image: Gray, stamp: float) -> list[Sighting]:
+    def see(self, image: Gray, stamp: float) -> list[DetectedRobot]:
         """Return the robots in an image that was taken at ``stamp`` (seconds). Raises Unusable."""
         calibration = self._calibration
         if calibration is None:
@@ -77,8 +77,8 @@ class Locator:
                 self.problems.append(str(error))
                 continue
             variances = tuple(float(placed.covariance[index, index]) for index in range(3))
-            seen = Seen(stamp, placed.x, placed.y, placed.heading, (variances[0], variances[1], variances[2]))
-            sightings.append(Sighting(marker, found[number], placed, self._velocities[number].add(seen)))
+            seen = Position(stamp, placed.x, placed.y, placed.heading, (variances[0], variances[1], variances[2]))
+            sightings.append(DetectedRobot(marker, found[number], placed, self._velocities[number].add(seen)))
         return sightings
 
     def _look_for_references(self, found: dict[int, Corners], calibration: Calibration) -> None:

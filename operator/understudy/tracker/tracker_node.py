@@ -22,9 +22,9 @@ from understudy.ros.runtime.node_options import own_context, plain_node
 from understudy.tracker import camera_calibration
 from understudy.tracker.camera_device import Footage
 from understudy.tracker.configuration import Configuration
-from understudy.tracker.floor_projection import Placed
+from understudy.tracker.floor_projection import FloorPose
 from understudy.tracker.image_messages import Gray, Unusable, calibration, gray
-from understudy.tracker.robot_location import Locator, Sighting
+from understudy.tracker.robot_location import DetectedRobot, Locator
 
 _logger = logging.getLogger(__name__)
 
@@ -162,7 +162,7 @@ class Tracker:
         for sighting in sightings:
             self._publish(sighting, stamp)
 
-    def _publish(self, sighting: Sighting, stamp: Any) -> None:
+    def _publish(self, sighting: DetectedRobot, stamp: Any) -> None:
         on_pose, on_odometry = self._publishers[sighting.marker.id]
         on_pose.publish(pose_of(sighting, self._camera.frame, stamp))
         if (said := odometry_of(sighting, self._camera.frame, stamp)) is not None:
@@ -177,7 +177,7 @@ class Tracker:
             _logger.warning("%s", text)
 
 
-def pose_of(sighting: Sighting, frame: str, stamp: Any) -> Any:
+def pose_of(sighting: DetectedRobot, frame: str, stamp: Any) -> Any:
     """Return the pose of a robot as geometry_msgs/PoseWithCovarianceStamped; ``stamp`` as in a header."""
     message = PoseWithCovarianceStamped()
     message.header.stamp, message.header.frame_id = stamp, frame
@@ -185,7 +185,7 @@ def pose_of(sighting: Sighting, frame: str, stamp: Any) -> Any:
     return message
 
 
-def odometry_of(sighting: Sighting, frame: str, stamp: Any) -> Any | None:
+def odometry_of(sighting: DetectedRobot, frame: str, stamp: Any) -> Any | None:
     """Return the same with its velocity, as nav_msgs/Odometry; None while the velocity is not known."""
     if sighting.velocity is None:
         return None
@@ -197,7 +197,7 @@ def odometry_of(sighting: Sighting, frame: str, stamp: Any) -> Any | None:
     return message
 
 
-def _fill_pose(message: Any, placed: Placed) -> None:
+def _fill_pose(message: Any, placed: FloorPose) -> None:
     message.pose.position.x, message.pose.position.y = placed.x, placed.y
     message.pose.orientation.z = math.sin(placed.heading / 2)
     message.pose.orientation.w = math.cos(placed.heading / 2)

@@ -127,7 +127,9 @@ async def test_a_secret_of_that_name_which_is_somebody_s_own_is_left_alone() -> 
     client = MemoryClient()
     (made,) = created(plan(observe(POOL)), "secrets")
     await client.create(SECRETS, NAMESPACE, {"kind": "Secret", "metadata": {"name": NAME}})
-    with pytest.raises(apply.Taken, match=f'Secret "{NAME}" exists in namespace fleet and belongs to nobody of ours'):
+    with pytest.raises(
+        apply.OwnedByOther, match=f'Secret "{NAME}" exists in namespace fleet and belongs to nobody of ours'
+    ):
         await apply.create(client, SECRETS, NAMESPACE, made)
 
 

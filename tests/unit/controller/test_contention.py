@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from understudy.controller.reconcile.contention import AT_ONCE, EVERY, Contention
+from understudy.controller.reconcile.contention import AT_ONCE, EVERY, RepairCounts
 
 PLACE = ("deployments", "fleet", "w-monitor")
 
@@ -14,8 +14,8 @@ class Clock:
         return self.now
 
 
-def contended(clock: Clock) -> Contention:
-    made = Contention(clock=clock)
+def contended(clock: Clock) -> RepairCounts:
+    made = RepairCounts(clock=clock)
     for _ in range(1 + AT_ONCE):
         assert not made.wait(PLACE, "a")
         made.written(PLACE, "a")

@@ -14,7 +14,7 @@ from understudy.api.kinds.degraded_spec import Resize
 from understudy.api.quantities import amount
 from understudy.controller.plan import Patch, Problem
 from understudy.controller.reconcile import in_place_resize
-from understudy.controller.reconcile.in_place_resize import Outcome
+from understudy.controller.reconcile.in_place_resize import ResizeOutcome
 from understudy.kube.client import STRATEGIC, Object
 
 SLOW = {"requests": {"cpu": "50m"}, "limits": {"cpu": "200m", "memory": "256Mi"}}
@@ -44,11 +44,11 @@ def asking(*actions: Object) -> Object:
     return made
 
 
-def outcomes(made: World) -> list[Outcome]:
+def outcomes(made: World) -> list[ResizeOutcome]:
     return in_place_resize.outcomes(made.observed(), made.understood())
 
 
-def only(made: World) -> Outcome:
+def only(made: World) -> ResizeOutcome:
     (found,) = outcomes(made)
     return found
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.controller.world import workload
-from understudy.controller.reconcile.interning import REMEMBERED_SECONDS, Sharing
+from understudy.controller.reconcile.interning import REMEMBERED_SECONDS, Interner
 from understudy.controller.reconcile.object_store import Store
 from understudy.kube.client import WORKLOADS, Object
 
@@ -46,14 +46,14 @@ def alike(value: Any, other: Any) -> bool:
 @given(st.lists(VALUES, max_size=5))
 def test_everything_says_what_it_said(values: list[Any]) -> None:
     clock = Clock()
-    sharing = Sharing(clock=clock)
+    sharing = Interner(clock=clock)
     for value in values:
         clock.now += REMEMBERED_SECONDS / 2
         assert alike(sharing.of({"spec": copy.deepcopy(value)}, None)["spec"], value)
 
 
 def test_what_two_objects_have_in_common_is_kept_once() -> None:
-    sharing = Sharing(clock=Clock())
+    sharing = Interner(clock=Clock())
     one, two = sharing.of(robot("1", own="1"), None), sharing.of(robot("2", own="2"), None)
     assert one["spec"]["ports"] is two["spec"]["ports"]
     assert one["spec"]["env"] is two["spec"]["env"]
@@ -63,7 +63,7 @@ def test_what_two_objects_have_in_common_is_kept_once() -> None:
 
 def test_a_later_self_keeps_what_has_not_changed_however_long_ago_that_was() -> None:
     clock = Clock()
-    sharing = Sharing(clock=clock)
+    sharing = Interner(clock=clock)
     old = sharing.of(robot("1"), None)
     clock.now += 10 * REMEMBERED_SECONDS
     assert sharing.of(robot("1"), old)["spec"] is old["spec"]
@@ -74,7 +74,7 @@ def test_a_later_self_keeps_what_has_not_changed_however_long_ago_that_was() -> 
 
 def test_what_no_object_has_any_more_is_forgotten() -> None:
     clock = Clock()
-    sharing = Sharing(clock=clock)
+    sharing = Interner(clock=clock)
     first = sharing.of(robot("1"), None)
     assert sharing.of(robot("2"), None)["spec"]["ports"] is first["spec"]["ports"]
     for _ in range(2):
@@ -95,7 +95,7 @@ def test_a_store_keeps_what_its_objects_have_in_common_once() -> None:
 
 
 def test_what_the_objects_of_a_robot_have_in_common_is_kept_once() -> None:
-    sharing = Sharing(clock=Clock())
+    sharing = Interner(clock=Clock())
     owner = [{"kind": "RobotWorkload", "name": "w", "uid": "u"}]
     pods = [
         {

@@ -13,7 +13,7 @@ from tests.unit.controller.pools import condition, observe, plan, present, statu
 from tests.unit.controller.world import IMAGES, NOW, created, deleted, held_pod, policy, spare, stamp, workload
 from understudy.advice.adaptive_size import REST
 from understudy.controller.pods import pool_pods, pool_size
-from understudy.controller.pods.pool_size import Seen
+from understudy.controller.pods.pool_size import RobotHistory
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
@@ -52,7 +52,7 @@ def robot(name: str = "w", *recoveries: Object, age: float = 10 * HOUR, count: i
     return found
 
 
-def seen(*asking: Object, history: float = 24 * HOUR) -> Seen:
+def seen(*asking: Object, history: float = 24 * HOUR) -> RobotHistory:
     return pool_size.seen("spare", asking, NOW - history, NOW)
 
 
@@ -73,7 +73,7 @@ def told(pool: Object, *asking: Object, now: float = NOW) -> Object:
 
 class TestWhatIsCounted:
     def test_robots_that_never_failed_are_observed_from_their_creation(self) -> None:
-        assert seen(robot("a", age=2 * HOUR), robot("b", age=4 * HOUR)) == Seen(2, 0, pytest.approx(6.0))
+        assert seen(robot("a", age=2 * HOUR), robot("b", age=4 * HOUR)) == RobotHistory(2, 0, pytest.approx(6.0))
 
     def test_a_failure_that_took_a_pod_of_it_counts(self) -> None:
         assert seen(robot("a", *failed(100, 200))).failures == 2
@@ -95,12 +95,12 @@ class TestWhatIsCounted:
 
     def test_what_is_long_ago_does_not_count(self) -> None:
         found = seen(robot("a", *failed(100, 3 * HOUR)), history=2 * HOUR)
-        assert found == Seen(1, 1, pytest.approx(2.0))
+        assert found == RobotHistory(1, 1, pytest.approx(2.0))
 
     def test_of_more_failures_than_a_status_keeps_those_are_taken_that_it_has_with_their_time(self) -> None:
         ten = failed(*(360.0 * number for number in range(1, 11)))
-        assert seen(robot("a", *ten, count=40)) == Seen(1, 9, pytest.approx(1.0))
-        assert seen(robot("a", *ten, count=10)) == Seen(1, 10, pytest.approx(10.0))
+        assert seen(robot("a", *ten, count=40)) == RobotHistory(1, 9, pytest.approx(1.0))
+        assert seen(robot("a", *ten, count=10)) == RobotHistory(1, 10, pytest.approx(10.0))
 
     def test_a_record_of_another_version_is_passed_over(self) -> None:
         assert seen(robot("a", {"id": "x", "result": "Recovered"})).failures == 0

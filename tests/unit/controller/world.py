@@ -13,7 +13,7 @@ from understudy.controller.desired import workload_objects
 from understudy.controller.desired.workload_plan import WorkloadPlan, evaluate
 from understudy.controller.observed import kube_objects
 from understudy.controller.observed.observation import Observed
-from understudy.controller.observed.workload_reference import Referred
+from understudy.controller.observed.workload_reference import ReferencedObjects
 from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan, Problem
 from understudy.controller.pods import instance_pod, pool_pods
 from understudy.controller.status import workload_status
@@ -36,8 +36,8 @@ class Names:
     def __init__(self) -> None:
         self._count = itertools.count(1)
 
-    def fresh(self) -> pool_pods.Fresh:
-        return pool_pods.Fresh(name=lambda prefix: f"{prefix}-new{next(self._count):02}", token=lambda: "token")
+    def fresh(self) -> pool_pods.UniqueValues:
+        return pool_pods.UniqueValues(name=lambda prefix: f"{prefix}-new{next(self._count):02}", token=lambda: "token")
 
 
 def custom(kind: str, name: str, spec: Object, *, labels: Mapping[str, str] | None = None, **metadata: Any) -> Object:
@@ -225,7 +225,7 @@ class World:
     """What is around one workload; changed by carrying out a plan, as the API server would."""
 
     def __init__(
-        self, item: Object, *others: Object, pods: Sequence[Object] = (), reference: Referred | None = None
+        self, item: Object, *others: Object, pods: Sequence[Object] = (), reference: ReferencedObjects | None = None
     ) -> None:
         self.workload = item
         self.others = list(others)

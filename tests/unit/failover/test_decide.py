@@ -27,7 +27,7 @@ from understudy.failover.decide import (
     decide,
     in_force,
 )
-from understudy.failover.limits.state import InForce, LimitsInForce
+from understudy.failover.limits.state import ActiveLimit, LimitsInForce
 
 NOW = 1_000_000.0
 LATER = NOW + 20
@@ -43,19 +43,19 @@ def facts(trigger: Trigger, *rows: LimitRow) -> Facts:
             case Limit.DEBOUNCE:
                 occurrence = replace(occurrence, counts_from=LATER)
             case Limit.UPSTREAM_FAILURE:
-                occurrence = replace(occurrence, upstream=InForce("lidar fails", LATER))
+                occurrence = replace(occurrence, upstream=ActiveLimit("lidar fails", LATER))
             case Limit.PAUSE:
-                found = replace(found, limits=replace(found.limits, pause=InForce("paused by ann", LATER)))
+                found = replace(found, limits=replace(found.limits, pause=ActiveLimit("paused by ann", LATER)))
             case Limit.REQUIREMENT:
                 occurrence = replace(occurrence, unmet=Requirement(row.reason, "w-1 is new"))  # type: ignore[arg-type]
             case Limit.WAIT_AFTER_RECOVERY:
-                found = replace(found, limits=replace(found.limits, waiting=InForce(until=LATER)))
+                found = replace(found, limits=replace(found.limits, waiting=ActiveLimit(until=LATER)))
             case Limit.STORM:
-                found = replace(found, limits=replace(found.limits, storm=InForce("4 of 6 fail", LATER)))
+                found = replace(found, limits=replace(found.limits, storm=ActiveLimit("4 of 6 fail", LATER)))
             case Limit.CRASH_LOOP:
                 occurrence = replace(occurrence, first_strategy=None, retry_after=20.0)
             case Limit.BUDGET:
-                found = replace(found, limits=replace(found.limits, budget=InForce("5 were made", LATER)))
+                found = replace(found, limits=replace(found.limits, budget=ActiveLimit("5 were made", LATER)))
     return replace(found, occurrences=(occurrence,))
 
 
@@ -106,7 +106,7 @@ def test_nothing_is_due_without_a_trigger() -> None:
 
 
 def test_a_prevented_trigger_that_yields_leaves_the_next_one_to_be_considered() -> None:
-    waiting = LimitsInForce(waiting=InForce(until=LATER))
+    waiting = LimitsInForce(waiting=ActiveLimit(until=LATER))
     reaction, takeover = Occurrence(Trigger.DEPENDENCY_RECOVERED), Occurrence(Trigger.UNSETTLED_SWITCHOVER)
     assert isinstance(decide(Facts(NOW, (reaction, takeover), waiting)), SwitchOver)
     failure = Occurrence(Trigger.HEALTH_FAILED)
@@ -126,14 +126,14 @@ def test_a_prevented_trigger_that_does_not_yield_is_the_last_one_considered() ->
 
 
 def test_a_storm_does_not_defer_a_failure_if_a_standby_is_ready() -> None:
-    storm = LimitsInForce(storm=InForce("4 of 6 fail", LATER))
+    storm = LimitsInForce(storm=ActiveLimit("4 of 6 fail", LATER))
     found = Facts(NOW, (Occurrence(Trigger.HEALTH_FAILED),), storm)
     assert isinstance(decide(found), Defer)
     assert isinstance(decide(replace(found, standby_ready=True)), Recover)
 
 
 def test_the_robot_that_follows_a_standby_already_is_never_held() -> None:
-    everything = LimitsInForce(InForce(), InForce(), InForce(), InForce())
+    everything = LimitsInForce(ActiveLimit(), ActiveLimit(), ActiveLimit(), ActiveLimit())
     assert isinstance(decide(Facts(NOW, (Occurrence(Trigger.REFLEX_TAKEOVER),), everything)), Recover)
 
 
@@ -144,7 +144,7 @@ def test_the_strategy_to_start_with_is_that_of_the_trigger() -> None:
 
 
 def test_all_limits_in_force_are_listed_in_order_with_the_decision_of_each() -> None:
-    every = LimitsInForce(InForce("paused"), InForce(until=LATER), InForce("storm"), InForce("spent"))
+    every = LimitsInForce(ActiveLimit("paused"), ActiveLimit(until=LATER), ActiveLimit("storm"), ActiveLimit("spent"))
     found = list(in_force(Facts(NOW, (), every), Occurrence(Trigger.HEALTH_FAILED)))
     assert [one.row.limit for one in found] == [Limit.PAUSE, Limit.WAIT_AFTER_RECOVERY, Limit.STORM, Limit.BUDGET]
     assert [type(one.decision) for one in found] == [Defer, Defer, Defer, Hold]
@@ -154,4 +154,4 @@ def test_the_first_pod_is_activated_once_it_is_ready_and_the_workload_is_not_pau
     assert isinstance(decide(Facts(NOW, (Occurrence(Trigger.INITIAL_ACTIVATION),))), Activate)
     none = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=Requirement("NoPodRunning"))
     assert decide(Facts(NOW, (none,))).reason == "NoPodRunning"
-    assert decide(Facts(NOW, (none,), LimitsInForce(pause=InForce("paused by ann")))).reason == "Paused"
+    assert decide(Facts(NOW, (none,), LimitsInForce(pause=ActiveLimit("paused by ann")))).reason == "Paused"

@@ -13,7 +13,7 @@ from understudy.api.kinds.procedure_spec import Procedure
 from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, Recovery, RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import Upstream
 from understudy.failover.bring_up import BringUp
-from understudy.failover.dependency import Due, Held, Outage, Recovered, Seen, due, held, outage
+from understudy.failover.dependency import DueReaction, HeldFailure, Outage, Recovered, UpstreamState, due, held, outage
 from understudy.failover.interfaces import GateState
 from understudy.failover.limits.escalation import Takeover, first_strategy
 from understudy.failover.progress import PodIdentity, Progress, rfc3339
@@ -47,32 +47,32 @@ def committed(id: str = "r2", *, onset: float = NOW - 0.5, result: str = "Runnin
 
 class TestWhatIsSeen:
     def test_a_failure_is_known_from_the_gate_before_the_status_tells_of_it(self) -> None:
-        seen = Seen.of(RobotWorkloadStatus(health="Healthy", recoveries=[recovered()]), committed())
+        seen = UpstreamState.of(RobotWorkloadStatus(health="Healthy", recoveries=[recovered()]), committed())
         assert seen.failing
         assert seen.failing_since == pytest.approx(NOW - 0.5)
 
     def test_a_recovery_that_is_in_the_status_is_over_whatever_stands_beside_the_gate(self) -> None:
         status = RobotWorkloadStatus(health="Healthy", recoveries=[recovered("r2")])
-        assert not Seen.of(status, committed("r2")).failing
+        assert not UpstreamState.of(status, committed("r2")).failing
 
     def test_an_older_recovery_beside_the_gate_that_the_status_no_longer_has_is_over_too(self) -> None:
         status = RobotWorkloadStatus(health="Healthy", recoveries=[recovered("r3")])
-        assert not Seen.of(status, committed("r1", onset=NOW - 60)).failing
+        assert not UpstreamState.of(status, committed("r1", onset=NOW - 60)).failing
 
     def test_a_recovery_that_came_to_nothing_and_was_left_to_an_instance_that_runs_is_over(self) -> None:
-        assert not Seen.of(RobotWorkloadStatus(health="Healthy"), committed(result="Failed")).failing
+        assert not UpstreamState.of(RobotWorkloadStatus(health="Healthy"), committed(result="Failed")).failing
 
     def test_the_beginning_of_a_failure_that_is_not_acted_on_is_in_the_status(self) -> None:
-        seen = Seen.of(RobotWorkloadStatus(health="Failed", failing_since=rfc3339(NOW - 1)), None)
+        seen = UpstreamState.of(RobotWorkloadStatus(health="Failed", failing_since=rfc3339(NOW - 1)), None)
         assert seen.failing
         assert seen.failing_since == pytest.approx(NOW - 1)
 
     @pytest.mark.parametrize(("health", "failing"), [("Degraded", False), ("Unknown", False), ("Starting", True)])
     def test_what_is_degraded_can_be_depended_on_and_what_starts_cannot(self, health: Any, failing: bool) -> None:
-        assert Seen.of(RobotWorkloadStatus(health=health), None).failing == failing
+        assert UpstreamState.of(RobotWorkloadStatus(health=health), None).failing == failing
 
     def test_nothing_is_concluded_where_nothing_is_there(self) -> None:
-        assert not Seen().failing
+        assert not UpstreamState().failing
 
 
 def last(id: str = "r1", onset: float = NOW - 5, end: float | None = NOW - 2) -> Recovered:
@@ -81,34 +81,34 @@ def last(id: str = "r1", onset: float = NOW - 5, end: float | None = NOW - 2) ->
 
 class TestOutages:
     def test_it_lasts_from_the_last_healthy_output_until_the_recovery_is_verified(self) -> None:
-        began = outage(None, Seen("Failed", NOW - 5), NOW - 4)
+        began = outage(None, UpstreamState("Failed", NOW - 5), NOW - 4)
         assert began == Outage(NOW - 5)
-        assert outage(began, Seen("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
+        assert outage(began, UpstreamState("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
 
     def test_one_that_was_over_before_anything_was_seen_of_it_is_known_too(self) -> None:
         """An executing standby takes over in milliseconds, and its monitor writes the status once."""
-        assert outage(None, Seen("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
+        assert outage(None, UpstreamState("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
         before = Outage(NOW - 50, NOW - 45)
-        assert outage(before, Seen("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
+        assert outage(before, UpstreamState("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
 
     def test_one_that_got_well_by_itself_is_over_when_that_is_seen(self) -> None:
-        assert outage(Outage(NOW - 5), Seen("Healthy"), NOW) == Outage(NOW - 5, NOW)
-        older = Seen("Healthy", last=last("r0", NOW - 90, NOW - 80))
+        assert outage(Outage(NOW - 5), UpstreamState("Healthy"), NOW) == Outage(NOW - 5, NOW)
+        older = UpstreamState("Healthy", last=last("r0", NOW - 90, NOW - 80))
         assert outage(Outage(NOW - 5), older, NOW) == Outage(NOW - 5, NOW)
 
     def test_it_goes_on_through_everything_that_is_tried(self) -> None:
-        assert outage(Outage(NOW - 5), Seen("Starting"), NOW) == Outage(NOW - 5)
-        assert outage(Outage(NOW - 5), Seen("Recovering", NOW - 1), NOW) == Outage(NOW - 5)
+        assert outage(Outage(NOW - 5), UpstreamState("Starting"), NOW) == Outage(NOW - 5)
+        assert outage(Outage(NOW - 5), UpstreamState("Recovering", NOW - 1), NOW) == Outage(NOW - 5)
 
     def test_where_its_beginning_is_not_known_everything_may_follow_from_it(self) -> None:
-        assert outage(None, Seen("Starting"), NOW) == Outage(-math.inf)
+        assert outage(None, UpstreamState("Starting"), NOW) == Outage(-math.inf)
 
     def test_what_is_healthy_and_never_failed_has_none(self) -> None:
-        assert outage(None, Seen("Healthy"), NOW) is None
-        assert outage(None, Seen("Healthy", last=last(end=None)), NOW) is None
+        assert outage(None, UpstreamState("Healthy"), NOW) is None
+        assert outage(None, UpstreamState("Healthy", last=last(end=None)), NOW) is None
 
 
-def held_at(now: float, *dependencies: Dependency, onset: float = NOW, **outages: Outage) -> Held | None:
+def held_at(now: float, *dependencies: Dependency, onset: float = NOW, **outages: Outage) -> HeldFailure | None:
     """Of a failure that was noticed half a second after its last healthy output."""
     return held(onset, onset + 0.5, now, depends_on=dependencies or (needs(),), outages=outages)
 
@@ -118,12 +118,12 @@ class TestHolding:
         assert held(NOW, NOW, NOW, depends_on=[], outages={}) is None
 
     def test_it_is_looked_for_a_moment_whether_another_failed_first(self) -> None:
-        assert held_at(NOW + 0.5) == Held(NOW + 0.8)
+        assert held_at(NOW + 0.5) == HeldFailure(NOW + 0.8)
         assert held_at(NOW + 0.81) is None
 
     def test_a_failure_after_that_of_another_is_held_for_as_long_as_that_one_is_not_healthy(self) -> None:
         found = held_at(NOW + 30, localization=Outage(NOW - 0.05))
-        assert found == Held(NOW + 120.5, "localization")
+        assert found == HeldFailure(NOW + 120.5, "localization")
 
     def test_it_is_acted_on_after_a_bounded_time_all_the_same(self) -> None:
         assert held_at(NOW + 121, localization=Outage(NOW - 0.05)) is None
@@ -138,7 +138,7 @@ class TestHolding:
 
     def test_once_the_other_is_healthy_again_it_has_time_to_settle_and_no_more(self) -> None:
         over = Outage(NOW - 1, NOW + 5)
-        assert held_at(NOW + 6, localization=over) == Held(NOW + 15, "localization", settling=True)
+        assert held_at(NOW + 6, localization=over) == HeldFailure(NOW + 15, "localization", settling=True)
         assert held_at(NOW + 15.1, localization=over) is None
 
     def test_a_failure_long_after_the_other_was_healthy_again_is_its_own(self) -> None:
@@ -147,9 +147,11 @@ class TestHolding:
 
     def test_what_is_depended_on_through_others_counts_with_the_longest_times(self) -> None:
         dependencies = needs("planning", settleWithin="20s"), needs("maps", waitFor="5m")
-        assert held_at(NOW + 1, *dependencies, localization=Outage(NOW - 1)) == Held(NOW + 300.5, "localization")
+        assert held_at(NOW + 1, *dependencies, localization=Outage(NOW - 1)) == HeldFailure(NOW + 300.5, "localization")
         over = Outage(NOW - 1, NOW)
-        assert held_at(NOW + 1, *dependencies, localization=over) == Held(NOW + 20, "localization", settling=True)
+        assert held_at(NOW + 1, *dependencies, localization=over) == HeldFailure(
+            NOW + 20, "localization", settling=True
+        )
 
     def test_of_several_the_one_that_takes_longest_counts(self) -> None:
         found = held_at(NOW + 1, needs("a"), needs("b"), a=Outage(NOW - 1, NOW), b=Outage(NOW - 1))
@@ -163,11 +165,13 @@ class TestHolding:
 CHAIN = [Upstream(name="localization"), Upstream(name="planning", depends_on=["localization"])]
 
 
-def healthy(id: str = "", end: float = NOW - 2, **followed: str) -> Seen:
-    return Seen("Healthy", last=last(id, end - 3, end) if id else None, followed=followed)
+def healthy(id: str = "", end: float = NOW - 2, **followed: str) -> UpstreamState:
+    return UpstreamState("Healthy", last=last(id, end - 3, end) if id else None, followed=followed)
 
 
-def due_now(followed: dict[str, str], now: float = NOW, *dependencies: Dependency, **seen: Seen) -> list[str] | None:
+def due_now(
+    followed: dict[str, str], now: float = NOW, *dependencies: Dependency, **seen: UpstreamState
+) -> list[str] | None:
     outages = {name: found for name, one in seen.items() if (found := outage(None, one, now)) is not None}
     wanted = dependencies or (needs("localization"), needs("planning"))
     found = due(wanted, CHAIN, seen, outages, followed=followed, now=now)
@@ -194,7 +198,10 @@ class TestWhatIsDue:
         assert due_now(self.known, **seen) == ["localization/r1", "planning/p1"]
 
     def test_not_while_one_that_comes_first_is_not_healthy(self) -> None:
-        seen = {"localization": healthy("r1"), "planning": Seen("Recovering", NOW - 1, followed={"localization": "r1"})}
+        seen = {
+            "localization": healthy("r1"),
+            "planning": UpstreamState("Recovering", NOW - 1, followed={"localization": "r1"}),
+        }
         assert due_now(self.known, **seen) is None
 
     def test_the_wait_for_a_dependency_has_a_time_limit(self) -> None:
@@ -209,10 +216,10 @@ class TestWhatIsDue:
         assert due_now({}, localization=healthy("r1"), planning=healthy()) is None
 
     def test_a_recovery_that_came_to_nothing_and_an_instance_that_is_healthy_since(self) -> None:
-        seen = Seen("Healthy", last=last("r1", NOW - 9, None))
+        seen = UpstreamState("Healthy", last=last("r1", NOW - 9, None))
         outages = {"localization": Outage(NOW - 9, NOW - 1)}
         found = due([needs()], CHAIN[:1], {"localization": seen}, outages, followed={"localization": "r0"}, now=NOW)
-        assert found == Due([DependencyRecovery(name="localization", recovery="r1")], NOW - 1)
+        assert found == DueReaction([DependencyRecovery(name="localization", recovery="r1")], NOW - 1)
 
 
 GRAPHS = {

@@ -12,7 +12,7 @@ from understudy.failover import reflex
 from understudy.failover.interfaces import GateState
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import recover
-from understudy.failover.reflex import ReflexFallback, TakenOver, longest_gap, measured, switched
+from understudy.failover.reflex import ReflexFallback, ReflexSwitch, longest_gap, measured, switched
 from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.restart import Restart
@@ -81,7 +81,7 @@ def fallen_over() -> Store:
 
 def begun(world: World) -> Progress:
     now = world.clock()
-    return reflex.begin(TakenOver(W2, last=now - 0.13, first=now - 0.005), W1, DEADLINE)
+    return reflex.begin(ReflexSwitch(W2, last=now - 0.13, first=now - 0.005), W1, DEADLINE)
 
 
 async def carried_out(progress: Progress, world: World) -> Progress:

@@ -20,7 +20,7 @@ from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.strategies.uninitialized import UninitializedFallback
-from understudy.failover.switchover import Prepared, prepare, settle, switch
+from understudy.failover.switchover import Preparation, prepare, settle, switch
 
 BRING_UP = BringUp("bringUp", {}, 0.2, "digest", False)
 WITHIN = 0.3
@@ -50,7 +50,7 @@ def planned(world: World) -> Progress:
     return progress
 
 
-async def prepared_by(world: World, *strategies: Strategy, unfit: switchover.Unfit = anything) -> Prepared:
+async def prepared_by(world: World, *strategies: Strategy, unfit: switchover.Unfit = anything) -> Preparation:
     choices = [Choice(strategy, WITHIN) for strategy in strategies]
     return await prepare(planned(world), choices, world.means(), unfit)
 

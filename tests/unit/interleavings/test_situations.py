@@ -23,7 +23,7 @@ from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 from understudy.kube.gates.base import GateRecord
-from understudy.monitor.observe.robot.context_detection import Seen
+from understudy.monitor.observe.robot.context_detection import SituationState
 
 FIRST, RUNS = 500_016, 16
 
@@ -132,8 +132,8 @@ def situations(monkeypatch: pytest.MonkeyPatch) -> None:
         found["spec"]["situations"] = [{"name": CARRYING, "when": when, "clearAfter": "2s", "strategies": raised}]
         return found
 
-    def seen(self: Any, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
-        return {CARRYING: Seen(self._workload in getattr(self._robots, "busy", ()), "it is")}
+    def seen(self: Any, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
+        return {CARRYING: SituationState(self._workload in getattr(self._robots, "busy", ()), "it is")}
 
     monkeypatch.setattr(world, "policy", policy)
     monkeypatch.setattr(senses.HealthObserver, "situations", seen, raising=False)

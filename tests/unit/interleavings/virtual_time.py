@@ -15,7 +15,7 @@ from tests.unit.interleavings.apiserver import EPOCH
 from tests.unit.interleavings.scheduling import current
 from tests.unit.interleavings.simulated_cluster import SimulatedCluster
 from understudy.api import conditions
-from understudy.controller.pods.pool_pods import Fresh
+from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.controller.reconcile import reconciler
 from understudy.failover import progress
 from understudy.kube import leader_election
@@ -61,7 +61,7 @@ def in_virtual_time(cluster: SimulatedCluster) -> Iterator[None]:
                 Calendar(lambda zone: datetime.fromtimestamp(EPOCH + loop.time(), zone)),
             ),
             (leader_election, "_now", lambda: f"{loop.time():.6f}"),
-            (reconciler, "fresh", lambda: Fresh(name=cluster.next_name, token=lambda: "token")),
+            (reconciler, "fresh", lambda: UniqueValues(name=cluster.next_name, token=lambda: "token")),
             (supervising, "TICK", TICK),
             *cluster.patches(),
         ):

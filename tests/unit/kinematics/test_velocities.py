@@ -9,16 +9,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from understudy.kinematics.velocities import Seen, Velocities, Velocity
+from understudy.kinematics.velocities import Position, Velocities, Velocity
 
 SIGMA = 0.001, 0.002, 0.004
 
 
-def seen(stamp: float, x: float, y: float, heading: float, sigma: tuple[float, float, float] = SIGMA) -> Seen:
-    return Seen(stamp, x, y, heading, (sigma[0] ** 2, sigma[1] ** 2, sigma[2] ** 2))
+def seen(stamp: float, x: float, y: float, heading: float, sigma: tuple[float, float, float] = SIGMA) -> Position:
+    return Position(stamp, x, y, heading, (sigma[0] ** 2, sigma[1] ** 2, sigma[2] ** 2))
 
 
-def driven(speed: float, turn: float, start: float = 0.0, count: int = 6, period: float = 0.1) -> list[Seen]:
+def driven(speed: float, turn: float, start: float = 0.0, count: int = 6, period: float = 0.1) -> list[Position]:
     """Poses of a robot that drives evenly on a circle, or straight."""
     poses = []
     for index in range(count):
@@ -32,7 +32,7 @@ def driven(speed: float, turn: float, start: float = 0.0, count: int = 6, period
     return poses
 
 
-def last(velocities: Velocities, poses: list[Seen]) -> Velocity | None:
+def last(velocities: Velocities, poses: list[Position]) -> Velocity | None:
     found = None
     for pose in poses:
         found = velocities.add(pose)

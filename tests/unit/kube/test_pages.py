@@ -13,7 +13,7 @@ import pytest
 from understudy.api.names import COMPONENT
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.runtime import resync
-from understudy.controller.runtime.resync import Lists
+from understudy.controller.runtime.resync import ListCycle
 from understudy.kube.client import CONFIG_MAPS, PODS, WORKLOADS, Client, Object, Part
 
 
@@ -109,7 +109,7 @@ def only_pods(monkeypatch: pytest.MonkeyPatch) -> None:
 
 async def test_every_list_is_complete_for_any_page_size(only_pods: None) -> None:
     server, store = Server(1001), Store()
-    lists = Lists(server, store, ())
+    lists = ListCycle(server, store, ())
     sights = await lists.resync()
     assert len(sights) == len(store.all(PODS)) == 1001
     assert len(server.asked) > 4, "in more than one part"
@@ -125,7 +125,7 @@ async def test_a_background_list_pauses_after_each_page(only_pods: None, monkeyp
     monkeypatch.setattr(asyncio, "sleep", sleep)
     clock = Clock()
     server, store = Server(600), Store(clock=clock)
-    lists = Lists(server, store, ())
+    lists = ListCycle(server, store, ())
     await lists.resync()
     assert not rests, "who waits for it isn't kept waiting"
     server.asked.clear()
@@ -141,7 +141,7 @@ async def test_a_background_list_yields_to_watches_but_not_forever(
 ) -> None:
     clock, slept, until = Clock(), 0.0, 0.0
     server, store = Server(600), Store(clock=clock)
-    lists = Lists(server, store, ())
+    lists = ListCycle(server, store, ())
     await lists.resync()
     pod = store.all(PODS)[0]
 
@@ -170,7 +170,7 @@ async def test_only_changed_objects_are_decoded_again(only_pods: None, monkeypat
 
     monkeypatch.setattr(Part, "items", counted)
     server, store = Server(600), Store()
-    lists = Lists(server, store, ())
+    lists = ListCycle(server, store, ())
     await lists.resync()
     decoded.clear()
     server.change("w-300")
@@ -181,7 +181,7 @@ async def test_only_changed_objects_are_decoded_again(only_pods: None, monkeypat
 
 async def test_an_unchanged_list_corrects_a_wrong_watch_event(only_pods: None) -> None:
     server, store = Server(3), Store()
-    lists = Lists(server, store, ())
+    lists = ListCycle(server, store, ())
     await lists.resync()
     gone = pod("w-gone")
     store.put(PODS, {**gone, "metadata": {**gone["metadata"], "labels": {COMPONENT: "instance"}}})
@@ -198,7 +198,7 @@ async def test_an_unchanged_list_corrects_a_wrong_watch_event(only_pods: None) -
 async def test_a_list_shares_its_objects_with_the_store(only_pods: None) -> None:
     """Or every object of a fleet would be in memory twice."""
     server, store = Server(3), Store()
-    lists = Lists(server, store, ())
+    lists = ListCycle(server, store, ())
     before = pods_in_memory()
     await lists.resync()
     found = [item for item in pods_in_memory() if not any(item is one for one in before)]

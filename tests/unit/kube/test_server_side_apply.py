@@ -59,6 +59,6 @@ async def test_an_object_of_another_owner_is_unchanged_and_reported(foreign: Obj
     client = MemoryClient()
     await client.create(SECRETS, "fleet", foreign)
     before = dict(client.items)
-    with pytest.raises(apply.Taken, match=r'Secret "w-agent" exists in namespace fleet'):
+    with pytest.raises(apply.OwnedByOther, match=r'Secret "w-agent" exists in namespace fleet'):
         await apply.create(client, SECRETS, "fleet", owned("u1"))
     assert client.items == before

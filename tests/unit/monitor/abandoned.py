@@ -13,7 +13,7 @@ from tests.unit.monitor.cluster_objects import ClusterObjects, policy_of
 from tests.unit.monitor.senses import GivenSenses, NoOutputs
 from understudy.api.kinds.robot_workload import Recovery, RobotWorkloadStatus
 from understudy.failover.availability import Availability
-from understudy.failover.dependency import Seen
+from understudy.failover.dependency import UpstreamState
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress, beside
@@ -114,10 +114,10 @@ class Monitor:
         """What a monitor that starts now would continue."""
         return interrupted_recovery.interrupted(self.journal, self.gate, self.notices.status, self.abandonment.ids)
 
-    def seen(self) -> Seen:
+    def seen(self) -> UpstreamState:
         """What those that depend on it make of its gate and of its status, once that says that it is well."""
         recovery = beside(GateRecord.of(self.policy).recovery)
-        return Seen.of(RobotWorkloadStatus(health="Healthy", recoveries=self.recoveries), recovery)
+        return UpstreamState.of(RobotWorkloadStatus(health="Healthy", recoveries=self.recoveries), recovery)
 
     @property
     def policy(self) -> Object:

@@ -13,8 +13,8 @@ from understudy.monitor.act.instances.state_keeping import StateKeeping
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
-from understudy.monitor.observe.robot.context_detection import Seen
-from understudy.monitor.observe.robot.degraded_tree import Busy
+from understudy.monitor.observe.robot.context_detection import SituationState
+from understudy.monitor.observe.robot.degraded_tree import BusyReason
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.monitor.observe.robot.robot_readers import RobotReaders
 from understudy.monitor.observe.senses import Senses
@@ -61,8 +61,8 @@ class GivenObserver(HealthObserver):
         """The verdicts of the health tree and of the tree of spec.degraded."""
         self.times_asked = 0
         """How often the second one was asked for."""
-        self.work: Busy | None = None
-        self.seen: dict[str, Seen] = {}
+        self.work: BusyReason | None = None
+        self.seen: dict[str, SituationState] = {}
         self.heard_at: dict[str, float] = {}
         """When an output was last received from each pod."""
         self.received: dict[tuple[str, str], list[float]] = {}
@@ -89,10 +89,10 @@ class GivenObserver(HealthObserver):
         self.times_asked += 1
         return self.well
 
-    def busy(self, *, now: float, since: float) -> Busy | None:
+    def busy(self, *, now: float, since: float) -> BusyReason | None:
         return self.work
 
-    def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
+    def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
         return self.seen
 
     def deadline(self, *, now: float, since: float) -> float | None:

@@ -118,11 +118,11 @@ def capture(text: str) -> None:
     from geometry_msgs.msg import PoseWithCovarianceStamped
     from rclpy.serialization import deserialize_message
 
-    from understudy.ros.observe.state_samples import Capturing
+    from understudy.ros.observe.state_samples import StateSamples
     from understudy.ros.runtime.graph_node import Graph
 
     wish = json.loads(text)
-    capturing = Capturing(Graph("capturer"))
+    capturing = StateSamples(Graph("capturer"))
     capturing.follow(dict.fromkeys(wish["topics"], None))
     seen: list[list[object]] = []
 

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy")
 
 from tests.unit.ros.network import Network, network
 from tests.unit.ros.processes import Processes
-from understudy.ros.observe.state_samples import Captured, Capturing
+from understudy.ros.observe.state_samples import Captured, StateSamples
 from understudy.ros.runtime.graph_node import Graph
 
 pytestmark = pytest.mark.ros
@@ -25,14 +25,14 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces ne
 
 
 @pytest.fixture
-def capturing(graph: Graph) -> Iterator[Capturing]:
-    made = Capturing(graph)
+def capturing(graph: Graph) -> Iterator[StateSamples]:
+    made = StateSamples(graph)
     yield made
     made.close()
 
 
 @pytest.fixture
-def took(capturing: Capturing, eventually: Callable[..., None]) -> Callable[[str], Captured]:
+def took(capturing: StateSamples, eventually: Callable[..., None]) -> Callable[[str], Captured]:
     """Wait for a message of a topic."""
 
     def wait(topic: str) -> Captured:
@@ -51,7 +51,7 @@ def x(message: Captured) -> float:
 
 
 def test_what_was_said_once_before_anyone_listened_is_taken_with_its_own_time(
-    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+    capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     before = time.time()
     processes.node("pose", "/amcl_pose", "1.5", "0", "latched")
@@ -65,7 +65,7 @@ def test_what_was_said_once_before_anyone_listened_is_taken_with_its_own_time(
 
 
 def test_a_publisher_that_comes_later_is_taken_whether_it_holds_its_messages_or_not(
-    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+    capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/amcl_pose": POSE, "/odom": POSE})
     assert capturing.waiting == {"/amcl_pose": "nobody publishes it", "/odom": "nobody publishes it"}
@@ -84,7 +84,7 @@ def test_a_publisher_that_comes_later_is_taken_whether_it_holds_its_messages_or_
 
 
 def test_type_is_learnt_from_the_graph(
-    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+    capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/amcl_pose": None})
     assert capturing.waiting == {"/amcl_pose": "nobody publishes it, so its type is not known"}
@@ -93,7 +93,7 @@ def test_type_is_learnt_from_the_graph(
 
 
 def test_only_the_last_of_many_messages_is_taken(
-    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+    capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/odom": POSE})
     processes.node("pose", "/odom", "1.0", "100")
@@ -103,7 +103,7 @@ def test_only_the_last_of_many_messages_is_taken(
 
 
 def test_type_that_is_not_installed_is_a_problem_and_the_others_are_taken(
-    capturing: Capturing, processes: Processes, took: Callable[[str], Captured]
+    capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/plan": "nav2_msgs/msg/Plan", "/amcl_pose": POSE})
     assert_golden("ros", capturing.problems["/plan"], "nav2_msgs/msg/Plan")
@@ -112,7 +112,7 @@ def test_type_that_is_not_installed_is_a_problem_and_the_others_are_taken(
 
 
 def test_a_type_that_is_not_the_one_that_is_published_is_a_problem(
-    capturing: Capturing, processes: Processes, eventually: Callable[..., None]
+    capturing: StateSamples, processes: Processes, eventually: Callable[..., None]
 ) -> None:
     capturing.follow({"/amcl_pose": "geometry_msgs/msg/Pose"})
     processes.node("pose", "/amcl_pose", "1.0", "0", "latched")
@@ -122,7 +122,7 @@ def test_a_type_that_is_not_the_one_that_is_published_is_a_problem(
     }
 
 
-def test_a_topic_that_this_process_has_as_another_type_is_a_problem(capturing: Capturing, graph: Graph) -> None:
+def test_a_topic_that_this_process_has_as_another_type_is_a_problem(capturing: StateSamples, graph: Graph) -> None:
     watched = graph.subscribe("/pose", "geometry_msgs/msg/Twist", depth=1)
     capturing.follow({"/pose": "geometry_msgs/msg/PoseStamped"})
     capturing.drain()
@@ -130,7 +130,7 @@ def test_a_topic_that_this_process_has_as_another_type_is_a_problem(capturing: C
     graph.unsubscribe(watched)
 
 
-def test_topics_that_are_not_kept_any_more_are_let_go(capturing: Capturing, graph: Graph) -> None:
+def test_topics_that_are_not_kept_any_more_are_let_go(capturing: StateSamples, graph: Graph) -> None:
     capturing.follow({"/amcl_pose": POSE, "/odom": POSE})
     assert len(list(graph.node.subscriptions)) == 2
     capturing.follow({"/odom": POSE})

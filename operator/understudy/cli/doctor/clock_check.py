@@ -80,7 +80,7 @@ def of_api_server(api: Api) -> Clock | None:
     return None
 
 
-class OfNodes:
+class NodeClocks:
     """Reads the nodes' heartbeats for the duration of the context."""
 
     def __init__(self, api: Api) -> None:
@@ -90,7 +90,7 @@ class OfNodes:
         self.clocks: dict[str, Clock] = {}
         """The clocks of the nodes that wrote meanwhile; empty if the user may not read them."""
 
-    def __enter__(self) -> OfNodes:
+    def __enter__(self) -> NodeClocks:
         self._thread.start()
         return self
 

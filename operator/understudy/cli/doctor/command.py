@@ -134,7 +134,7 @@ class _Examination:
     def _try(self, images: Images, workloads: Sequence[Object]) -> None:
         """Run the checks that need pods. Raises CommandError."""
         with (
-            clock_check.OfNodes(self._api) as nodes,
+            clock_check.NodeClocks(self._api) as nodes,
             test_pods.pair(self._kubectl, self._api, images, self._progress) as pods,
         ):
             seen = packet_check.measure(pods, self._progress)

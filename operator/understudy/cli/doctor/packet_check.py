@@ -48,7 +48,7 @@ _POLICIES = "docs/how-to/network-policies.md"
 
 
 @dataclass
-class Seen:
+class GateTest:
     """What the receiver got. Times are seconds since the request to the API server; None if it did not happen."""
 
     nodes: tuple[str, str]
@@ -70,20 +70,20 @@ class Seen:
     """The clocks of the nodes."""
 
 
-def measure(pods: Pods, progress: Callable[[str], None]) -> Seen:
+def measure(pods: Pods, progress: Callable[[str], None]) -> GateTest:
     """Send through a gate that closes and opens, and return the result. Raises CommandError."""
     nodes = (pods.sender["spec"]["nodeName"], pods.receiver["spec"]["nodeName"])
     with pods.talking(pods.sender) as sender, pods.talking(pods.receiver) as receiver:
-        seen = Seen(nodes)
+        seen = GateTest(nodes)
         progress("asking their nodes for the time")
         seen.clocks = {nodes[0]: of_session(sender), nodes[1]: of_session(receiver)}
-        _Measuring(pods, sender, receiver, seen, progress).run()
+        _Measurement(pods, sender, receiver, seen, progress).run()
         return seen
 
 
-class _Measuring:
+class _Measurement:
     def __init__(
-        self, pods: Pods, sender: Session, receiver: Session, seen: Seen, progress: Callable[[str], None]
+        self, pods: Pods, sender: Session, receiver: Session, seen: GateTest, progress: Callable[[str], None]
     ) -> None:
         self._pods, self._sender, self._receiver, self._seen, self._progress = pods, sender, receiver, seen, progress
         self._host = pods.receiver["status"]["podIP"]
@@ -154,7 +154,7 @@ class _Measuring:
         return moment - self._clock.ahead
 
 
-def judge(seen: Seen) -> list[Finding]:
+def judge(seen: GateTest) -> list[Finding]:
     """Turn the measurement into findings for a person."""
     where = f"from {seen.nodes[0]} to {seen.nodes[1]}" if len(set(seen.nodes)) == 2 else f"on {seen.nodes[0]} only"
     if not seen.before:
@@ -180,7 +180,7 @@ def judge(seen: Seen) -> list[Finding]:
     return [*_ways(seen), *_times(seen, where)]
 
 
-def _ways(seen: Seen) -> Iterator[Finding]:
+def _ways(seen: GateTest) -> Iterator[Finding]:
     if not seen.others:
         yield Finding(
             CHECK,
@@ -199,7 +199,7 @@ def _ways(seen: Seen) -> Iterator[Finding]:
         )
 
 
-def _times(seen: Seen, where: str) -> Iterator[Finding]:
+def _times(seen: GateTest, where: str) -> Iterator[Finding]:
     for word, took in (("opened for a pod", seen.opened), ("taken away", seen.lifted)):
         if took is None:
             yield Finding(
@@ -231,7 +231,7 @@ def _times(seen: Seen, where: str) -> Iterator[Finding]:
     )
 
 
-def to_wire(seen: Seen) -> Object:
+def to_wire(seen: GateTest) -> Object:
     """Return the measurement for scripts, in seconds."""
     times = {"closed": seen.established, "opened": seen.opened, "closedAgain": seen.closed, "lifted": seen.lifted}
     return {

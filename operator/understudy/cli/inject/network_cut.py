@@ -45,7 +45,7 @@ _TOO_OLD = "the node's kernel does not support it: Linux 5.16 with nf_tables is 
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
-class Unable(Exception):
+class CannotCut(Exception):
     """The pod cannot be cut off; the message says why."""
 
 
@@ -55,7 +55,7 @@ def cut(networks: Sequence[Network]) -> Iterator[None]:
     try:
         held = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_NETFILTER)
     except OSError as error:
-        raise Unable(f"{_TOO_OLD} ({error.strerror})") from error
+        raise CannotCut(f"{_TOO_OLD} ({error.strerror})") from error
     with held:
         held.bind((0, 0))
         held.settimeout(5.0)
@@ -64,9 +64,9 @@ def cut(networks: Sequence[Network]) -> Iterator[None]:
         try:
             _commit(held, _changes(table, networks))
         except PermissionError as error:
-            raise Unable("permission denied: the capability NET_ADMIN in the pod's network is required") from error
+            raise CannotCut("permission denied: the capability NET_ADMIN in the pod's network is required") from error
         except OSError as error:
-            raise Unable(f"{_TOO_OLD} ({error.strerror or error})") from error
+            raise CannotCut(f"{_TOO_OLD} ({error.strerror or error})") from error
         yield
 
 
@@ -154,7 +154,7 @@ def run(length: float, given: Sequence[str]) -> None:
     # Block and wait, because process 1 of a container does not receive signals without a handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)
     if time.time() > float(os.environ[LATEST]):
-        raise Unable("the container started too late; the caller no longer waits")
+        raise CannotCut("the container started too late; the caller no longer waits")
     with cut([ipaddress.ip_network(one) for one in given]):
         print(json.dumps({"cut": time.time(), "process": os.getpid()}), flush=True)
         signal.sigtimedwait(ending, length)
@@ -164,5 +164,5 @@ def run(length: float, given: Sequence[str]) -> None:
 if __name__ == "__main__":
     try:
         run(float(sys.argv[1]), sys.argv[2:])
-    except Unable as error:
+    except CannotCut as error:
         sys.exit(str(error))

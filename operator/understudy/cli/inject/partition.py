@@ -45,7 +45,7 @@ _UNDO = 'kill "$1"'
 
 
 @dataclass(frozen=True)
-class Means:
+class Method:
     """How a pod is cut off, and from which peers."""
 
     image: str
@@ -54,7 +54,7 @@ class Means:
     """Addresses and networks; empty for everything."""
 
 
-def means(kubectl: Kubectl, name: str, whom: Sequence[str]) -> Means:
+def means(kubectl: Kubectl, name: str, whom: Sequence[str]) -> Method:
     """Determine the image, which is that of the monitor, and the peers. Raises CommandError."""
     selector = ",".join(f"{key}={value}" for key, value in monitor_deployment.labels(name).items())
     items: list[Object] = kubectl.get("pods", "-l", selector)["items"]
@@ -63,7 +63,7 @@ def means(kubectl: Kubectl, name: str, whom: Sequence[str]) -> Means:
     monitor = max(items, key=kube_objects.sort_key)
     made_of = monitor["spec"]["containers"][0]
     peers = tuple(peer for one in whom for peer in _addresses(one, monitor))
-    return Means(made_of["image"], made_of.get("imagePullPolicy") or "IfNotPresent", peers)
+    return Method(made_of["image"], made_of.get("imagePullPolicy") or "IfNotPresent", peers)
 
 
 def _addresses(whom: str, monitor: Object) -> list[str]:
@@ -81,7 +81,7 @@ def _addresses(whom: str, monitor: Object) -> list[str]:
     return [whom]
 
 
-def cut_off(kubectl: Kubectl, pod: str, given: Means, length: float) -> None:
+def cut_off(kubectl: Kubectl, pod: str, given: Method, length: float) -> None:
     """Cut a pod off and wait until it is connected again. Raises CommandError."""
     name = f"partition-{uuid.uuid4().hex[:6]}"
     try:
@@ -93,7 +93,7 @@ def cut_off(kubectl: Kubectl, pod: str, given: Means, length: float) -> None:
         raise CommandError(f"container {name} may still cut pod {pod} off, for {length:g} s") from None
 
 
-def container(name: str, given: Means, length: float) -> Object:
+def container(name: str, given: Method, length: float) -> Object:
     """Build the container, without the time after which it must not start."""
     return {
         "name": name,

@@ -28,7 +28,7 @@ _KINDS = {
 
 
 @dataclass(frozen=True)
-class Around:
+class WorkloadObjects:
     """A workload with the objects around it."""
 
     observed: Observed
@@ -41,7 +41,7 @@ class Around:
     are among them."""
 
 
-def around(kubectl: Kubectl, name: str) -> Around:
+def around(kubectl: Kubectl, name: str) -> WorkloadObjects:
     """Read the observed state around a workload. Raises CommandError."""
     item = kubectl.get(WORKLOADS.qualified, name)
     kinds = (POLICIES, POOLS, WORKLOADS, PODS, *registry.FENCING_RESOURCES)
@@ -58,7 +58,7 @@ def around(kubectl: Kubectl, name: str) -> Around:
     events = kubectl.get("events", "--field-selector", selector)["items"]
     others = [one for one in items if one["kind"] == "RobotWorkload"]
     gates = {one["metadata"]["name"]: one for one in items if one["kind"] in registry.OBJECT_KINDS}
-    return Around(observed_from(item, items, Asked(kubectl)), events, others, gates)
+    return WorkloadObjects(observed_from(item, items, KubectlReader(kubectl)), events, others, gates)
 
 
 def observed_from(item: Object, items: Iterable[Object], reader: Reader) -> Observed:
@@ -69,7 +69,7 @@ def observed_from(item: Object, items: Iterable[Object], reader: Reader) -> Obse
     return asyncio.run(Observer(reader, store, Expectations()).workload(item))
 
 
-class Asked:
+class KubectlReader:
     """Fetches objects with kubectl, which knows the namespace."""
 
     def __init__(self, kubectl: Kubectl) -> None:

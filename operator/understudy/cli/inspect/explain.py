@@ -12,7 +12,7 @@ from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.inspect import explanation
 from understudy.cli.inspect.cluster_observation import around
-from understudy.cli.inspect.explanation import Known
+from understudy.cli.inspect.explanation import Facts
 
 HEALTHY, NOT_HEALTHY = 0, 1
 """Exit statuses besides ERROR."""
@@ -22,7 +22,7 @@ HEALTHY, NOT_HEALTHY = 0, 1
 def main(arguments: list[str]) -> int:
     """Run the command."""
     given = _parser().parse_args(arguments)
-    known = Known.of(around(Kubectl(given), given.name))
+    known = Facts.of(around(Kubectl(given), given.name))
     out = sys.stdout
     if given.output == "text":
         print("\n".join(explanation.lines(known, columns=terminal.columns(out), colours=terminal.colours(out))))

@@ -23,7 +23,7 @@ from understudy.cli.common.text.time_bars import length
 from understudy.cli.common.text.tree_text import coloured, plain
 from understudy.cli.common.text.wording import age, listed, wrapped
 from understudy.cli.inspect import limit_text
-from understudy.cli.inspect.cluster_observation import Around
+from understudy.cli.inspect.cluster_observation import WorkloadObjects
 from understudy.controller.desired import effective_policy, standby_pods
 from understudy.controller.desired.workload_plan import WorkloadPlan, evaluate
 from understudy.controller.observed import (
@@ -39,7 +39,7 @@ from understudy.controller.plan import Images
 from understudy.controller.pods import pool_pods as pools
 from understudy.controller.pods import pool_size
 from understudy.controller.status import protection
-from understudy.controller.status.protection import Considered
+from understudy.controller.status.protection import StrategyOutlook
 from understudy.kube.client import Object
 from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
@@ -52,7 +52,7 @@ LATELY = 5
 
 
 @dataclass(frozen=True)
-class Known:
+class Facts:
     """All input of the explanation: the status, and the present objects of the cluster."""
 
     observed: Observed
@@ -70,7 +70,7 @@ class Known:
     """The gates of these workloads, by the gates' names."""
 
     @classmethod
-    def of(cls, around: Around) -> Known:
+    def of(cls, around: WorkloadObjects) -> Facts:
         """Build it from the objects around a workload. Raises CommandError if its status cannot be parsed."""
         observed = around.observed
         workload_plan = evaluate(observed, Images(monitor=""))
@@ -81,7 +81,7 @@ class Known:
         return cls(observed, workload_plan, status_of(item), said, protected, around.events, others, around.gates)
 
     @property
-    def considered(self) -> Sequence[Considered]:
+    def considered(self) -> Sequence[StrategyOutlook]:
         """The strategies that count now, in order, each with whether it could run."""
         return protection.considered(self.observed, self.workload_plan)
 
@@ -159,7 +159,7 @@ class _Entry:
 _MARKS = {"Healthy": "✓ ", "Failed": "✗ ", "Degraded": "! ", "": ""}
 
 
-def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
+def lines(known: Facts, *, columns: int | None, colours: bool) -> Iterator[str]:
     """Format the whole explanation."""
     colour = "Failed" if known.health == UNWATCHED else known.health
     health = coloured(plain(known.health), colour, colours=colours)
@@ -174,7 +174,7 @@ def lines(known: Known, *, columns: int | None, colours: bool) -> Iterator[str]:
             yield from _drawn(entry, columns, colours)
 
 
-def for_scripts(known: Known) -> dict[str, Any]:
+def for_scripts(known: Facts) -> dict[str, Any]:
     """Return the explanation as plain values: fields as far as possible, and sentences for the rest."""
     name, _ = kube_objects.active(known.observed.gate)
     strategies = [
@@ -204,7 +204,7 @@ def for_scripts(known: Known) -> dict[str, Any]:
     }
 
 
-def _sections(known: Known) -> dict[str, list[_Entry]]:
+def _sections(known: Facts) -> dict[str, list[_Entry]]:
     """Return the entries by heading, in order."""
     return {
         "If it failed now": list(_failing(known)),
@@ -226,14 +226,14 @@ def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:
 # -- how it is --------------------------------------------------------------------------------------------------------
 
 
-def _for(known: Known) -> str:
+def _for(known: Facts) -> str:
     if known.is_watched and known.said.recovering is not None:
         return f" for {age(known.said.recovering.since, known.observed.now)}"
     found = decisive(known.health, known.said.active, known.status.conditions or [])
     return f" for {age(found.last_transition_time, known.observed.now)}" if found is not None else ""
 
 
-def _state(known: Known) -> Iterator[_Entry]:
+def _state(known: Facts) -> Iterator[_Entry]:
     """Explain the present state, and name the active instance."""
     status, observed = known.status, known.observed
     if not known.is_watched:
@@ -265,7 +265,7 @@ def _state(known: Known) -> Iterator[_Entry]:
         yield _Entry(f"Let through beside it, for the reflex: {admitted}.")
 
 
-def _situation(known: Known) -> Iterator[_Entry]:
+def _situation(known: Facts) -> Iterator[_Entry]:
     """Name the situation of its policy that applies, and what is in force because of it."""
     conditions = known.status.conditions or []
     said = next((one for one in conditions if one.type == situation_strategies.CONDITION), None)
@@ -285,7 +285,7 @@ def _where(pod: Object) -> str:
 # -- if it failed now -------------------------------------------------------------------------------------------------
 
 
-def _failing(known: Known) -> Iterator[_Entry]:
+def _failing(known: Facts) -> Iterator[_Entry]:
     considered = known.considered
     if not known.is_watched:
         yield _Entry(
@@ -324,7 +324,7 @@ def _failing(known: Known) -> Iterator[_Entry]:
     yield from _otherwise(known, considered)
 
 
-def _limits(known: Known) -> Iterator[_Entry]:
+def _limits(known: Facts) -> Iterator[_Entry]:
     """List the limits that would prevent or delay it."""
     item, now, policy = known.observed.workload, known.observed.now, known.policy
     policy_item = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
@@ -334,7 +334,7 @@ def _limits(known: Known) -> Iterator[_Entry]:
     yield from map(_Entry, limit_text.budget_left(policy, known.status, item, now))
 
 
-def _experience(strategy: Strategy, known: Known) -> str:
+def _experience(strategy: Strategy, known: Facts) -> str:
     """Describe how long the strategy took in earlier recoveries."""
     name = _recorded(strategy, known.observed)
     took = [
@@ -361,7 +361,7 @@ def _recorded(strategy: Strategy, observed: Observed) -> str:
     return f"{strategy.type}/{pool_reader.readiness(item) if item is not None else ''}"
 
 
-def _otherwise(known: Known, considered: Sequence[Considered]) -> Iterator[_Entry]:
+def _otherwise(known: Facts, considered: Sequence[StrategyOutlook]) -> Iterator[_Entry]:
     """Report a different choice of the monitor, which knows the standbys' agents; this command does not."""
     said = known.status.strategy
     if not said or not considered or known.health in (UNWATCHED, "Recovering"):
@@ -386,7 +386,7 @@ _AFTERWARDS = {
 }
 
 
-def _dependencies(known: Known) -> Iterator[_Entry]:
+def _dependencies(known: Facts) -> Iterator[_Entry]:
     """List its dependencies with their health, and the workloads that depend on it."""
     for one in known.spec.depends_on if known.spec is not None else ():
         after = f"once it was recovered, {_AFTERWARDS[one.on_recovery]}"
@@ -407,7 +407,7 @@ def _dependencies(known: Known) -> Iterator[_Entry]:
 # -- pools --------------------------------------------------------------------------------------------------------------
 
 
-def _pools(known: Known) -> Iterator[_Entry]:
+def _pools(known: Facts) -> Iterator[_Entry]:
     """Describe the pools that its policy names."""
     observed = known.observed
     for name in known.pools:
@@ -451,7 +451,7 @@ def _pod(pod: Object) -> _Entry:
 # -- what is missing ----------------------------------------------------------------------------------------------------
 
 
-def _missing(known: Known) -> Iterator[_Entry]:
+def _missing(known: Facts) -> Iterator[_Entry]:
     """List what is not as it should be, with the remedy that the reporting component wrote."""
     observed = known.observed
     found = [problem for problem in known.said.problems if problem.type != "Protected"]
@@ -479,7 +479,7 @@ def _missing(known: Known) -> Iterator[_Entry]:
         yield _Entry("Its protection is complete." if found else "Nothing: its protection is complete.", "Healthy")
 
 
-def _unprotected(known: Known) -> str:
+def _unprotected(known: Facts) -> str:
     """Explain why it is not protected, in short if an unavailable strategy above explains it already."""
     found = known.protected
     said = next((problem for problem in known.said.problems if problem.type == "Protected"), None)
@@ -491,7 +491,7 @@ def _unprotected(known: Known) -> str:
     return f"not protected ({found.reason}{since}): {words}{stale}"
 
 
-def _not_covered(known: Known) -> Iterator[_Entry]:
+def _not_covered(known: Facts) -> Iterator[_Entry]:
     """List what its protection does not cover as configured, and what the monitor reports about the readers of the
     outputs."""
     read = next((one for one in known.status.conditions or [] if one.type == "OutputsRead"), None)

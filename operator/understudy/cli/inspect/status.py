@@ -18,7 +18,7 @@ from understudy.cli.common.errors import ERROR, CommandError, Forbidden, reports
 from understudy.cli.common.robots import Pool, Robot, pool, robot
 from understudy.cli.common.text import terminal
 from understudy.cli.inspect import status_screen
-from understudy.cli.inspect.status_screen import Look
+from understudy.cli.inspect.status_screen import Layout
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 from understudy.kube.gates import registry
@@ -205,8 +205,8 @@ class _Lines:
         print(time.strftime("%H:%M:%SZ", time.gmtime()), line, flush=True)
 
 
-def _look(out: TextIO, reader: _ClusterReader, *, wide: bool) -> Look:
-    return Look(
+def _look(out: TextIO, reader: _ClusterReader, *, wide: bool) -> Layout:
+    return Layout(
         now=time.time(),
         columns=terminal.columns(out),
         colours=terminal.colours(out),

@@ -24,7 +24,7 @@ _LONGEST_HEALTH = max(len(health) for health in (*get_args(Health), UNWATCHED))
 
 
 @dataclass(frozen=True)
-class Look:
+class Layout:
     """How the screen is formatted."""
 
     now: float
@@ -36,14 +36,14 @@ class Look:
     wide: bool = False
 
 
-def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
+def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Layout) -> Iterator[str]:
     """Format everything."""
     yield from _body(robots, pools, look)
     yield ""
     yield from wrapped(summary(robots), look.columns, indent=0, hanging=2)
 
 
-def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Look, rows: int) -> list[str]:
+def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Layout, rows: int) -> list[str]:
     """Format what fits into so many rows. If not everything fits, robots with problems come first."""
     shown = list(lines(robots, pools, look))
     if len(shown) <= rows:
@@ -55,7 +55,7 @@ def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Look, rows: 
     return [*shown[: rows - 1], f"… {counted(hidden, 'more line')}: enlarge the window, or name robots"]
 
 
-def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Look) -> Iterator[str]:
+def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Layout) -> Iterator[str]:
     yield from _rows(robots, look)
     if pools:
         yield ""
@@ -78,7 +78,7 @@ def in_a_line(robot: Robot) -> str:
     return plain("; ".join(parts))
 
 
-def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
+def _rows(robots: Sequence[Robot], look: Layout) -> Iterator[str]:
     """Format the widest layout that fits, with the problems of each robot below its row."""
     layouts = [_WIDE] if look.wide else [_FULL, _MIDDLE, _NARROW, _NARROWEST]
     for layout in layouts:
@@ -102,7 +102,7 @@ def _rows(robots: Sequence[Robot], look: Look) -> Iterator[str]:
         yield from _stacked(robot, look)
 
 
-def _stacked(robot: Robot, look: Look) -> Iterator[str]:
+def _stacked(robot: Robot, look: Layout) -> Iterator[str]:
     """Format a robot for a narrow terminal."""
     name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
     yield f"{plain(name)}  {_health(robot, look).format(0, colours=look.colours).rstrip()}"
@@ -116,7 +116,7 @@ def _stacked(robot: Robot, look: Look) -> Iterator[str]:
     yield from _problem_lines(robot.problems, look)
 
 
-def _problem_lines(problems: Sequence[Problem], look: Look) -> Iterator[str]:
+def _problem_lines(problems: Sequence[Problem], look: Layout) -> Iterator[str]:
     for problem in problems:
         since = f", {age(problem.since, look.now)}" if problem.since else ""
         head = f"{problem.about} ({problem.reason}{since}):"
@@ -131,7 +131,7 @@ def _problem_lines(problems: Sequence[Problem], look: Look) -> Iterator[str]:
         )
 
 
-def _pools(pools: Sequence[Pool], known: Sequence[str], look: Look) -> Iterator[str]:
+def _pools(pools: Sequence[Pool], known: Sequence[str], look: Layout) -> Iterator[str]:
     """Format a table of pools with their problems, except those ``known`` from a robot: pools report their pods' problems too."""
     names = [f"{pool.namespace}/{pool.name}" if look.namespaces else pool.name for pool in pools]
     rows = [
@@ -163,11 +163,11 @@ def _active(robot: Robot, *, in_short: bool = False) -> str:
     return f"{name or NO_INSTANCE} ({robot.epoch})"
 
 
-def _health(robot: Robot, look: Look) -> Cell:
+def _health(robot: Robot, look: Layout) -> Cell:
     return Cell(robot.health.ljust(_LONGEST_HEALTH), "Failed" if robot.health == UNWATCHED else robot.health)
 
 
-def _protected(robot: Robot, look: Look) -> Cell:
+def _protected(robot: Robot, look: Layout) -> Cell:
     return Cell("yes", "Healthy") if robot.protected else Cell("NO", "Failed")
 
 
@@ -193,7 +193,7 @@ def _time(last: LastRecovery) -> str:
     return length(last.recovery_seconds) if last.recovery_seconds is not None else _how(last)
 
 
-_Layout = Sequence[tuple[str, Callable[[Robot, Look], Cell]]]
+_Layout = Sequence[tuple[str, Callable[[Robot, Layout], Cell]]]
 
 _SHORT: _Layout = [
     ("ROBOT", lambda robot, look: Cell(robot.name)),

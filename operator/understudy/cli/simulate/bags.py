@@ -42,7 +42,7 @@ class BagTopic:
     """Messages."""
 
 
-class Taken(NamedTuple):
+class BagTrack(NamedTuple):
     """One recorded message."""
 
     topic: str
@@ -57,7 +57,7 @@ class Recorded(Received):
 
     __slots__ = ("_definitions", "_type")
 
-    def __init__(self, taken: Taken, type_name: str, definitions: Definitions) -> None:
+    def __init__(self, taken: BagTrack, type_name: str, definitions: Definitions) -> None:
         stamped = next(iter((definitions.fields(type_name) or {}).values()), None) == HEADER
         super().__init__(taken.received, taken.received, taken.data, None, stamped)
         self._definitions, self._type = definitions, type_name
@@ -121,7 +121,7 @@ class Bag:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._reader.close()
 
-    def messages(self, wanted: Mapping[str, str]) -> Iterator[Taken]:
+    def messages(self, wanted: Mapping[str, str]) -> Iterator[BagTrack]:
         """Yield the messages of topics with these types (by name), oldest first. Raises CommandError if the bag is damaged."""
         connections: list[Connection] = [
             one for one in self._reader.connections if wanted.get(one.topic) == one.msgtype
@@ -133,7 +133,7 @@ class Bag:
             for connection, stamp, data in self._reader.messages(connections=connections):
                 # The files of a split recording overlap a little.
                 latest = max(latest, stamp * _NS)
-                yield Taken(connection.topic, latest, data)
+                yield BagTrack(connection.topic, latest, data)
         except Exception as error:
             reason = str(error) or type(error).__name__
             raise CommandError(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from understudy.cli.common.errors import CommandError
-from understudy.cli.simulate.bags import Bag, Recorded, Taken
+from understudy.cli.simulate.bags import Bag, BagTrack, Recorded
 from understudy.cli.simulate.leaf_history import Evaluation
 from understudy.ros.observe.message_contents import ours
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
@@ -75,7 +75,7 @@ class _Received:
         self.observations = Observed(self._records, self._tasks)
         self.arrivals = {name: array("d") for name in wanted}
 
-    def take(self, taken: Taken) -> None:
+    def take(self, taken: BagTrack) -> None:
         """Add a message."""
         if self._types[taken.topic] == DIAGNOSTICS and ours(taken.data):
             return
@@ -88,7 +88,7 @@ class _Received:
         if want.task:
             self._note_goals(taken)
 
-    def _note_goals(self, taken: Taken) -> None:
+    def _note_goals(self, taken: BagTrack) -> None:
         try:
             status: Any = Recorded(taken, self._types[taken.topic], self._definitions).message()
         except Unreadable:
@@ -101,7 +101,7 @@ class _Received:
 
 def _run(evaluation: Evaluation, received: _Received, bag: Bag, types: Mapping[str, str]) -> None:
     observations, now = received.observations, bag.start
-    following: Iterator[Taken] = bag.messages(types)
+    following: Iterator[BagTrack] = bag.messages(types)
     coming = next(following, None)
     while True:
         while coming is not None and coming.received <= now:

@@ -18,7 +18,7 @@ from understudy.controller.observed import (
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
 from understudy.controller.pods import instance_pod, pod_counts
-from understudy.controller.pods.pool_pods import Fresh
+from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.kube.client import PODS, REPLICA_SETS, Object
 
 
@@ -44,7 +44,7 @@ def own_stands_by(observed: Observed) -> bool:
     return stand_ins.may_stand_in(observed.workload, observed.policy)
 
 
-def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str, fresh: Fresh) -> None:
+def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str, fresh: UniqueValues) -> None:
     """Keep as many standbys of a pool as the workload should have, with the current template."""
     workload, gate, built = observed.workload, observed.gate, workload_plan.builts[pool]
     owner = kube_objects.owner("RobotWorkload", workload)

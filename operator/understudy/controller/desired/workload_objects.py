@@ -24,7 +24,7 @@ from understudy.controller.observed import dependency_graph, kube_objects, owner
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Apply, Create, Delete, Images, Patch, Plan
 from understudy.controller.pods import claim_tokens, instance_pod, ros_environment
-from understudy.controller.pods.pool_pods import Fresh
+from understudy.controller.pods.pool_pods import UniqueValues
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
@@ -47,7 +47,7 @@ SWEPT = (DEPLOYMENTS, SERVICES)
 """Resources of which a workload's unneeded objects are deleted (the discovery server)."""
 
 
-def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh: Fresh) -> Plan:
+def plan(observed: Observed, workload_plan: WorkloadPlan, images: Images, fresh: UniqueValues) -> Plan:
     """Return the writes for a workload."""
     made = Plan()
     workload, spec = observed.workload, workload_plan.spec

@@ -61,7 +61,7 @@ def evaluate(observed: Observed, images: Images) -> WorkloadPlan:
         return refuse(Problem("PortsExhausted", str(error)))
     template, path, stripped = spec.template or {}, "spec.template", frozenset[str]()
     if spec.workload_ref is not None:
-        referred = observed.reference or workload_reference.Referred()
+        referred = observed.reference or workload_reference.ReferencedObjects()
         if found := workload_reference.problem(spec.workload_ref, referred, observed.rivals, namespace):
             return refuse(found)
         assert referred.controller is not None

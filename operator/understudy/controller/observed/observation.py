@@ -46,7 +46,7 @@ class Observed:
     """The managed discovery server's pods."""
     unclaimed: Mapping[str, Sequence[Object]] = field(default_factory=dict)
     """Held pods, by pool."""
-    reference: workload_reference.Referred | None = None
+    reference: workload_reference.ReferencedObjects | None = None
     """The object of ``workloadRef``; None if the workload has a template."""
     rivals: Sequence[str] = ()
     """Older RobotWorkloads that refer to the same controller."""

@@ -15,7 +15,7 @@ from understudy.kube.client import PODS, Object
 
 
 @dataclass(frozen=True)
-class Referred:
+class ReferencedObjects:
     """The object of ``workloadRef``."""
 
     controller: Object | None = None
@@ -24,7 +24,9 @@ class Referred:
     """Its pods."""
 
 
-def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[str], namespace: str) -> Problem | None:
+def problem(
+    reference: WorkloadReference, referred: ReferencedObjects, rivals: Sequence[str], namespace: str
+) -> Problem | None:
     """Return why a referred controller cannot be protected, or None."""
     target = f"{reference.kind} {reference.name}"
     controller = referred.controller
@@ -54,7 +56,7 @@ def problem(reference: WorkloadReference, referred: Referred, rivals: Sequence[s
     return None
 
 
-def label_keys(referred: Referred) -> frozenset[str]:
+def label_keys(referred: ReferencedObjects) -> frozenset[str]:
     """Return the label keys with which the controller, or an object that it creates, would adopt a pod."""
     selector = ((referred.controller or {}).get("spec") or {}).get("selector") or {}
     return frozenset(requirement["key"] for requirement in selectors.requirements(selector))
@@ -72,7 +74,7 @@ def _controller_uid(item: Object) -> str:
     return next((owner["uid"] for owner in owners if owner.get("controller")), "")
 
 
-def labelling(workload: str, pods: Sequence[Object], referred: Referred | None) -> Iterator[Patch]:
+def labelling(workload: str, pods: Sequence[Object], referred: ReferencedObjects | None) -> Iterator[Patch]:
     """Yield patches that label every instance, so that the gate can select it, and remove the labels from other pods."""
     for pod in pods:
         if kube_objects.labels(pod).get(names.SOURCE) == "workload" and not kube_objects.deleted(pod):

@@ -149,14 +149,14 @@ def _no_source(source: str, observed: Observed) -> Problem:
 
 
 @dataclass(frozen=True)
-class Fresh:
+class UniqueValues:
     """The source of unique names and secrets."""
 
     name: Callable[[str], str]
     token: Callable[[], str] = field(repr=False)
 
 
-def plan(observed: Observed, pool_plan: PoolPlan, fresh: Fresh) -> Plan:
+def plan(observed: Observed, pool_plan: PoolPlan, fresh: UniqueValues) -> Plan:
     """Return the writes for a pool. Claimed pods are never among them.
 
     If the spec is not accepted, no pods are created or deleted.

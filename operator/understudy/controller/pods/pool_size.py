@@ -33,7 +33,7 @@ _SHARED = frozenset(f"Fallback/{name}" for name, level in LEVELS.items() if leve
 
 
 @dataclass(frozen=True)
-class Seen:
+class RobotHistory:
     """The observations of the robots that share a pool."""
 
     robots: int = 0
@@ -96,7 +96,7 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
     return Sized(sizing, rate, decision, said, before, short)
 
 
-def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> Seen:
+def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> RobotHistory:
     """Return how often workloads asked for a pod of a pool since ``begin``, and for how many hours they were observed."""
     robots, failures, hours = 0, 0, 0.0
     for workload in asking:
@@ -110,7 +110,7 @@ def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> Seen:
         robots += 1
         failures += sum(since < _when(one) <= now and _asked(pool, one) for one in recoveries)
         hours += max(0.0, now - since) / _HOUR
-    return Seen(robots, failures, hours)
+    return RobotHistory(robots, failures, hours)
 
 
 def _when(recovery: Object) -> float:
@@ -157,7 +157,7 @@ def status(found: Sized) -> Object:
     return {"sizing": found.said.to_wire()}
 
 
-def _said(of: Seen, rate: Rate, decision: Decision) -> SizingStatus:
+def _said(of: RobotHistory, rate: Rate, decision: Decision) -> SizingStatus:
     return SizingStatus(
         size=decision.size,
         last_change=datetime.fromtimestamp(decision.since, UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),

@@ -27,7 +27,7 @@ class _Repairs:
     at: float
 
 
-class Contention:
+class RepairCounts:
     """Counts the repairs of each object."""
 
     def __init__(self, *, clock: Callable[[], float] = time.monotonic) -> None:

@@ -10,11 +10,11 @@ from understudy.controller.observed import kube_objects
 from understudy.controller.plan import Apply, Create, Delete, Patch, Problem, Write
 from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.reconcile.contention import EVERY, Contention
+from understudy.controller.reconcile.contention import EVERY, RepairCounts
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.kube import apply
-from understudy.kube.apply import Taken
+from understudy.kube.apply import OwnedByOther
 from understudy.kube.client import PODS, REPLICA_SETS, ApiError, Client, Object, Resource
 from understudy.kube.gates import registry
 from understudy.kube.leader_election import LeadershipLost
@@ -37,7 +37,7 @@ class Contended(Exception):
     """Another client changes an object back after each repair."""
 
 
-class Ending(Exception):
+class NamespaceTerminating(Exception):
     """The namespace is being deleted, so nothing can be built in it."""
 
 
@@ -54,7 +54,7 @@ class Executor:
 
         Hashes save memory, because a fleet has many objects.
         """
-        self._contention = Contention()
+        self._contention = RepairCounts()
 
     @property
     def remembered(self) -> frozenset[tuple[str, str, str]]:
@@ -76,13 +76,13 @@ class Executor:
                 continue
             try:
                 await self._one(key, write)
-            except Taken as taken:
+            except OwnedByOther as taken:
                 problems.append(Problem("NameTaken", str(taken)))
             except Contended as contended:
                 problems.append(Problem("Contended", str(contended)))
             except ApiError as error:
                 if error.status == 403 and "being terminated" in error.message:
-                    raise Ending from error
+                    raise NamespaceTerminating from error
                 if error.status == 409 or (error.status == 404 and _gone(write)):
                     stale = error
                     continue
@@ -183,8 +183,8 @@ class Executor:
         operator_metrics.WRITES.labels(resource.plural, "create").inc()
         try:
             made = await apply.create(self._client, resource, key.namespace, body)
-        except (ApiError, Taken) as error:
-            if counted and (isinstance(error, Taken) or error.status < 500):
+        except (ApiError, OwnedByOther) as error:
+            if counted and (isinstance(error, OwnedByOther) or error.status < 500):
                 self._expectations.settled(key, pool, name)
             raise
         self._store.put(resource, made)

@@ -29,7 +29,7 @@ _ADVICE = {
 
 
 @dataclass(frozen=True)
-class Outcome:
+class ResizeOutcome:
     """The progress of one resize, and the write that it needs."""
 
     reason: str
@@ -38,7 +38,7 @@ class Outcome:
     write: Patch | None = None
 
 
-def outcomes(observed: Observed, workload_plan: WorkloadPlan) -> list[Outcome]:
+def outcomes(observed: Observed, workload_plan: WorkloadPlan) -> list[ResizeOutcome]:
     """Return the progress of the policy's resizes on the active pod; empty while the workload is not degraded."""
     pod, spec = observed.resized, workload_plan.spec
     if pod is None or spec is None or workload_plan.policy_problem is not None:
@@ -47,13 +47,13 @@ def outcomes(observed: Observed, workload_plan: WorkloadPlan) -> list[Outcome]:
     return [_outcome(pod, index, action.resize) for index, action in enumerate(asked) if action.resize is not None]
 
 
-def refused(outcome: Outcome, problem: Problem) -> Outcome:
+def refused(outcome: ResizeOutcome, problem: Problem) -> ResizeOutcome:
     """Return the outcome for a write that the API server refuses."""
     words = f"{outcome.message}, which the API server rejects: {problem.message}"
     return replace(outcome, reason="Refused", message=words, write=None)
 
 
-def judged(observed: Observed, found: Sequence[Outcome]) -> Condition | None:
+def judged(observed: Observed, found: Sequence[ResizeOutcome]) -> Condition | None:
     """Return the condition Resized of the workload, or None if no resize is requested."""
     if not found:
         return None
@@ -65,7 +65,7 @@ def judged(observed: Observed, found: Sequence[Outcome]) -> Condition | None:
     return condition(CONDITION, True, "Resized", f"{words}.", generation=generation)
 
 
-def _outcome(pod: Object, index: int, resize: Resize) -> Outcome:
+def _outcome(pod: Object, index: int, resize: Resize) -> ResizeOutcome:
     containers = pod["spec"]["containers"]
     name = resize.container or containers[0]["name"]
     container = next((one for one in containers if one["name"] == name), None)
@@ -73,7 +73,7 @@ def _outcome(pod: Object, index: int, resize: Resize) -> Outcome:
         field = f"spec.degraded.actions[{index}].resize.container"
         known = kube_objects.hint(name, (one["name"] for one in containers))
         words = f'FailurePolicy: {field}: pod {kube_objects.name(pod)} has no container "{name}" ({known})'
-        return Outcome("ContainerNotFound", words)
+        return ResizeOutcome("ContainerNotFound", words)
     subject = f"container {name} of pod {kube_objects.name(pod)}"
     amounts = ", ".join(f"{resource} {given}" for resource, given in resize.amounts.items())
     more = raised(container.get("resources") or {}, resize.amounts)
@@ -85,10 +85,10 @@ def _outcome(pod: Object, index: int, resize: Resize) -> Outcome:
             f"{subject} is not resized to {amounts}, because that would restart it: its resizePolicy for "
             f"{', '.join(sorted(restarting))} is RestartContainer. Make it NotRequired in the template"
         )
-        return Outcome("WouldRestart", words)
+        return ResizeOutcome("WouldRestart", words)
     metadata = {"uid": kube_objects.uid(pod)}
     body = {"metadata": metadata, "spec": {"containers": [{"name": name, "resources": more}]}}
-    return Outcome("InProgress", f"{subject} is given {amounts}", Patch(PODS, pod, body, RESIZE, STRATEGIC))
+    return ResizeOutcome("InProgress", f"{subject} is given {amounts}", Patch(PODS, pod, body, RESIZE, STRATEGIC))
 
 
 def raised(present: Mapping[str, Mapping[str, str]], amounts: Mapping[str, str]) -> dict[str, dict[str, str]]:
@@ -116,19 +116,21 @@ def _restarting(container: Object) -> set[str]:
     }
 
 
-def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> Outcome:
+def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> ResizeOutcome:
     """Return the outcome that the kubelet reports in the pod's status."""
     status = pod.get("status") or {}
     said = {c["type"]: c for c in status.get("conditions") or [] if c["status"] == "True"}
     if (pending := said.get("PodResizePending")) is not None:
         reason = pending.get("reason") or "Deferred"
         advice = f". {_ADVICE[reason]}" if reason in _ADVICE else ""
-        return Outcome(reason, f"{begun}, but not now: {pending.get('message', '').rstrip('.') or reason}{advice}")
+        return ResizeOutcome(
+            reason, f"{begun}, but not now: {pending.get('message', '').rstrip('.') or reason}{advice}"
+        )
     if (doing := said.get("PodResizeInProgress")) is not None:
         failed = f": {doing['message'].rstrip('.')}" if doing.get("message") else ""
-        return Outcome("ResizeError" if doing.get("reason") == "Error" else "InProgress", f"{begun}{failed}")
+        return ResizeOutcome("ResizeError" if doing.get("reason") == "Error" else "InProgress", f"{begun}{failed}")
     statuses = {one["name"]: one for one in status.get("containerStatuses") or []}
     in_force = statuses.get(name, {}).get("resources")
     if in_force is not None and raised(in_force, resize.amounts):
-        return Outcome("InProgress", begun)
-    return Outcome("Resized", done)
+        return ResizeOutcome("InProgress", begun)
+    return ResizeOutcome("Resized", done)

@@ -26,7 +26,7 @@ A fleet's objects arrive together, in lists.
 Known = dict[tuple[Any, ...], Any]
 
 
-class Sharing:
+class Interner:
     """Finds equal parts."""
 
     def __init__(self, *, clock: Callable[[], float]) -> None:

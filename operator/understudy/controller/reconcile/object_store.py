@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from understudy.api import names
-from understudy.controller.reconcile.interning import Sharing
+from understudy.controller.reconcile.interning import Interner
 from understudy.kube.apply import controller_of
 from understudy.kube.client import Object, Resource
 from understudy.kube.gates import registry
@@ -43,7 +43,7 @@ class Store:
         self._index: dict[Index, dict[tuple[str, str, str], Object]] = defaultdict(dict)
         self._gone: dict[str, tuple[int, float]] = {}
         self._swept = self._changed = clock()
-        self._sharing = Sharing(clock=clock)
+        self._sharing = Interner(clock=clock)
         self.noticed: Callable[[ObservedChange], None] = lambda change: None
         """Called with every change, including those by the operator: a write for one object may affect another."""
 

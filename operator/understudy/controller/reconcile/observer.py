@@ -168,7 +168,7 @@ class Observer:
         others = self._store.in_namespace(WORKLOADS, item["metadata"]["namespace"])
         return dependency_graph.graph([*others.values(), item])
 
-    async def _referred(self, item: Object) -> workload_reference.Referred | None:
+    async def _referred(self, item: Object) -> workload_reference.ReferencedObjects | None:
         """Return the referred controller and its pods.
 
         They are read from the API, because the store does not keep them.
@@ -181,13 +181,13 @@ class Observer:
         controller = await self._client.find(DEPLOYMENTS if kind == "Deployment" else STATEFUL_SETS, namespace, name)
         selector = ((controller or {}).get("spec") or {}).get("selector") or {}
         if controller is None or not selectors.requirements(selector):
-            return workload_reference.Referred(controller)
+            return workload_reference.ReferencedObjects(controller)
         text = selectors.as_text(selector)
         pods = (await self._client.list(PODS, namespace, labels=text)).get("items") or []
         sets: list[Object] = []
         if kind == "Deployment":
             sets = (await self._client.list(REPLICA_SETS, namespace, labels=text)).get("items") or []
-        return workload_reference.Referred(controller, workload_reference.controlled(controller, sets, pods))
+        return workload_reference.ReferencedObjects(controller, workload_reference.controlled(controller, sets, pods))
 
     async def pool(self, item: Object) -> pool_pods.Observed:
         """Return the observed state around a pool."""

@@ -83,9 +83,9 @@ WITHDRAWN = frozenset(
 _RESOURCES = {resource.plural: resource for resource in (WORKLOADS, POLICIES, POOLS)}
 
 
-def fresh() -> pool_pods.Fresh:
+def fresh() -> pool_pods.UniqueValues:
     """Return the source of random pod names and agent tokens."""
-    return pool_pods.Fresh(
+    return pool_pods.UniqueValues(
         name=lambda prefix: f"{prefix}-{''.join(secrets.choice(_ALPHABET) for _ in range(5))}",
         token=lambda: secrets.token_hex(32),
     )
@@ -169,7 +169,9 @@ class Reconciler:
         status = workload_status.status(observed, workload_plan, problems, in_place_resize.judged(observed, raised))
         return _earliest(plan.again_after, again, turn, await self._write_status(WORKLOADS, observed.workload, status))
 
-    async def _resize(self, key: Key, observed: Observed, workload_plan: WorkloadPlan) -> list[in_place_resize.Outcome]:
+    async def _resize(
+        self, key: Key, observed: Observed, workload_plan: WorkloadPlan
+    ) -> list[in_place_resize.ResizeOutcome]:
         """Resize the active pod as requested. A refusal of the API server does not affect the other writes."""
         found = []
         for outcome in in_place_resize.outcomes(observed, workload_plan):

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from understudy.controller.plan import Problem
 from understudy.controller.pods import instance_pod
-from understudy.controller.reconcile.executor import Ending
+from understudy.controller.reconcile.executor import NamespaceTerminating
 from understudy.kube.client import PODS, ApiError, Client, Object
 
 FORGET_REFUSAL = 30.0
@@ -45,7 +45,7 @@ class Judge:
             await self._client.create(PODS, namespace, pod, dry_run=True)
         except ApiError as error:
             if error.status == 403 and "being terminated" in error.message:
-                raise Ending from error
+                raise NamespaceTerminating from error
             if error.status == 409 or (error.status == 403 and _NO_ROOM in error.message):
                 found = None  # Name taken or quota exhausted: both are checked last, so the template passed.
             elif error.status in (400, 403, 422):

@@ -123,7 +123,7 @@ def kept(resource: Resource, item: Object) -> bool:
     return listed(resource, item) or (owner is not None and owner.get("apiVersion") == API_VERSION)
 
 
-class Lists:
+class ListCycle:
     """Lists everything into a store, periodically.
 
     Most parts of a fleet's lists are the same as before, byte for byte. Decoding is nearly all of the work, so they are

@@ -13,7 +13,7 @@ from understudy.api import names
 from understudy.controller.observed import kube_objects
 from understudy.controller.reconcile import change_index, operator_metrics
 from understudy.controller.reconcile.change_index import Key
-from understudy.controller.reconcile.executor import Ending, Stale
+from understudy.controller.reconcile.executor import NamespaceTerminating, Stale
 from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.runtime import resync
@@ -51,7 +51,7 @@ class Operator:
     ) -> None:
         self._store, self._reconciler = store, reconciler
         store.noticed = self._enqueue
-        self._lists, self._resync_every = resync.Lists(client, store, namespaces), resync_every
+        self._lists, self._resync_every = resync.ListCycle(client, store, namespaces), resync_every
         self.queue: Queue[Key] = Queue()
         self._leading = False
         self._resynced: float | None = None
@@ -169,7 +169,7 @@ class Operator:
                 self.queue.add_after(key, again)
         except LeadershipLost:
             raise
-        except Ending:
+        except NamespaceTerminating:
             result = "ending"
             _logger.info("%s %s/%s: the namespace is being deleted", *key)
         except Stale as stale:

@@ -21,7 +21,7 @@ from understudy.controller.pods import pool_pods, pool_size
 from understudy.failover import availability
 from understudy.failover.availability import Availability, Pool, Problem, Resources
 from understudy.failover.decide import Facts, Occurrence, Trigger, in_force
-from understudy.failover.limits.state import InForce, LimitsInForce
+from understudy.failover.limits.state import ActiveLimit, LimitsInForce
 from understudy.kube.client import Object
 
 LIMIT_CONDITIONS = {"Paused": "Paused", "WithinBudget": "BudgetSpent"}
@@ -34,7 +34,7 @@ _FAILURE = Occurrence(Trigger.HEALTH_FAILED)
 
 
 @dataclass(frozen=True)
-class Considered:
+class StrategyOutlook:
     """A strategy of the policy, and whether it could run now."""
 
     strategy: Strategy
@@ -85,21 +85,21 @@ def protected(observed: Observed, workload_plan: WorkloadPlan) -> Condition:
 def reported_limits(observed: Observed) -> LimitsInForce:
     """Return the limits that clear Protected, as the monitor reports them in its conditions."""
     reported = {
-        (one["type"], one["status"]): InForce(one.get("message", ""))
+        (one["type"], one["status"]): ActiveLimit(one.get("message", ""))
         for one in (observed.workload.get("status") or {}).get("conditions") or []
     }
     return LimitsInForce(pause=reported.get(("Paused", "True")), budget=reported.get(("WithinBudget", "False")))
 
 
-def considered(observed: Observed, workload_plan: WorkloadPlan) -> list[Considered]:
+def considered(observed: Observed, workload_plan: WorkloadPlan) -> list[StrategyOutlook]:
     """Return the strategies that count now, in the policy's order; empty while the policy is missing or invalid."""
     there, found = resources(observed, workload_plan), []
     for strategy in _strategies(observed, workload_plan):
         if strategy.pool_ref is None:
-            found.append(Considered(strategy, strategy.type, availability.restart(there)))
+            found.append(StrategyOutlook(strategy, strategy.type, availability.restart(there)))
         else:
             name = strategy.pool_ref.name
-            found.append(Considered(strategy, f"Fallback from pool {name}", availability.fallback(name, there)))
+            found.append(StrategyOutlook(strategy, f"Fallback from pool {name}", availability.fallback(name, there)))
     return found
 
 
@@ -172,7 +172,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     return [pod for pod in made if kube_objects.uid(pod) != active]
 
 
-def _outlook(found: Sequence[Considered]) -> str:
+def _outlook(found: Sequence[StrategyOutlook]) -> str:
     first = next((one for one in found if one.availability.available), None)
     if first is None:
         return "If it failed now, no strategy of its policy could run."

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 
 FIRST, MOST = 2.0, 60.0
 """Seconds until all strategies are tried again after none of them verified: at first, and at most."""
@@ -45,6 +45,6 @@ class Backoff:
         """Return it after the active instance was healthy for long enough: the next failure is a new one."""
         return replace(self, step=FIRST)
 
-    def in_force(self, now: float) -> InForce | None:
+    def in_force(self, now: float) -> ActiveLimit | None:
         """Return the wait if it has not ended."""
-        return InForce(until=self.not_before) if now < self.not_before else None
+        return ActiveLimit(until=self.not_before) if now < self.not_before else None

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from understudy.api.kinds.failure_policy import Budget
 from understudy.api.kinds.pause_spec import in_words
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 
 CLOCKS_DIFFER = 60.0
 """Maximum seconds that the clock of the person who resumes may be ahead of the monitor's clock."""
@@ -37,7 +37,9 @@ def counted(spent: Sequence[float], resumed: float | None, now: float) -> list[f
     return [moment for moment in spent if moment > resumed]
 
 
-def in_force(budget: Budget, spent: Sequence[float], resumed: float | None, now: float) -> InForce | None:
+def in_force(budget: Budget, spent: Sequence[float], resumed: float | None, now: float) -> ActiveLimit | None:
     """Return the budget if it is spent: what it allows, and when the next recovery may begin."""
     free = free_from(counted(spent, resumed, now), recoveries=budget.recoveries, within=budget.length)
-    return InForce(f"{budget.words} were made, the next may begin at {in_words(free)}", free) if now < free else None
+    return (
+        ActiveLimit(f"{budget.words} were made, the next may begin at {in_words(free)}", free) if now < free else None
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 
 
 def length(policy: FailurePolicySpec) -> float:
@@ -12,7 +12,7 @@ def length(policy: FailurePolicySpec) -> float:
     return 0.0 if policy.priority == "Safety" else seconds(policy.limits.cooldown)
 
 
-def in_force(policy: FailurePolicySpec, ended: float | None, now: float) -> InForce | None:
+def in_force(policy: FailurePolicySpec, ended: float | None, now: float) -> ActiveLimit | None:
     """Return the cooldown if it is in force; ``ended`` is the end of the last recovery that succeeded, if there is one.
 
     That time may come from the clock of another machine: no wait is longer than the cooldown.
@@ -20,4 +20,4 @@ def in_force(policy: FailurePolicySpec, ended: float | None, now: float) -> InFo
     if ended is None:
         return None
     until = min(ended, now) + length(policy)
-    return InForce(f"limits.cooldown of the policy is {policy.limits.cooldown}", until) if now < until else None
+    return ActiveLimit(f"limits.cooldown of the policy is {policy.limits.cooldown}", until) if now < until else None

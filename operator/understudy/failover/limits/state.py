@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class InForce:
+class ActiveLimit:
     """A limit that is in force."""
 
     words: str = ""
@@ -19,9 +19,9 @@ class InForce:
 class LimitsInForce:
     """The limits of a workload that are in force at one instant; None for a limit that is not."""
 
-    pause: InForce | None = None
-    waiting: InForce | None = None
+    pause: ActiveLimit | None = None
+    waiting: ActiveLimit | None = None
     """The cooldown after a recovery, or the backoff after one without success."""
-    storm: InForce | None = None
-    budget: InForce | None = None
+    storm: ActiveLimit | None = None
+    budget: ActiveLimit | None = None
     """The budget is spent."""

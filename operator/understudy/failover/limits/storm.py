@@ -11,17 +11,17 @@ from typing import Any
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import StormGuard
 from understudy.api.kinds.pause_spec import unix
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 
 CONDITION = "Storm"
 
 
-def in_force(guard: StormGuard, policy: Mapping[str, Any] | None, now: float) -> InForce | None:
+def in_force(guard: StormGuard, policy: Mapping[str, Any] | None, now: float) -> ActiveLimit | None:
     """Return the storm that the status of a policy object reports, until ``holdFor`` has passed."""
     for condition in ((policy or {}).get("status") or {}).get("conditions") or []:
         if (condition["type"], condition["status"]) == (CONDITION, "True"):
             since = unix(condition["lastTransitionTime"])
             if since is None or now >= since + seconds(guard.hold_for):
                 return None
-            return InForce(condition["message"], since + seconds(guard.hold_for))
+            return ActiveLimit(condition["message"], since + seconds(guard.hold_for))
     return None

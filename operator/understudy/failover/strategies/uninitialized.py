@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from understudy.failover.availability import PODS_CLAIMED, Availability, Pool, Problem, Resources, fallback
 from understudy.failover.bring_up import BringUp
-from understudy.failover.interfaces import ClaimLost, Instance, NotAvailable, Overtaken
+from understudy.failover.interfaces import ClaimLost, ClaimsLost, Instance, NotAvailable
 from understudy.failover.pool_queue import YIELD_MOST, Waiter, at_once, before, in_order, left_by, turn
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Means, Strategy, Unfit
@@ -192,7 +192,7 @@ class UninitializedFallback(Strategy):
         if isinstance(target, BaseException):
             raise target
         if target is None:
-            raise Overtaken(self._overtaken)
+            raise ClaimsLost(self._overtaken)
         return target
 
     async def _claim(self, progress: Progress, means: Means, unfit: Unfit = lambda instance: None) -> Instance | None:

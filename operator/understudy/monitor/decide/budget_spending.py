@@ -13,7 +13,7 @@ from understudy.api import names
 from understudy.api.kinds.failure_policy import Budget
 from understudy.api.kinds.pause_spec import in_words, unix
 from understudy.failover.limits import budget as budgets
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 from understudy.failover.progress import Progress
 from understudy.monitor.notices import BudgetCounted, Notices, RecoveryDeferred
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -50,7 +50,7 @@ class BudgetSpending:
             self._notices.set_spent([*self._counted(now), done.began][-budget.recoveries :])
             self.say(now)
 
-    def in_force(self, now: float) -> InForce | None:
+    def in_force(self, now: float) -> ActiveLimit | None:
         """Return the budget if it is spent."""
         if (budget := self._budget) is None:
             return None

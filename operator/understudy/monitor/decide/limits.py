@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from understudy.failover.decide import Facts, Hold, Occurrence, Trigger, decide
-from understudy.failover.limits.state import InForce, LimitsInForce
+from understudy.failover.limits.state import ActiveLimit, LimitsInForce
 from understudy.monitor.decide.budget_spending import BudgetSpending
 from understudy.monitor.decide.pause_state import PauseState
 from understudy.monitor.decide.retry_backoff import RetryBackoff
@@ -47,7 +47,7 @@ class Limits:
         """Return the limits that are in force at a time (unix seconds). The pause is the one of the last look."""
         pause = self.pauses.on
         return LimitsInForce(
-            pause=InForce(pause.words, pause.end) if pause is not None else None,
+            pause=ActiveLimit(pause.words, pause.end) if pause is not None else None,
             waiting=self.retries.in_force(now),
             storm=self.storms.on(now),
             budget=self.spending.in_force(now),

@@ -10,7 +10,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.limits import cooldown
 from understudy.failover.limits.backoff import FIRST, Backoff
 from understudy.failover.limits.escalation import Takeover, first_strategy
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 from understudy.failover.progress import Progress
 from understudy.monitor.judge.failure_detection import Failure
 from understudy.monitor.notices import Notices
@@ -40,7 +40,7 @@ class RetryBackoff:
         """Seconds of the backoff after the next attempt without success."""
         return self._backoff.step
 
-    def in_force(self, now: float) -> InForce | None:
+    def in_force(self, now: float) -> ActiveLimit | None:
         """Return the wait after the last recovery, if it has not ended."""
         return self._backoff.in_force(now)
 

@@ -18,9 +18,9 @@ from understudy.failover.decide import (
     considered,
     decide,
 )
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 from understudy.failover.strategies.base import Means
-from understudy.failover.switchover import Prepared
+from understudy.failover.switchover import Preparation
 from understudy.monitor.decide.deferred_failures import DeferredFailures
 from understudy.monitor.decide.initial_activation import Candidates, InitialActivation
 from understudy.monitor.decide.limits import Limits
@@ -43,7 +43,7 @@ class Resolution:
     """What a recovery is for, if one is decided on or held."""
     first_strategy: int = 0
     """Index of the strategy to start with."""
-    switch: Prepared | None = None
+    switch: Preparation | None = None
     """The understudy that can drive instead, if a planned switchover is decided on; or the switchover that is not settled yet."""
     candidates: Candidates | None = None
     """The pods that the gate may open for, while it is closed."""
@@ -57,7 +57,7 @@ class _Case:
 
     occurrence: Occurrence
     failure: Failure | None = None
-    switch: Prepared | None = None
+    switch: Preparation | None = None
 
 
 class DecideStage:
@@ -81,7 +81,7 @@ class DecideStage:
         self._deferred = DeferredFailures(notices)
         self._activation = InitialActivation(means.instances, agents)
 
-    def decide(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Prepared | None) -> Resolution:
+    def decide(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Resolution:
         """Return what happens now. ``prepared`` is the planned switchover that can be carried out, or is not settled yet."""
         if self._gate.state.closed:
             return self._activate(policy, judgement.now)
@@ -138,7 +138,7 @@ class DecideStage:
         occurrence = Occurrence(Trigger.INITIAL_ACTIVATION, unmet=candidates.unmet)
         return Resolution(decide(Facts(now, (occurrence,), limits)), candidates=candidates)
 
-    def _cases(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Prepared | None) -> Iterator[_Case]:
+    def _cases(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Iterator[_Case]:
         """Return every trigger that is present. ``failover/decide.py`` says which one comes first."""
         if judgement.failure is not None:
             yield self._failed(policy, judgement, self._since_pause(judgement.failure))
@@ -166,7 +166,7 @@ class DecideStage:
             # What is critical to safety is not left in control for another's sake: it may do worse than to be silent.
             if judgement.now >= judgement.counts_from and policy.priority != "Safety":
                 again = self._dependencies.hold(failure.reason, failure.onset, judgement.now)
-                occurrence = replace(occurrence, upstream=InForce(until=again) if again is not None else None)
+                occurrence = replace(occurrence, upstream=ActiveLimit(until=again) if again is not None else None)
         return self._starting_with(failure, occurrence)
 
     def _since_pause(self, failure: Failure) -> Failure:

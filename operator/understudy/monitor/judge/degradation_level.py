@@ -16,7 +16,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover.degradation import Level
 from understudy.failover.interfaces import Instance
 from understudy.monitor.notices import BecameDegraded, Notices
-from understudy.monitor.observe.robot.degraded_tree import Busy
+from understudy.monitor.observe.robot.degraded_tree import BusyReason
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.trees.core.health_tree import Verdict
 
@@ -45,8 +45,8 @@ class DegradationLevel:
         self._said = ("", "")
         self._words = ""
         self._idle_since: float | None = None
-        self._waits: Busy | None = None
-        self._lacking: Busy | None = None
+        self._waits: BusyReason | None = None
+        self._lacking: BusyReason | None = None
         self._handed_over: float | None = None
         self._due = False
         self._in_force = (
@@ -69,7 +69,7 @@ class DegradationLevel:
 
     def wait(self, kind: str, words: str) -> None:
         """Note why a hand-over that is due cannot begin; it is due again at the next look."""
-        self._due, self._lacking = False, Busy(kind, words)
+        self._due, self._lacking = False, BusyReason(kind, words)
 
     def look(self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, now: float, since: float) -> bool:
         """Return whether the instance is degraded, given the verdict of its health tree. Times are Unix seconds."""
@@ -145,25 +145,27 @@ class DegradationLevel:
         if self._waits is None:
             self._due, self._waits = True, self._lacking
 
-    def _too_early(self, reschedule: Reschedule, clock: float) -> Busy | None:
+    def _too_early(self, reschedule: Reschedule, clock: float) -> BusyReason | None:
         if self._paused(seconds(reschedule.pause), clock) > 0:
-            return Busy("pause", f"the last planned hand-over was less than {reschedule.pause} ago")
+            return BusyReason("pause", f"the last planned hand-over was less than {reschedule.pause} ago")
         since, idle = self._level.since, self._idle_since
         assert since is not None, "it is asked of a degraded one only"
         assert idle is not None, "it is asked of an idle one only"
         if clock < since + seconds(reschedule.after):
-            return Busy("after", f"it must have been degraded for {reschedule.after}")
+            return BusyReason("after", f"it must have been degraded for {reschedule.after}")
         if clock < idle + seconds(reschedule.idle_for):
-            return Busy("idleFor", f"it must have been idle for {reschedule.idle_for}")
+            return BusyReason("idleFor", f"it must have been idle for {reschedule.idle_for}")
         return None
 
-    def _busy(self, *, now: float, since: float) -> Busy | None:
+    def _busy(self, *, now: float, since: float) -> BusyReason | None:
         """Why the robot does not count as idle. What the task proxy has of goals counts too, and so does not hearing of it."""
         proxied = self._notices.status.find(TASKS)
         if proxied is not None and proxied.status != "True":
-            return Busy("tasks", f"the state of its tasks is unknown ({TASKS} is {proxied.status}, {proxied.reason})")
+            return BusyReason(
+                "tasks", f"the state of its tasks is unknown ({TASKS} is {proxied.status}, {proxied.reason})"
+            )
         if goals := self._notices.status.goals:
-            return Busy("task", f"a goal of {goals[0]} is active")
+            return BusyReason("task", f"a goal of {goals[0]} is active")
         return self._observer.busy(now=now, since=since)
 
     def _paused(self, pause: float, clock: float) -> float:

@@ -11,7 +11,7 @@ from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.kinds.robot_workload import DependencyRecovery
 from understudy.failover.decide import Trigger
 from understudy.failover.interfaces import Gate, Instance, Instances
-from understudy.failover.reflex import TakenOver
+from understudy.failover.reflex import ReflexSwitch
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.trees.core.debounce import Debounce
@@ -32,7 +32,7 @@ class Failure:
     onset: float
     detected: float
     trigger: Trigger = Trigger.HEALTH_FAILED
-    taken: TakenOver | None = None
+    taken: ReflexSwitch | None = None
     """The takeover, if the robot follows a standby already."""
     follows: Sequence[DependencyRecovery] = ()
     """The recoveries of dependencies, if the instance has not failed and only has to react to them."""

@@ -8,7 +8,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.robot_workload import Reflex
 from understudy.failover.interfaces import Gate
 from understudy.failover.progress import PodIdentity
-from understudy.failover.reflex import TakenOver, switched
+from understudy.failover.reflex import ReflexSwitch, switched
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 
@@ -43,7 +43,7 @@ class ReflexTakeover:
         reflex = self.reflex
         return seconds(reflex.deadline) if reflex is not None else 0.0
 
-    def look(self, now: float) -> TakenOver | None:
+    def look(self, now: float) -> ReflexSwitch | None:
         """Return the takeover if the standby that the gate lets through drives the robot now."""
         state = self._gate.state
         if not state.admitted or state.closed or not (deadline := self.deadline):
@@ -58,7 +58,7 @@ class ReflexTakeover:
                 now=now,
             )
             if found is not None:
-                return TakenOver(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)
+                return ReflexSwitch(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)
         return None
 
     def next_look(self, now: float) -> float | None:

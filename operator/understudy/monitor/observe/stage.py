@@ -6,13 +6,13 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.objects.dependencies import Dependencies
 from understudy.monitor.observe.senses import Senses
-from understudy.monitor.observe.wakeups import Looks
+from understudy.monitor.observe.wakeups import LookSchedule
 
 
 class ObserveStage:
     """When the monitor looks, and at what."""
 
     def __init__(self, view: ClusterView, senses: Senses, notices: Notices) -> None:
-        self.looks = Looks(senses.wakeups, senses.observer.coming)
+        self.looks = LookSchedule(senses.wakeups, senses.observer.coming)
         self.dependencies = Dependencies(view, notices, senses.wakeups)
         self.senses = senses

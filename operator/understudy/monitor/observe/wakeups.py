@@ -51,7 +51,7 @@ class Wakeups:
         self.permits.set()
 
 
-class Looks:
+class LookSchedule:
     """One look after the other. Times are Unix seconds."""
 
     def __init__(self, wakeups: Wakeups, arrivals: ArrivalWakeups | None) -> None:

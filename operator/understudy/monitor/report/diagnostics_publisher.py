@@ -18,7 +18,7 @@ from understudy.api.kinds.robot_workload import MonitorSettings
 from understudy.monitor.notices import Notices, StatusChanged
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
-from understudy.monitor.report.diagnostics_status import More, Said, said, status
+from understudy.monitor.report.diagnostics_status import Details, WorkloadState, said, status
 from understudy.ros.actions.diagnostics_topic import Diagnostics
 from understudy.ros.actions.snapshot_streams import LEAST, Streams
 from understudy.ros.runtime.interface_types import TypeNotInstalled
@@ -57,7 +57,7 @@ class DiagnosticsPublisher:
         self._settings = MonitorSettings()
         self._diagnostics: Diagnostics | None = None
         self._streams: Streams | None = None
-        self._pending: deque[Said] = deque(maxlen=LATEST)
+        self._pending: deque[WorkloadState] = deque(maxlen=LATEST)
         self._level: int | None = None
         self._changed = False
         self._stream = notices.subscribe()
@@ -71,7 +71,7 @@ class DiagnosticsPublisher:
             if isinstance(notice, StatusChanged) and self._diagnostics is not None:
                 self._note(said(notice.status, notice.at))
 
-    def _note(self, now: Said) -> None:
+    def _note(self, now: WorkloadState) -> None:
         if now.level != self._level:
             self._level = now.level
             self._pending.append(now)
@@ -156,9 +156,9 @@ class DiagnosticsPublisher:
             found = status(self._view.namespace, self._view.workload, each, self._notices.status, more)
             self._diagnostics.publish(found, each.at)
 
-    def _more(self) -> More:
+    def _more(self) -> Details:
         spec, item = self._view.spec, self._view.object
-        return More(
+        return Details(
             policy=spec.failure_policy_ref.name if spec is not None else "",
             standby=str(((item or {}).get("status") or {}).get("standby") or ""),
             kept=self._kept(),

@@ -29,7 +29,7 @@ LONGEST = 400
 """Characters of a message, or of a value; a recovery that failed may have more to say than a line of a table holds."""
 
 
-class Said(NamedTuple):
+class WorkloadState(NamedTuple):
     """The state of a workload at one moment. It is cheap to take, because it is taken during a failover."""
 
     at: float
@@ -47,7 +47,7 @@ class Said(NamedTuple):
         return WARN if self.planned else LEVELS.get(self.health, STALE)
 
 
-class More(NamedTuple):
+class Details(NamedTuple):
     """Further values of the diagnostics."""
 
     policy: str
@@ -58,14 +58,14 @@ class More(NamedTuple):
     tree: Snapshot | None
 
 
-def said(published: PublishedStatus, at: float) -> Said:
+def said(published: PublishedStatus, at: float) -> WorkloadState:
     """Return the state in the published status."""
     planned = published.health == "Recovering" and published.reason("Recovering") == "Rescheduling"
     message = why(published.health, published.active, published.conditions)
-    return Said(at, published.health, message, published.active, published.gate.epoch, planned)
+    return WorkloadState(at, published.health, message, published.active, published.gate.epoch, planned)
 
 
-def status(namespace: str, workload: str, now: Said, published: PublishedStatus, more: More) -> Status:
+def status(namespace: str, workload: str, now: WorkloadState, published: PublishedStatus, more: Details) -> Status:
     """Return the diagnostics of a workload at one moment."""
     values = _values(now, published, more)
     return Status(
@@ -77,7 +77,7 @@ def status(namespace: str, workload: str, now: Said, published: PublishedStatus,
     )
 
 
-def _values(now: Said, published: PublishedStatus, more: More) -> Iterator[tuple[str, str]]:
+def _values(now: WorkloadState, published: PublishedStatus, more: Details) -> Iterator[tuple[str, str]]:
     yield "health", now.health
     yield "in control", now.active
     yield "gate epoch", str(now.epoch)

@@ -21,7 +21,7 @@ from understudy.api.base import Model
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.kube.client import Object
 from understudy.ros.observe.offered_qos import offers
-from understudy.ros.observe.sample_rings import Message, Taken
+from understudy.ros.observe.sample_rings import Message, RecordedTopic
 from understudy.ros.runtime.interface_types import TypeNotInstalled, message_class
 from understudy.ros.runtime.type_definitions import definition
 from understudy.trees.core.snapshots import Shown
@@ -74,7 +74,7 @@ class Content:
     namespace: str
     workload: str
     recovery: Recovery
-    tracks: Sequence[Taken]
+    tracks: Sequence[RecordedTopic]
     events: Sequence[Object]
     """Of Kubernetes, of the objects concerned."""
     offers: Mapping[str, str]
@@ -93,7 +93,7 @@ def write(file: IO[bytes], content: Content) -> int:
     writer.start(profile="ros2", library=f"understudy {__version__}")
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
-    tracks = [*content.tracks, Taken(EVENTS, EVENTS_TYPE, list(_event_log(content)))]
+    tracks = [*content.tracks, RecordedTopic(EVENTS, EVENTS_TYPE, list(_event_log(content)))]
     for track in tracks:
         if track.type not in schemas:
             try:
@@ -118,7 +118,7 @@ def write(file: IO[bytes], content: Content) -> int:
     return count
 
 
-def _in_order(tracks: Sequence[Taken], channels: Mapping[str, int]) -> Iterator[tuple[int, Message]]:
+def _in_order(tracks: Sequence[RecordedTopic], channels: Mapping[str, int]) -> Iterator[tuple[int, Message]]:
     """All messages, the oldest first, each with its channel."""
     streams = ([(channels[track.topic], message) for message in track.messages] for track in tracks)
     return heapq.merge(*streams, key=lambda found: found[1][0])

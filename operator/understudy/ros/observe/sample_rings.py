@@ -20,7 +20,7 @@ ROOM = 0.75
 """Fraction of the memory that the time before a failure may use. The rest is for the messages during the recovery."""
 
 
-class Taken(NamedTuple):
+class RecordedTopic(NamedTuple):
     """The stored messages of a topic."""
 
     topic: str
@@ -133,11 +133,11 @@ class SampleRing:
         """Forget old messages again."""
         self.since, self.full, self.limit = None, None, int(self._memory * ROOM)
 
-    def taken(self, since: float) -> Iterator[Taken]:
+    def taken(self, since: float) -> Iterator[RecordedTopic]:
         """Yield the stored messages of each topic from a time on."""
         for track in self._tracks.values():
             if messages := track.since(since):
-                yield Taken(track.topic, track.type, messages)
+                yield RecordedTopic(track.topic, track.type, messages)
 
     def shift(self, step: float) -> None:
         """Move all times with the clock."""

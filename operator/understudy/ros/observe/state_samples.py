@@ -72,7 +72,7 @@ class _Topic:
     """The last message of each instance, by the HOST part of its GIDs, if its publisher gives it to late joiners."""
 
 
-class Capturing:
+class StateSamples:
     """Captures the topics of a policy's ``state``. For the thread that drains."""
 
     def __init__(self, graph: Graph) -> None:

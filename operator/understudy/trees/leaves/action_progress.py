@@ -22,7 +22,7 @@ MOST_GOALS = 16
 
 
 @dataclass(frozen=True)
-class Aim:
+class RequiredProgress:
     """The progress that a goal must make."""
 
     quantity: Quantity
@@ -44,7 +44,7 @@ class ProgressLeaf(ContentLeaf):
     has made no progress.
     """
 
-    def __init__(self, place: LeafPlace, action: str, gap: float | None, aim: Aim | None) -> None:
+    def __init__(self, place: LeafPlace, action: str, gap: float | None, aim: RequiredProgress | None) -> None:
         """Make a leaf over an action's feedback. At least one of ``gap`` (seconds) and ``aim`` is given. Its own task
         is the last one."""
         super().__init__(place, feedback_of(action))
@@ -176,7 +176,7 @@ _OF_MEASURES = {
 def _plan(given: Given) -> LeafPlan:
     action, gap, type_ = given["action"], given["gap"], given["type"]
     quantities = ((given[key], sign) for key, sign in (("falls", -1), ("grows", 1)) if key in given)
-    aim = next((Aim(one, sign, given["by"], given["within"]) for one, sign in quantities), None)
+    aim = next((RequiredProgress(one, sign, given["by"], given["within"]) for one, sign in quantities), None)
     feedback = f"{type_}_FeedbackMessage" if type_ is not None else None
     return LeafPlan(
         f"{action.lstrip('/')}.progress",

@@ -88,7 +88,7 @@ class Pattern:
 
 
 @dataclass
-class _Heard:
+class _LogRecord:
     """The messages that one instance has logged. Times are Unix seconds."""
 
     since: float
@@ -136,15 +136,15 @@ class LogLeaf(Leaf):
         """Make a leaf over the messages of a pattern; ``window`` and ``quiet`` in seconds."""
         super().__init__(place, TOPIC)
         self._pattern, self._count, self._window, self._quiet = pattern, count, window, quiet
-        self._heard = _Heard(math.nan)
+        self._heard = _LogRecord(math.nan)
 
     # -- logged messages --------------------------------------------------------------------------------------------
 
-    def _followed(self) -> _Heard:
+    def _followed(self) -> _LogRecord:
         """Return what was logged up to the time of the evaluation. Each message is evaluated once."""
         evaluation, heard = self._evaluation, self._heard
         if heard.since != evaluation.since:
-            heard = self._heard = _Heard(evaluation.since, times=deque(maxlen=self._count))
+            heard = self._heard = _LogRecord(evaluation.since, times=deque(maxlen=self._count))
         heard.shift()
         found = task_timing(self.tasks, evaluation)
         # The leaf's clock starts with the task: messages that were logged while the task was not active do not count.
@@ -157,7 +157,7 @@ class LogLeaf(Leaf):
             heard.seen, heard.received = content, content.received
         return heard
 
-    def _fresh(self, heard: _Heard) -> list[Content]:
+    def _fresh(self, heard: _LogRecord) -> list[Content]:
         record = self._evaluation.observations.own(self.topic)
         found: list[Content] = []
         for content in reversed(record.contents if record is not None else ()):
@@ -166,7 +166,7 @@ class LogLeaf(Leaf):
             found.append(content)
         return found[::-1]
 
-    def _note(self, heard: _Heard, content: Content) -> None:
+    def _note(self, heard: _LogRecord, content: Content) -> None:
         try:
             message = self._pattern.matched(content)
         except Unreadable:

@@ -6,10 +6,10 @@ from typing import Any
 
 from understudy import __version__
 from understudy.cli.common.cluster_access.kubectl_proxy import Answer, Refused
-from understudy.cli.doctor.packet_check import Seen
+from understudy.cli.doctor.packet_check import GateTest
 from understudy.kube.client import Object
 
-ENFORCED = Seen(
+ENFORCED = GateTest(
     ("n1", "n2"), before=True, established=0.03, fresh=False, others=True, opened=0.02, closed=0.01, lifted=0.04
 )
 

@@ -30,7 +30,7 @@ from understudy.cli.doctor import (
 from understudy.cli.doctor.clock_check import Clock
 from understudy.cli.doctor.command import said_by_monitors
 from understudy.cli.doctor.installation_check import Installed
-from understudy.cli.doctor.packet_check import Seen
+from understudy.cli.doctor.packet_check import GateTest
 from understudy.controller.plan import Images
 from understudy.failover.progress import rfc3339
 from understudy.kube.gates import registry
@@ -91,7 +91,7 @@ def test_the_operator_s_rights_are_asked_for_in_its_name() -> None:
         (replace(ENFORCED, closed=None), "WARN", "still came 10.0 s after an open gate was closed"),
     ],
 )
-def test_what_packets_say_of_the_network(seen: Seen, level: str, words: str) -> None:
+def test_what_packets_say_of_the_network(seen: GateTest, level: str, words: str) -> None:
     found = packet_check.judge(seen)
     assert (found[0].level, words in found[0].found) == (level, True), found
     assert bool(found[0].cure) == (level != "OK")
@@ -165,7 +165,7 @@ def test_a_node_s_clock_is_told_by_when_its_lease_comes(monkeypatch: pytest.Monk
                 {"items": [{"metadata": {"name": "n1"}, "spec": {"renewTime": renewed}}]}, "", now, time.time()
             )
 
-    with clock_check.OfNodes(Leases()) as nodes:  # type: ignore[arg-type]
+    with clock_check.NodeClocks(Leases()) as nodes:  # type: ignore[arg-type]
         time.sleep(1.0)
     clock = nodes.clocks["n1"]
     assert abs(clock.ahead - ahead) <= clock.give + 0.001

@@ -13,8 +13,8 @@ from tests.support.golden import assert_golden
 from tests.unit.controller import world
 from understudy.api import names
 from understudy.cli.common.robots import UNWATCHED
-from understudy.cli.inspect.cluster_observation import Around, observed_from
-from understudy.cli.inspect.explanation import Known, for_scripts, lines
+from understudy.cli.inspect.cluster_observation import WorkloadObjects, observed_from
+from understudy.cli.inspect.explanation import Facts, for_scripts, lines
 from understudy.kube.client import Object
 
 
@@ -30,14 +30,14 @@ class Nothing:
         return {"items": []}
 
 
-def known(item: Object, items: list[Object] | None = None, *events: Object) -> Known:
+def known(item: Object, items: list[Object] | None = None, *events: Object) -> Facts:
     observed = observed_from(item, items if items is not None else fleet.around(item), Nothing())
     others = [one for one in items or [] if one["kind"] == "RobotWorkload"]
     gates = {one["metadata"]["name"]: one for one in items or [] if one["kind"] == "NetworkPolicy"}
-    return Known.of(Around(dataclasses.replace(observed, now=fleet.NOW), events, others, gates))
+    return Facts.of(WorkloadObjects(dataclasses.replace(observed, now=fleet.NOW), events, others, gates))
 
 
-def told(found: Known, columns: int | None = None) -> dict[str, list[str]]:
+def told(found: Facts, columns: int | None = None) -> dict[str, list[str]]:
     """The lines by their heading, those above all under none."""
     sections: dict[str, list[str]] = {"": []}
     for line in lines(found, columns=columns, colours=False):

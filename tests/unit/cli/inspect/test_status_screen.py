@@ -10,12 +10,12 @@ import pytest
 from tests.support import fleet
 from tests.support.golden import assert_golden
 from understudy.cli.common.robots import pool, robot
-from understudy.cli.inspect.status_screen import Look, in_a_line, lines, screenful, summary
+from understudy.cli.inspect.status_screen import Layout, in_a_line, lines, screenful, summary
 
 ALL = [fleet.well(), fleet.degraded(), fleet.unprotected(), fleet.unwatched()]
 ROBOTS = [robot(item) for item in ALL]
 POOLS = [pool(fleet.short_of_one()), pool(fleet.short_of_another())]
-LOOK = Look(now=fleet.NOW)
+LOOK = Layout(now=fleet.NOW)
 
 
 def told(columns: int | None, **look: bool) -> list[str]:

@@ -13,7 +13,7 @@ import pytest
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.abandoned import AWAY, DENIED, STANDBY, THIRD, Monitor, begun, monitor_of, written
 from understudy.api import names
-from understudy.failover.abandoned import GivenUp
+from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.interfaces import Instance, Superseded
 from understudy.failover.journal import Journal
 from understudy.failover.pool_queue import Waiter
@@ -253,7 +253,7 @@ async def test_on_a_volume_that_is_full_it_is_said_all_the_same(
 ) -> None:
     await monitor.gate.commit(None, progress := begun())
 
-    def full(given_up: Sequence[GivenUp]) -> None:
+    def full(given_up: Sequence[AbandonedRecovery]) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(monitor.journal, "give_up", full)
@@ -263,7 +263,7 @@ async def test_on_a_volume_that_is_full_it_is_said_all_the_same(
 
 
 def test_what_is_kept_of_them_outlasts_a_restart_and_a_damaged_file_counts_as_none(tmp_path: Path) -> None:
-    journal, kept = Journal(tmp_path / "recovery.json"), [GivenUp(id="r1", epoch=4, sent="{}")]
+    journal, kept = Journal(tmp_path / "recovery.json"), [AbandonedRecovery(id="r1", epoch=4, sent="{}")]
     assert journal.given_up() == []
     journal.give_up(kept)
     journal.save(begun())

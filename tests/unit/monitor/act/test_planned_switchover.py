@@ -22,7 +22,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice, Means, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
-from understudy.failover.switchover import Prepared
+from understudy.failover.switchover import Preparation
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.objects.gate_control import GateControl
@@ -128,10 +128,10 @@ class Scene:
         drain = Drain(uid=uid, node=nodes[0], since=time.time(), cordoned=list(nodes)) if nodes else None
         self.objects.put_settings(drain=drain)
 
-    def look(self, lacking: str = "") -> Prepared | None:
+    def look(self, lacking: str = "") -> Preparation | None:
         return self.switching.look(lacking)
 
-    async def looked(self, within: float = 1.0) -> Prepared | None:
+    async def looked(self, within: float = 1.0) -> Preparation | None:
         """The result after a while, in which the loop looks again and again."""
         end = time.monotonic() + within
         while time.monotonic() < end:
@@ -140,7 +140,7 @@ class Scene:
             await asyncio.sleep(0.01)
         return None
 
-    async def switch(self, prepared: Prepared) -> Progress:
+    async def switch(self, prepared: Preparation) -> Progress:
         """As the supervisor does it."""
         outcome = await self.switching.carry_out(prepared)
         assert outcome is not None
@@ -367,7 +367,7 @@ async def test_a_commit_that_was_carried_out_late_is_settled(monkeypatch: pytest
     found = await scene.looked()
     assert found is not None
 
-    async def unanswered(prepared: Prepared, means: Means) -> Progress:
+    async def unanswered(prepared: Preparation, means: Means) -> Progress:
         raise TimeoutError
 
     monkeypatch.setattr(switchover, "switch", unanswered)

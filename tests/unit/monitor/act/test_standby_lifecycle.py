@@ -19,7 +19,7 @@ from understudy.api.protocol.monitor_settings import PoolChoice
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.monitor.act.instances import standby_lifecycle
-from understudy.monitor.act.instances.standby_lifecycle import Bringing
+from understudy.monitor.act.instances.standby_lifecycle import StandbyLifecycle
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
@@ -67,7 +67,7 @@ class World:
         self.roles = InstanceRoles(self.objects.view, self.objects.gate, CurrentRecovery())
         self.agents = Sidecars(self.objects, self.roles)
         self.agents.brought["uid-1"] = "up:x:0"
-        self.bringing = Bringing(self.objects.pods, self.agents, self.roles, self.notices)
+        self.bringing = StandbyLifecycle(self.objects.pods, self.agents, self.roles, self.notices)
 
     async def look(self, *instances: Instance, pool: PoolChoice = WARM) -> None:
         """Look at these instances, and let what was begun be done."""

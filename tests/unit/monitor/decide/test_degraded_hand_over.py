@@ -21,7 +21,7 @@ from understudy.failover.strategies.base import Choice, Means
 from understudy.failover.strategies.restart import Restart
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.judge.stage import Judgement
-from understudy.monitor.observe.robot.degraded_tree import Busy
+from understudy.monitor.observe.robot.degraded_tree import BusyReason
 
 
 @pytest.fixture
@@ -35,7 +35,7 @@ def handed_over(at: float) -> Progress:
     return done
 
 
-GOAL = Busy("task", "a goal of /go is active")
+GOAL = BusyReason("task", "a goal of /go is active")
 
 
 class TestHandingOver:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.unit.controller import world
 from tests.unit.interleavings import simulation
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
 from understudy.monitor.act.recovery.deferred_recovery import DeferredRecovery
@@ -39,7 +39,7 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
         held.append(progress.reason)
         return epoch
 
-    def storm(self: StormCondition, now: float) -> InForce | None:
+    def storm(self: StormCondition, now: float) -> ActiveLimit | None:
         if (said := on(self, now)) is not None:
             held.append(said.words)
         return said

@@ -13,7 +13,7 @@ from tests.unit.dds import keep_to_itself
 from understudy.api.kinds.degraded_spec import InlineTree
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
-from understudy.monitor.observe.robot.degraded_tree import Wellness
+from understudy.monitor.observe.robot.degraded_tree import DegradedTrees
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
 from understudy.trees.languages.notations import load_inline
 
@@ -43,13 +43,13 @@ def workload(*actions: str) -> RobotWorkloadSpec:
     )
 
 
-def wellness(reschedule: dict[str, Any] | None, *actions: str) -> Wellness:
-    found = Wellness()
+def wellness(reschedule: dict[str, Any] | None, *actions: str) -> DegradedTrees:
+    found = DegradedTrees()
     assert found.follow(policy(reschedule), workload(*actions))
     return found
 
 
-def busy(found: Wellness, observed: RecordedObservations) -> str:
+def busy(found: DegradedTrees, observed: RecordedObservations) -> str:
     now = time.time()
     said = found.busy(observed, now=now, since=now - 100)
     return said.words if said is not None else ""
@@ -101,7 +101,7 @@ def test_what_can_not_be_watched_is_not_idle() -> None:
 
 
 def test_an_idle_tree_that_does_not_load_is_told_by_its_place() -> None:
-    found = Wellness()
+    found = DegradedTrees()
     found.follow(policy({"idle": {"yaml": {"topic": {"name": "/beat", "gap": "1"}}}}), None)
     (problem,) = found.problems
     assert "spec.degraded.actions[1].reschedule.idle.yaml.topic.gap" in problem

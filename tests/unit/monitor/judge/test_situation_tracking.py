@@ -17,7 +17,7 @@ from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.monitor.judge import situation_tracking as situations
 from understudy.monitor.judge.situation_tracking import HEARING, LOOK, SituationTracking
 from understudy.monitor.notices import PublishedStatus
-from understudy.monitor.observe.robot.context_detection import Seen, Situating
+from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.report import monitor_metrics
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.core.observations import RecordedObservations, TopicRecord
@@ -47,51 +47,51 @@ NONE, CARRYING = policy(), policy(carrying=TASK)
 
 class TestWhatIsSeen:
     @staticmethod
-    def seen(found: Situating, observed: RecordedObservations, *goals: str) -> dict[str, Seen]:
+    def seen(found: ContextDetection, observed: RecordedObservations, *goals: str) -> dict[str, SituationState]:
         now = time.time()
         return found.seen(observed, goals, now=now, since=now - 100)
 
     @pytest.fixture
-    def found(self) -> Situating:
-        made = Situating()
+    def found(self) -> ContextDetection:
+        made = ContextDetection()
         assert made.follow(policy(carrying=TASK, loaded=LOADED))
         return made
 
     def test_nothing_is_watched_where_the_policy_has_none(self) -> None:
-        made = Situating()
+        made = ContextDetection()
         assert not made.follow(NONE)
         assert made.topics == []
 
-    def test_the_task_s_status_is_watched_and_what_the_tree_needs(self, found: Situating) -> None:
+    def test_the_task_s_status_is_watched_and_what_the_tree_needs(self, found: ContextDetection) -> None:
         assert {topic.name for topic in found.topics} == {STATUS, "/loaded"}
         assert next(topic for topic in found.topics if topic.name == STATUS).task
 
-    def test_the_same_policy_loads_nothing_anew(self, found: Situating) -> None:
+    def test_the_same_policy_loads_nothing_anew(self, found: ContextDetection) -> None:
         assert not found.follow(policy(carrying=TASK, loaded=LOADED))
         assert found.follow(CARRYING)
         assert [topic.name for topic in found.topics] == [STATUS]
 
-    def test_a_goal_that_is_worked_on_is_one(self, found: Situating) -> None:
-        assert self.seen(found, RecordedObservations({}))["carrying"] == Seen(False, "")
+    def test_a_goal_that_is_worked_on_is_one(self, found: ContextDetection) -> None:
+        assert self.seen(found, RecordedObservations({}))["carrying"] == SituationState(False, "")
         active = self.seen(found, RecordedObservations({}, {STATUS: 1.0}))["carrying"]
-        assert active == Seen(True, "a goal of /carry is active")
+        assert active == SituationState(True, "a goal of /carry is active")
 
-    def test_so_is_one_that_waits_for_the_next_instance(self, found: Situating) -> None:
+    def test_so_is_one_that_waits_for_the_next_instance(self, found: ContextDetection) -> None:
         assert self.seen(found, RecordedObservations({}), "/carry")["carrying"].so
         assert not self.seen(found, RecordedObservations({}), "/other")["carrying"].so
 
-    def test_a_tree_that_holds(self, found: Situating) -> None:
+    def test_a_tree_that_holds(self, found: ContextDetection) -> None:
         assert self.seen(found, RecordedObservations({}))["loaded"].so is False, "without a grace"
         heard = TopicRecord()
         heard.add(time.time())
         beat = RecordedObservations({"/loaded": heard})
-        assert self.seen(found, beat)["loaded"] == Seen(True, "its tree holds")
+        assert self.seen(found, beat)["loaded"] == SituationState(True, "its tree holds")
 
-    def test_what_is_not_watched_can_not_be_told(self, found: Situating) -> None:
+    def test_what_is_not_watched_can_not_be_told(self, found: ContextDetection) -> None:
         found.leave_out({"/loaded"})
         assert self.seen(found, RecordedObservations({}))["loaded"].so is None
 
-    def test_a_tree_that_does_not_load_leaves_the_last_one_in_force(self, found: Situating) -> None:
+    def test_a_tree_that_does_not_load_leaves_the_last_one_in_force(self, found: ContextDetection) -> None:
         assert found.follow(policy(loaded={"yaml": {"topik": {}}}))
         assert [topic.name for topic in found.topics] == ["/loaded"]
         assert found.problems[0].startswith("The tree of the situation loaded does not load")
@@ -106,8 +106,8 @@ class World:
     so: dict[str, bool | None] = field(default_factory=dict)
     asked: int = 0
 
-    def situations_of(self) -> dict[str, Seen]:
-        return {name: Seen(so, f"{name} it is" if so else "") for name, so in self.so.items()}
+    def situations_of(self) -> dict[str, SituationState]:
+        return {name: SituationState(so, f"{name} it is" if so else "") for name, so in self.so.items()}
 
     def pass_(self, length: float, asked: FailurePolicySpec = CARRYING, verdict: Verdict = HEALTHY) -> str:
         end = self.now + length
@@ -126,7 +126,7 @@ def made(monkeypatch: pytest.MonkeyPatch, status: PublishedStatus | None = None)
     found = World(RecordedNotices(status))
 
     class Sight:
-        def situations(self, goals: Any, *, now: float, since: float) -> dict[str, Seen]:
+        def situations(self, goals: Any, *, now: float, since: float) -> dict[str, SituationState]:
             found.asked += 1
             return found.situations_of()
 

@@ -18,7 +18,10 @@ def reading(host: str, port: int = GATED, *, node: str = "/base", topic: str = C
 
 
 def judged(
-    *readings: Reading, topics: tuple[str, ...] = (CMD_VEL,), unreported: tuple[str, ...] = (), robots: tuple[str, ...] = ()
+    *readings: Reading,
+    topics: tuple[str, ...] = (CMD_VEL,),
+    unreported: tuple[str, ...] = (),
+    robots: tuple[str, ...] = (),
 ) -> ConditionReport:
     return judge("robot-17", topics, readings, unreported, robots)
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from understudy.monitor.observe.wakeups import APART, STALL_MOST, STALLED, Looks, Wakeups
+from understudy.monitor.observe.wakeups import APART, STALL_MOST, STALLED, LookSchedule, Wakeups
 
 FAR = 60.0
 
@@ -43,14 +43,14 @@ async def ends(waiting: asyncio.Task[None]) -> None:
 
 
 async def test_it_waits_until_the_moment(arrivals) -> None:
-    looks = Looks(Wakeups(), arrivals)
+    looks = LookSchedule(Wakeups(), arrivals)
     moment = looks.begin() + 0.05
     await looks.until(moment)
     assert time.time() >= moment
 
 
 async def test_a_message_is_looked_at_before_the_moment(arrivals) -> None:
-    looks = Looks(Wakeups(), arrivals)
+    looks = LookSchedule(Wakeups(), arrivals)
     waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
     await asyncio.sleep(0.02)
     assert not waiting.done()
@@ -59,7 +59,7 @@ async def test_a_message_is_looked_at_before_the_moment(arrivals) -> None:
 
 
 async def test_messages_that_come_all_the_time_leave_some_time_between_two_looks(arrivals) -> None:
-    looks = Looks(Wakeups(), arrivals)
+    looks = LookSchedule(Wakeups(), arrivals)
     begun = [looks.begin()]
     for _ in range(10):
         arrivals.come()
@@ -69,7 +69,7 @@ async def test_messages_that_come_all_the_time_leave_some_time_between_two_looks
 
 
 async def test_what_a_look_has_seen_calls_for_no_other(arrivals) -> None:
-    looks = Looks(Wakeups(), arrivals)
+    looks = LookSchedule(Wakeups(), arrivals)
     arrivals.come()
     waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
     await asyncio.sleep(5 * APART)
@@ -78,7 +78,7 @@ async def test_what_a_look_has_seen_calls_for_no_other(arrivals) -> None:
 
 
 async def test_a_wait_that_ended_otherwise_leaves_nothing_behind(arrivals) -> None:
-    looks = Looks(Wakeups(), arrivals)
+    looks = LookSchedule(Wakeups(), arrivals)
     begun = looks.begin()
     arrivals.come()
     await looks.until(begun)  # the moment comes before the pause after the last look is over
@@ -91,7 +91,7 @@ async def test_a_wait_that_ended_otherwise_leaves_nothing_behind(arrivals) -> No
 @pytest.mark.parametrize("arrivals", [None, Told(asked=False)])
 async def test_without_such_topics_messages_wait(arrivals) -> None:
     wakeups = Wakeups()
-    looks = Looks(wakeups, arrivals)
+    looks = LookSchedule(wakeups, arrivals)
     waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
     if arrivals is not None:
         arrivals.come()
@@ -106,7 +106,7 @@ async def test_silence_tells_nothing_after_a_stall(monkeypatch) -> None:
     monkeypatch.setattr(
         "understudy.monitor.observe.wakeups.time", type("Clock", (), {"time": staticmethod(lambda: now)})
     )
-    looks = Looks(Wakeups(), None)
+    looks = LookSchedule(Wakeups(), None)
     for late, trusted in ((0.0, 0.0), (STALLED, 0.0), (0.1, 0.1), (3.0, STALL_MOST)):
         looks.trusted_from = 0.0
         now = 1000.0
@@ -119,7 +119,7 @@ async def test_silence_tells_nothing_after_a_stall(monkeypatch) -> None:
 
 
 async def test_what_was_done_in_between_is_no_stall() -> None:
-    looks = Looks(Wakeups(), None)
+    looks = LookSchedule(Wakeups(), None)
     looks.begin()
     await looks.until(time.time() - 1.0)
     looks.restart()
@@ -128,7 +128,7 @@ async def test_what_was_done_in_between_is_no_stall() -> None:
 
 
 async def test_a_clock_that_is_set_back_does_not_delay_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks, clock = Looks(Wakeups(), None), [1_000_000.0]
+    looks, clock = LookSchedule(Wakeups(), None), [1_000_000.0]
     monkeypatch.setattr(time, "time", lambda: clock[0])
     looks.begin()
     await looks.until(clock[0] - 1)

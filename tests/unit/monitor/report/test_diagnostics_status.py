@@ -11,11 +11,11 @@ pytest.importorskip("rclpy")
 from tests.unit.monitor.diagnosed import TREE
 from understudy.api.kinds.robot_workload import GateStatus, Health, Moments, Parts, Recovery
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, More, said, status
+from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, Details, said, status
 from understudy.ros.actions.diagnostics_topic import Status
 
 NONE: Any = None
-MORE = More("navigation", "Executing (1/1)", {"/amcl_pose": 98.5}, TREE)
+MORE = Details("navigation", "Executing (1/1)", {"/amcl_pose": 98.5}, TREE)
 
 
 @pytest.fixture
@@ -25,7 +25,7 @@ def notices() -> Notices:
     return made
 
 
-def told(notices: Notices, more: More = MORE) -> Status:
+def told(notices: Notices, more: Details = MORE) -> Status:
     return status("fleet", "robot-1-drive", said(notices.status, 100.0), notices.status, more)
 
 

@@ -12,7 +12,7 @@ import contextlib
 import time
 from collections.abc import Callable, Coroutine, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import aiohttp
 
@@ -22,7 +22,7 @@ from understudy.kube.client import ApiError
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
-from understudy.monitor.notices import Notices
+from understudy.monitor.notices import ConditionReport, Notices
 from understudy.monitor.observe.senses import Senses
 
 WRITE_AGAIN = 1.0
@@ -34,9 +34,11 @@ TOO_STRONG_FOR = 5.0
 REPLACE_AGAIN = 60.0
 """Seconds between two such replacements: if the clocks of nodes differ, a replacement may not help."""
 
-Said = tuple[Literal["True", "False", "Unknown"], str, str]
-
-PAUSED: Said = ("False", "Paused", "The gate admits no standby beside the active pod while spec.pause is in force.")
+PAUSED: ConditionReport = (
+    "False",
+    "Paused",
+    "The gate admits no standby beside the active pod while spec.pause is in force.",
+)
 
 
 class ReflexGuard:
@@ -87,7 +89,7 @@ class ReflexGuard:
             if said[1] in ("Armed", "DeadlineTooShort", "StandbyTooStrong", "Blocked", "Ambiguous"):
                 self._notices.event(kind, f"Reflex{said[1]}", said[2])
 
-    def _choose(self, now: float, enforced: bool) -> tuple[Instance | None, Said]:
+    def _choose(self, now: float, enforced: bool) -> tuple[Instance | None, ConditionReport]:
         state = self._gate.state
         active = self._fleet.find(state.active_uid)
         if state.closed or active is None:
@@ -139,7 +141,7 @@ class ReflexGuard:
         status = self._agents.status(instance)
         return status.strength if status is not None else None
 
-    def _armed(self, active: Instance, standby: Instance, now: float) -> Said:
+    def _armed(self, active: Instance, standby: Instance, now: float) -> ConditionReport:
         since = self._admitted[1]
         if now - since > SILENT and now - max(self._probes.last(standby.uid) or 0.0, since) > SILENT:
             return (
@@ -169,7 +171,7 @@ class ReflexGuard:
                 )
         return ""
 
-    def _too_strong(self, active: Instance, ready: Sequence[Instance], now: float) -> Said:
+    def _too_strong(self, active: Instance, ready: Sequence[Instance], now: float) -> ConditionReport:
         if self._too_strong_since is None or self._too_strong_since > now:
             self._too_strong_since = now
         self._replace_after = min(self._replace_after, now + REPLACE_AGAIN)

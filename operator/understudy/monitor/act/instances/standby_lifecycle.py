@@ -38,7 +38,7 @@ RETRY_FIRST, RETRY_MOST = 5.0, 60.0
 
 
 @dataclass
-class _Care:
+class _InstanceState:
     """One instance that is cared for."""
 
     task: asyncio.Task[None] | None = None
@@ -53,14 +53,14 @@ class _Care:
 
 
 @dataclass
-class Bringing:
+class StandbyLifecycle:
     """Cares for all instances of one workload."""
 
     fleet: PodControl
     agents: AgentConnections
     roles: InstanceRoles
     notices: Notices
-    _cared: dict[str, _Care] = field(default_factory=dict)
+    _cared: dict[str, _InstanceState] = field(default_factory=dict)
     _was_managed: bool = False
     _replacing: set[asyncio.Task[None]] = field(default_factory=set)
 
@@ -84,7 +84,7 @@ class Bringing:
         for instance in instances:
             if not instance.has_agent or instance.held or not instance.usable:
                 continue
-            care = self._cared.setdefault(instance.uid, _Care())
+            care = self._cared.setdefault(instance.uid, _InstanceState())
             status = self.agents.status(instance)
             if status is not None and status.configured:
                 ready = self.roles.was_ready(instance) or self.agents.is_ready(instance)[0]
@@ -103,7 +103,13 @@ class Bringing:
         self._say(instances, policy, spec, settings, waiting, outdated)
 
     def _bring(
-        self, instance: Instance, found: Role, care: _Care, brought: str, kept: Callable[[], KeptState], now: float
+        self,
+        instance: Instance,
+        found: Role,
+        care: _InstanceState,
+        brought: str,
+        kept: Callable[[], KeptState],
+        now: float,
     ) -> None:
         procedure = found.procedure
         if procedure is None or brought == found.brought:
@@ -121,7 +127,7 @@ class Bringing:
         care.task = asyncio.create_task(self._run(instance, procedure, found, care, kept))
 
     async def _run(
-        self, instance: Instance, procedure: BringUp, found: Role, care: _Care, kept: Callable[[], KeptState]
+        self, instance: Instance, procedure: BringUp, found: Role, care: _InstanceState, kept: Callable[[], KeptState]
     ) -> None:
         state = kept() if procedure.restores_state else KeptState()
         try:
@@ -137,7 +143,7 @@ class Bringing:
             care.problem = ""
             _logger.info("%s: %s done", instance.name, procedure.name)
 
-    def _watch_readiness(self, instance: Instance, care: _Care, now: float) -> None:
+    def _watch_readiness(self, instance: Instance, care: _InstanceState, now: float) -> None:
         """Replace a standby that was ready and has not been for a while. While the active instance is not healthy
         either, the reason may be the robot."""
         ready, reason = self.agents.is_ready(instance)
@@ -170,7 +176,7 @@ class Bringing:
             self._replacing.add(task)
             task.add_done_callback(self._replacing.discard)
 
-    async def _replace(self, instance: Instance, care: _Care) -> None:
+    async def _replace(self, instance: Instance, care: _InstanceState) -> None:
         try:
             await self.fleet.retire(instance)
         except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
@@ -212,7 +218,7 @@ class Bringing:
             self.notices.condition("BroughtUp", "True", "BroughtUp", text)
 
     @staticmethod
-    def _stop(care: _Care) -> None:
+    def _stop(care: _InstanceState) -> None:
         if care.task is not None:
             care.task.cancel()
             care.task = None

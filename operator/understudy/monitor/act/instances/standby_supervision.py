@@ -9,7 +9,7 @@ from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import Agents, Instance
-from understudy.monitor.act.instances.standby_lifecycle import Bringing
+from understudy.monitor.act.instances.standby_lifecycle import StandbyLifecycle
 from understudy.monitor.act.instances.state_keeping import StateKeeping
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.notices import Notices
@@ -32,7 +32,7 @@ class StandbySupervision:
     ) -> None:
         self._cluster, self._agents, self._roles, self._current = cluster, agents, roles, current
         self._keeping = keeping
-        self._bringing = Bringing(cluster.pods, agents, roles, notices)
+        self._bringing = StandbyLifecycle(cluster.pods, agents, roles, notices)
 
     def housekeeping(
         self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool

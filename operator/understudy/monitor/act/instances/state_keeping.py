@@ -24,7 +24,7 @@ from understudy.failover.progress import rfc3339
 from understudy.kube.agent_client import AgentGone, AgentRefused
 from understudy.monitor.notices import Notices, StateKept
 from understudy.monitor.observe.agent_connections import AgentConnections
-from understudy.ros.observe.state_samples import Capturing
+from understudy.ros.observe.state_samples import StateSamples
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.pose_propagation import Carrier
 from understudy.state.state_capture import Entry, Keeper, Key, Trouble
@@ -70,10 +70,10 @@ class StateKeeping:
 
     def __init__(self, graph: Graph, shelf: StateStore, agents: AgentConnections, notices: Notices) -> None:
         """Take over what an earlier monitor had kept."""
-        self._capturing = Capturing(graph)
+        self._capturing = StateSamples(graph)
         self._shelf, self._agents, self._notices = shelf, agents, notices
         self._keeper = Keeper()
-        self._odometry, self._carrier = Capturing(graph), Carrier()
+        self._odometry, self._carrier = StateSamples(graph), Carrier()
         self._next_odometry = 0.0
         self._uncarried: dict[str, float] = {}
         self._state: State | None = None

@@ -11,7 +11,7 @@ import aiohttp
 from pydantic import ValidationError
 
 from understudy.api import names
-from understudy.failover.abandoned import GivenUp, ended
+from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
@@ -188,16 +188,16 @@ class GateControl:
         self._view.gates.put(gate)
         return True
 
-    def left_by(self, recovery: str) -> GivenUp | None:
+    def left_by(self, recovery: str) -> AbandonedRecovery | None:
         """The record that a recovery (its id) that this monitor abandoned has left at the gate, or may still leave; None for none."""
         id_, epoch, sent = self._own
         if id_ == recovery:
-            return GivenUp(id=id_, epoch=epoch, sent=sent)
+            return AbandonedRecovery(id=id_, epoch=epoch, sent=sent)
         record = self.record
         found = beside(record.recovery) if record is not None else None
         if record is None or found is None or found.id != recovery:
             return None
-        return GivenUp(id=recovery, epoch=record.epoch, sent=record.recovery)
+        return AbandonedRecovery(id=recovery, epoch=record.epoch, sent=record.recovery)
 
     async def end_recovery(self, over: GateRecord) -> None:
         """Mark the recovery in this record as ended, if the gate still has this record.

@@ -15,7 +15,7 @@ import asyncio
 import logging
 import time
 
-from understudy.failover.abandoned import GivenUp
+from understudy.failover.abandoned import AbandonedRecovery
 from understudy.failover.progress import LASTS, Committed, Progress, beside, under_way
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
@@ -29,7 +29,7 @@ class Abandonment:
 
     def __init__(self, gate: GateControl, journal: RecoveryJournal, notices: Notices) -> None:
         self._gate, self._journal, self._notices = gate, journal, notices
-        self._kept: list[GivenUp] | None = None
+        self._kept: list[AbandonedRecovery] | None = None
         """The recoveries that were abandoned; None until those of an earlier monitor were taken over."""
         self._left: tuple[str, float] = ("", 0.0)
         """The recovery in the gate's record that is not this monitor's, and since when it has been there while the
@@ -84,7 +84,7 @@ class Abandonment:
         return now - self._left[1] >= LASTS
 
     @property
-    def _known(self) -> list[GivenUp]:
+    def _known(self) -> list[AbandonedRecovery]:
         if self._kept is None:
             self._kept = self._journal.journal.given_up()
         return self._kept
@@ -104,7 +104,7 @@ class Abandonment:
         if left != self._known:
             self._keep(left)
 
-    def _keep(self, given_up: list[GivenUp]) -> None:
+    def _keep(self, given_up: list[AbandonedRecovery]) -> None:
         self._kept = given_up
         try:
             self._journal.journal.give_up(given_up)

@@ -24,7 +24,7 @@ from understudy.failover.interfaces import Instance, NotAvailable, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.restart import Restart
-from understudy.failover.switchover import Prepared
+from understudy.failover.switchover import Preparation
 from understudy.kube.client import ApiError
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.instances.state_keeping import StateKeeping
@@ -92,7 +92,7 @@ class PlannedSwitchovers:
         self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
         self._options, self._keeping, self._current = options, keeping, current
         self._garbage, self._notices = garbage, notices
-        self._task: asyncio.Task[Prepared] | None = None
+        self._task: asyncio.Task[Preparation] | None = None
         self._wanted: Wanted | None = None
         self._progress: Progress | None = None
         self._touched: PodIdentity | None = None
@@ -107,7 +107,7 @@ class PlannedSwitchovers:
         target = self._progress.target if self._progress is not None else None
         return target.uid if target is not None else ""
 
-    def look(self, lacking: str) -> Prepared | None:
+    def look(self, lacking: str) -> Preparation | None:
         """Return the understudy that can drive instead of the active instance, once there is one that should.
 
         ``lacking`` is why none can be prepared now, if so. Called at every look while nothing has failed, and returns
@@ -149,7 +149,7 @@ class PlannedSwitchovers:
         self._leave(progress, progress.target)
         return None
 
-    async def carry_out(self, prepared: Prepared) -> Outcome | None:
+    async def carry_out(self, prepared: Preparation) -> Outcome | None:
         """Switch the gate to an understudy that can drive, or check the outcome of a switch that an earlier monitor
         began.
 
@@ -268,7 +268,7 @@ class PlannedSwitchovers:
         bring_up = BringUp.of("bringUp", spec.bring_up) if spec is not None else None
         return Choice(Restart(recovery=bring_up), max([PATIENCE, *(choice.verify_within for choice in choices)]))
 
-    def _outcome(self, task: asyncio.Task[Prepared]) -> Prepared | None:
+    def _outcome(self, task: asyncio.Task[Preparation]) -> Preparation | None:
         wanted = self._wanted
         assert wanted is not None, "it was begun"
         try:

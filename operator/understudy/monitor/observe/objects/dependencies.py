@@ -17,7 +17,7 @@ from understudy.api import names
 from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.bring_up import BringUp
-from understudy.failover.dependency import Due, Held, Outage, Seen, due, held, outage
+from understudy.failover.dependency import DueReaction, HeldFailure, Outage, UpstreamState, due, held, outage
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice
@@ -56,7 +56,7 @@ class _Watched:
         self.statuses = reflector(WORKLOADS, name)
         self.gates = [reflector(resource, names.gate(name)) for resource in registry.GATE_RESOURCES]
         self._tasks: list[asyncio.Task[None]] = []
-        self._seen: tuple[tuple[int, int], Seen] = ((-1, -1), Seen())
+        self._seen: tuple[tuple[int, int], UpstreamState] = ((-1, -1), UpstreamState())
 
     def begin(self) -> None:
         """Start the watches."""
@@ -73,26 +73,26 @@ class _Watched:
         return self.statuses.synced.is_set()
 
     @property
-    def seen(self) -> Seen:
+    def seen(self) -> UpstreamState:
         """The state of the workload according to its status and gate."""
         revision = (self.statuses.revision, sum(one.revision for one in self.gates))
         if self._seen[0] != revision:
             self._seen = (revision, self._read())
         return self._seen[1]
 
-    def _read(self) -> Seen:
+    def _read(self) -> UpstreamState:
         item = self.statuses.items.get(self._name)
         if item is None:
-            return Seen()
+            return UpstreamState()
         gates = (one.items.get(names.gate(self._name)) for one in self.gates)
         gate = next((one for one in gates if one is not None), None)
         try:
             status = RobotWorkloadStatus.model_validate(item.get("status") or {})
             text = GateRecord.of(gate).recovery if gate is not None else ""
-            return Seen.of(status, Progress.model_validate_json(text) if text else None)
+            return UpstreamState.of(status, Progress.model_validate_json(text) if text else None)
         except ValidationError as error:
             _logger.warning("what RobotWorkload %s says cannot be read: %s", self._name, error)
-            return Seen()
+            return UpstreamState()
 
 
 class Dependencies:
@@ -202,7 +202,7 @@ class Dependencies:
         """Whether the status reports that a failure is held."""
         return bool(self._watched) and self._notices.status.reason(CONDITION) in ("Held", "Settling")
 
-    def _say(self, found: Held, reason: str) -> None:
+    def _say(self, found: HeldFailure, reason: str) -> None:
         until = datetime.fromtimestamp(found.until, UTC).strftime("%H:%M:%S UTC")
         if found.settling:
             why, then = "Settling", f"is healthy again; if the failure continues, this workload is recovered at {until}"
@@ -218,7 +218,7 @@ class Dependencies:
 
     # -- after a recovery there -----------------------------------------------------------------------------------------
 
-    def due(self, active: Instance, now: float) -> Due | None:
+    def due(self, active: Instance, now: float) -> DueReaction | None:
         """Return the recoveries of dependencies that the active instance must react to now; None if there are none."""
         if not self._watched or self._given is None:
             return None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from understudy.failover.limits import storm
-from understudy.failover.limits.state import InForce
+from understudy.failover.limits.state import ActiveLimit
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 
@@ -13,7 +13,7 @@ class StormCondition:
     def __init__(self, view: ClusterView) -> None:
         self._view = view
 
-    def on(self, now: float) -> InForce | None:
+    def on(self, now: float) -> ActiveLimit | None:
         """Return the storm that is on at this time (unix seconds); None if there is none, or if it has lasted for too long."""
         policy, spec = self._view.policy, self._view.spec
         if policy is None or spec is None or (guard := policy.limits.storm_guard) is None:

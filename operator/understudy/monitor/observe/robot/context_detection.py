@@ -19,7 +19,7 @@ from understudy.trees.source.problems import TreeError
 _logger = logging.getLogger(__name__)
 
 
-class Seen(NamedTuple):
+class SituationState(NamedTuple):
     """Whether the robot is seen in a situation."""
 
     so: bool | None
@@ -29,19 +29,19 @@ class Seen(NamedTuple):
 
 
 @dataclass
-class _Sign:
+class _Criterion:
     """By what one situation is known."""
 
     task: TaskActive | None = None
     tree: HealthTree | None = None
 
 
-class Situating:
+class ContextDetection:
     """The situations of the policy in force. Where it has none, nothing is loaded, watched or judged."""
 
     def __init__(self) -> None:
         self._given: list[Situation] = []
-        self._signs: dict[str, _Sign] = {}
+        self._signs: dict[str, _Criterion] = {}
         self._blind: Collection[str] = ()
         self.problems: list[str] = []
         """What does not load and why."""
@@ -54,10 +54,10 @@ class Situating:
         self._signs = {one.name: self._sign(one, index) for index, one in enumerate(policy.situations)}
         return True
 
-    def _sign(self, situation: Situation, index: int) -> _Sign:
+    def _sign(self, situation: Situation, index: int) -> _Criterion:
         when = situation.when
         if when.task is not None:
-            return _Sign(task=TaskActive(when.task.action))
+            return _Criterion(task=TaskActive(when.task.action))
         try:
             # Without a grace: what is not seen to hold does not, also of an instance that has just taken control.
             tree = load_inline(when, path=f"spec.situations[{index}].when", grace=0.0, fields=message_fields)
@@ -66,9 +66,9 @@ class Situating:
             self.problems.append(
                 f"The tree of the situation {situation.name} does not load, the last good one stays in force: {error.in_short()}."
             )
-            return self._signs.get(situation.name, _Sign())
+            return self._signs.get(situation.name, _Criterion())
         tree.begin(time.time())
-        return _Sign(tree=tree)
+        return _Criterion(tree=tree)
 
     @property
     def topics(self) -> list[WatchedTopic]:
@@ -86,20 +86,22 @@ class Situating:
         """Set the topics that cannot be watched. A tree with one of them has an unknown result."""
         self._blind = topics
 
-    def seen(self, observations: Observations, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
+    def seen(
+        self, observations: Observations, goals: Collection[str], *, now: float, since: float
+    ) -> dict[str, SituationState]:
         """Return the observation of each situation, by name. ``goals`` are the actions that have goals according to the action proxy."""
         return {name: self._seen(sign, observations, goals, now=now, since=since) for name, sign in self._signs.items()}
 
     def _seen(
-        self, sign: _Sign, observations: Observations, goals: Collection[str], *, now: float, since: float
-    ) -> Seen:
+        self, sign: _Criterion, observations: Observations, goals: Collection[str], *, now: float, since: float
+    ) -> SituationState:
         if sign.task is not None:
             # A goal that waits for the next instance still counts as active.
             active = sign.task.action in goals or observations.task(sign.task.topic) is not None
-            return Seen(active, f"a goal of {sign.task.action} is active" if active else "")
+            return SituationState(active, f"a goal of {sign.task.action} is active" if active else "")
         if sign.tree is None or any(topic.name in self._blind for topic in sign.tree.topics):
-            return Seen(None, "")
+            return SituationState(None, "")
         verdict = sign.tree.evaluate(observations, now=now, since=since)
         if verdict.state == "Starting":
-            return Seen(None, "")
-        return Seen(verdict.state == "Healthy", "its tree holds" if verdict.state == "Healthy" else "")
+            return SituationState(None, "")
+        return SituationState(verdict.state == "Healthy", "its tree holds" if verdict.state == "Healthy" else "")

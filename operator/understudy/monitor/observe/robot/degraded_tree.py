@@ -22,7 +22,7 @@ from understudy.trees.source.problems import TreeError
 _logger = logging.getLogger(__name__)
 
 
-class Busy(NamedTuple):
+class BusyReason(NamedTuple):
     """Why the robot does not count as idle."""
 
     kind: str
@@ -30,7 +30,7 @@ class Busy(NamedTuple):
     words: str
 
 
-class Wellness:
+class DegradedTrees:
     """What well and idle mean in the policy in force. If the policy does not define them, nothing is loaded, watched or
     judged."""
 
@@ -97,18 +97,18 @@ class Wellness:
             return Verdict("Starting", "no tree says what well means", "", None)
         return self._well.evaluate(observations, now=now, since=since)
 
-    def busy(self, observations: Observations, *, now: float, since: float) -> Busy | None:
+    def busy(self, observations: Observations, *, now: float, since: float) -> BusyReason | None:
         """Why the robot does not count as idle; None if it does. What cannot be seen does not count as idle."""
         for task in self._tasks:
             if observations.task(task.topic) is not None:
-                return Busy("task", f"a goal of {task.action} is active")
+                return BusyReason("task", f"a goal of {task.action} is active")
         if self._idle is None:
-            nothing = Busy(
+            nothing = BusyReason(
                 "never",
                 "the workload has no tasks, and reschedule.idle of the policy does not define when the robot is idle",
             )
             return None if self._tasks else nothing
         if blind := [topic.name for topic in self._idle.topics if topic.name in self._blind]:
-            return Busy("blind", f"{', '.join(blind)} cannot be watched")
+            return BusyReason("blind", f"{', '.join(blind)} cannot be watched")
         verdict = self._idle.evaluate(observations, now=now, since=since)
-        return None if verdict.state == "Healthy" else Busy("idle", verdict.reason)
+        return None if verdict.state == "Healthy" else BusyReason("idle", verdict.reason)

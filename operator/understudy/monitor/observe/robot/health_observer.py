@@ -12,8 +12,8 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec, Monitoring
 from understudy.api.kinds.robot_workload import Output, RobotWorkloadSpec
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
 from understudy.monitor.observe.objects.resource_meter import ResourceMeter
-from understudy.monitor.observe.robot.context_detection import Seen, Situating
-from understudy.monitor.observe.robot.degraded_tree import Busy, Wellness
+from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
+from understudy.monitor.observe.robot.degraded_tree import BusyReason, DegradedTrees
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import SampleRing
 from understudy.ros.observe.topic_watch import TopicWatch
@@ -51,8 +51,8 @@ class HealthObserver:
         self._loaded: tuple[Monitoring, list[Output]] | None = None
         self._outputs: list[Output] = []
         self._problems: list[str] = []
-        self._wellness = Wellness()
-        self._situating = Situating()
+        self._wellness = DegradedTrees()
+        self._situating = ContextDetection()
         self._aside: set[str] = set()
         """Topics that are received for these two alone."""
         self._addresses: dict[str, tuple[str, float]] = {}
@@ -217,11 +217,11 @@ class HealthObserver:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
         return self._wellness.verdict(self._watching, now=now, since=since)
 
-    def busy(self, *, now: float, since: float) -> Busy | None:
+    def busy(self, *, now: float, since: float) -> BusyReason | None:
         """Why the robot does not count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
         return self._wellness.busy(self._watching, now=now, since=since)
 
-    def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, Seen]:
+    def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
         """What is seen of each situation of the policy; ``goals`` are the actions that have some. Times are unix seconds."""
         return self._situating.seen(self._watching, goals, now=now, since=since)
 
