@@ -59,7 +59,8 @@ def test_check_names_the_file_that_drifted_and_writing_mends_it(copy: Path, path
     (copy / path).write_text(good.replace(was, became))
     done = _generate("--check", "--root", str(copy))
     assert done.returncode == 1
-    assert done.stderr == f"{path} is out of date: run scripts/generate and commit the result\n"
+    assert done.stderr.startswith(f"{path} is out of date")
+    assert "scripts/generate" in done.stderr
     assert _generate("--root", str(copy)).returncode == 0
     assert (copy / path).read_text() == good
 

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from tests.support.bag_recording import every, write
+from tests.support.golden import assert_golden
 
 REPOSITORY = Path(__file__).parents[3]
 PAGE = (REPOSITORY / "docs" / "how-to" / "writing-a-leaf.md").read_text()
@@ -128,7 +129,7 @@ def test_scans_that_come_again_are_found_in_a_bag(site: Path, tmp_path: Path) ->
     write(tmp_path / "recorded", scans)
     status, said = run(site, "understudy", "simulate", "policy.yaml", "--bag", "recorded", cwd=tmp_path)
     assert status == 1, said
-    assert "acme_lively of /scan has not held for 1 s (ranges is what it was before)" in said
+    assert_golden("simulate", said, "acme_lively of /scan", "1 s", "ranges")
     assert "1x, 1.8 s, first at 6.100 s  Failed" in said
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.golden import assert_golden
 from understudy.api.kinds.state_spec import RestoredState, State
-from understudy.api.protocol.kept_state import KeptSample, KeptState, Motion, NotRestored, Restored, RestoreReport
+from understudy.api.protocol.kept_state import KeptSample, KeptState, Motion, Restored, RestoreReport
 from understudy.failover.progress import Progress
 from understudy.kinematics.poses import Pose
 from understudy.state.pose_propagation import Carrier
@@ -123,9 +123,9 @@ def test_without_odometry_it_says_so(carrier: Carrier) -> None:
     assert_golden("kept_state", motion(carrier, 0.0, 5.0).missing, "/odom", "nothing has come")
     carrier.note({"/odom": "nobody publishes it"})
     assert_golden("kept_state", motion(carrier, 0.0, 5.0).missing, "/odom", "nobody publishes")
-    assert carrier.reasons(KeptState((kept(START),)), START + 5) == {
-        "/amcl_pose": "it cannot be propagated by /odom: nobody publishes it"
-    }
+    reasons = carrier.reasons(KeptState((kept(START),)), START + 5)
+    assert list(reasons) == ["/amcl_pose"]
+    assert_golden("kept_state", reasons["/amcl_pose"], "/odom", "nobody publishes")
 
 
 def test_odometry_that_is_none_is_told(carrier: Carrier) -> None:
@@ -155,7 +155,8 @@ def test_what_must_be_carried_and_can_not_be_is_left_out() -> None:
     carrier.follow(policy(required=True))
     state = carrier.carry(KeptState((kept(START),)), START + 1)
     assert state.samples == ()
-    assert state.left_out == (NotRestored("/amcl_pose", "it cannot be propagated by /odom: nothing has come on it"),)
+    assert [entry.name for entry in state.left_out] == ["/amcl_pose"]
+    assert_golden("kept_state", state.left_out[0].reason, "/odom", "nothing has come")
     assert state.left_out[0].failed, "a tree that restores it must not go on"
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.golden import assert_golden
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.cli.check.command import check
 from understudy.trees.core.health_tree import HealthTree, Verdict
@@ -110,7 +111,8 @@ def test_the_policies_differ_in_language_and_name_only() -> None:
 
 def test_the_manifests_are_accepted_together() -> None:
     result = check([(file.name, file.read_bytes()) for file in FILES.values()])
-    assert (result.findings, result.totals()) == ([], "3 objects checked in 3 files: 0 errors, 0 warnings")
+    assert result.findings == []
+    assert_golden("check", result.totals(), "3 objects", "3 files", "0 errors", "0 warnings")
 
 
 def test_a_robot_that_stands_and_does_nothing_is_healthy() -> None:

@@ -48,13 +48,9 @@ def test_each_entry_point_is_a_leaf(tmp_path: Path) -> None:
 )
 def test_a_name_is_two_words_at_least(tmp_path: Path, name: str) -> None:
     package(tmp_path, "acme-leaves", f"{name} = acme_added_judges:Judge")
-    assert found() == PluginLeaves(
-        {},
-        {
-            name: f"{name} of acme-leaves 1.0 cannot be used: its name must be two words at least, such as acme_lively: "
-            "a-z and 0-9, with _ between them"
-        },
-    )
+    leaves, refused = found().leaves, found().refused
+    assert (leaves, list(refused)) == ({}, [name])
+    assert_golden("tree_problems", refused[name], f"{name} of acme-leaves 1.0", "two words")
 
 
 def test_a_name_that_is_taken_is_refused_and_the_others_of_its_package_are_not(

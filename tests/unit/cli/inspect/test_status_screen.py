@@ -51,8 +51,8 @@ def test_a_narrow_terminal_has_the_same_robots() -> None:
 
 
 def test_where_there_is_no_width_a_problem_is_one_whole_line() -> None:
-    assert sum(line.endswith("and imagePullSecrets. If it failed now, Fallback from pool navigation-spare would be used: it has pods "
-        "ready (Uninitialized).") for line in told(None)) == 1  # fmt: skip
+    (problem,) = (line for line in told(None) if "(ImagePullBackOff" in line)
+    assert_golden("status", problem, "imagePullSecrets", "pool navigation-spare", "ready (Uninitialized)")
 
 
 def test_a_pool_does_not_say_again_what_is_told_of_a_robot() -> None:
