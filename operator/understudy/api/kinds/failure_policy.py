@@ -144,9 +144,10 @@ class Strategy(Model):
     RobotWorkload. The gate is closed meanwhile: no output reaches the robot. Kept state (spec.state) is restored before
     the procedure, or by its restore_state steps if it has any."""
     wait_for: Duration | None = None
-    """Only for pools with readiness Uninitialized: how long to wait, with the gate closed, if the pool has no ready
-    pod. After this time the next strategy is tried. A free pod goes first to the RobotWorkload with the highest
-    spec.poolPriority. Absent: the next strategy is tried immediately. See docs/waiting.md."""
+    """Only for pools with readiness Uninitialized: how long to wait, with the gate closed (no instance reaches the
+    robot), if the pool has no ready pod. After this time the next strategy is tried. A free pod goes first to the
+    RobotWorkload with the highest spec.poolPriority. Absent: the next strategy is tried immediately. See
+    docs/waiting.md."""
     verify_within: Duration = "30s"
     """Maximum time from the start of the strategy until it is verified: the robot receives outputs from the new
     instance and from no other. After this time the next strategy is tried. Time spent waiting for a pod (waitFor) does

@@ -370,7 +370,7 @@ class Recovery(Model):
     number: int = 0
     """Number of this recovery, counted from 1 for each workload."""
     reason: str
-    """What failed, as the health tree reports it, or why the change was planned."""
+    """What failed, such as a leaf of the health tree or the pod, or why the change was planned."""
     result: Literal["Running", "Recovered", "Failed"]
     """Running, Recovered or Failed."""
     strategy: str = ""
@@ -380,7 +380,7 @@ class Recovery(Model):
     to_pod: str = ""
     """The pod that took over."""
     epoch: int = 0
-    """Epoch of the gate (the number of its last change) after the recovery."""
+    """Epoch of the gate (the number of its last commit) after the recovery."""
     recovery_seconds: float | None = None
     """Sum of the four parts: seconds from the last healthy output until the understudy (the instance that took over)
     could reach the robot."""
@@ -407,7 +407,8 @@ class GateStatus(Model):
     """State of the gate, which decides which instance can reach the robot."""
 
     epoch: int = 0
-    """Number of the gate's last change. It increases by one with every change."""
+    """Number of the gate's last commit. It increases by one whenever the gate closes or opens for another pod. Commands
+    with an older epoch are refused."""
     active: str = ""
     """The pod for which the gate is open. Empty if the gate is closed."""
 
@@ -433,7 +434,7 @@ class RobotWorkloadStatus(Model):
     failing_since: Time | None = None
     """Time of the last healthy output, after which the current failure began. Absent if there is no failure."""
     standby: str | None = None
-    """Readiness level of the standbys, and how many of them could take over now."""
+    """Readiness level of the standbys (instances that wait to take over), and how many of them could take over now."""
     strategy: str | None = None
     """The strategy that would be used if the workload failed now."""
     stocked: list[str] | None = Field(
