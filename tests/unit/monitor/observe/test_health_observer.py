@@ -3,72 +3,46 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import time
+from collections.abc import Iterator
 
 import pytest
 
+pytest.importorskip("rclpy")
+
+from geometry_msgs.msg import Twist
+from std_msgs.msg import String
+
+from tests.support.clock import Clock
+from tests.unit.monitor.observed import STATUS, begin_task, count, observing, own_address, publisher, until
+from tests.unit.monitor.observed import policy_with as _policy
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.interfaces import GateState, Instance
-from understudy.monitor.observe.objects.resource_meter import ResourceMeter
-from understudy.trees.core.observations import PodCondition
+from understudy.monitor.observe.robot import degraded_tree, health_observer
+from understudy.monitor.observe.robot.health_observer import GatedReaders, HealthObserver
+from understudy.ros.observe.sample_sources import Sources
 from understudy.trees.languages.short import health_loader
 from understudy.trees.leaves.custom_leaf import kind_of
 
 pytestmark = pytest.mark.ros
 
-STATUS = "/go/_action/status"
-
 
 @pytest.fixture
-def observer(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setenv("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(10 + os.getpid() % 90))
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    from understudy.monitor.observe.robot.health_observer import HealthObserver
-
-    made = HealthObserver()
-    made.follow(
-        FailurePolicySpec.model_validate(
-            {
-                "monitoring": {
-                    "yaml": {
-                        "parallel": [
-                            {"topic": {"name": "/beat", "gap": "1s", "type": "std_msgs/msg/String"}},
-                            {
-                                "while": {"task_active": {"action": "/go"}},
-                                "do": {"topic": {"name": "/cmd_vel", "gap": "500ms"}},
-                            },
-                        ]
-                    }
-                },
-                "strategies": [{"type": "Restart"}],
-            }
-        ),
-        RobotWorkloadSpec.model_validate(
-            {
-                "template": {"spec": {}},
-                "outputs": [
-                    {"topic": "/beat", "type": "std_msgs/msg/String"},
-                    {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},
-                ],
-                "failurePolicyRef": {"name": "p"},
-            }
-        ),
-    )
-    yield made
-    made.graph.close()
+def observer(monkeypatch: pytest.MonkeyPatch) -> Iterator[HealthObserver]:
+    yield from observing(monkeypatch)
 
 
-def test_an_output_of_a_task_is_expected_only_while_that_is_active(observer) -> None:
+def test_an_output_of_a_task_is_expected_only_while_that_is_active(observer: HealthObserver) -> None:
     assert observer.gated == ["/beat", "/cmd_vel"]
     assert observer.expected == ["/beat"]
-    observer._watching._topics[STATUS].active[bytes(16)] = 1.0
+    begin_task(observer)
     assert observer.expected == ["/beat", "/cmd_vel"]
 
 
-def test_a_tree_in_xml_takes_the_place_of_one_in_yaml_and_stays_when_the_next_is_broken(observer) -> None:
+def test_a_tree_in_xml_takes_the_place_of_one_in_yaml_and_stays_when_the_next_is_broken(
+    observer: HealthObserver,
+) -> None:
     def follow(text: str) -> None:
         spec = {"monitoring": {"xml": text}, "strategies": [{"type": "Restart"}]}
         observer.follow(FailurePolicySpec.model_validate(spec), None)
@@ -84,7 +58,7 @@ def test_a_tree_in_xml_takes_the_place_of_one_in_yaml_and_stays_when_the_next_is
     assert not any("health tree" in problem for problem in observer.problems)
 
 
-def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(observer) -> None:
+def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(observer: HealthObserver) -> None:
     tree = 'import osc.understudy\nscenario healthy:\n    do topic("/beat", gap: 1s)\n'
     spec = {"monitoring": {"osc": tree}, "strategies": [{"type": "Restart"}]}
     observer.follow(FailurePolicySpec.model_validate(spec), None)
@@ -92,25 +66,21 @@ def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(observer) -> None
     assert not any("health tree" in problem for problem in observer.problems)
 
 
-def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(observer) -> None:
-    from understudy.ros.dds.host_ids import VENDOR, host_id
-    from understudy.ros.observe.topic_watch import SourceRecord
-
-    observer._watching.attribute({"w-1": "192.0.2.1"}, "w-1")
-    host = VENDOR + host_id("192.0.2.1")
-    for topic, received in (("/cmd_vel", 50.0), ("/beat", 100.0)):
-        record = observer._watching._topics[topic].sources[host] = SourceRecord(10.0)
-        record.add(received)
-    assert observer.last_well("w-1") == 100.0
-    del observer._watching._topics["/beat"].sources[host]
+def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(observer: HealthObserver) -> None:
+    beat, command = publisher(observer, "/beat", String), publisher(observer, "/cmd_vel", Twist)
+    active = Instance("w-1", "uid-1", ip=own_address(observer))
+    until(observer, lambda: observer.last_from("w-1"), each=lambda: command.publish(Twist()), instances=[active])
     assert observer.last_well("w-1") is None
-    assert observer.last_from("w-1") == 50.0
+    last = observer.last_from("w-1")
+    assert last is not None
+    until(observer, lambda: observer.last_well("w-1"), each=lambda: beat.publish(String()), instances=[active])
+    well = observer.last_well("w-1")
+    assert well is not None
+    assert well > last
+    assert well == observer.last_from("w-1")
 
 
 async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output() -> None:
-    from understudy.monitor.observe.robot.health_observer import GatedReaders
-    from understudy.ros.observe.sample_sources import Sources
-
     class Sight:
         expected = ("/cmd_vel",)
 
@@ -140,7 +110,7 @@ async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_ou
         assert await waiting is None
 
 
-def test_an_output_of_which_only_the_publishers_are_looked_at_is_not_expected(observer) -> None:
+def test_an_output_of_which_only_the_publishers_are_looked_at_is_not_expected(observer: HealthObserver) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     observer.follow(_policy({"parallel": [gap, {"publisher": {"topic": "/cmd_vel"}}]}), None)
     assert observer.gated == observer.expected == ["/beat"]
@@ -149,7 +119,7 @@ def test_an_output_of_which_only_the_publishers_are_looked_at_is_not_expected(ob
     assert observer.observations.publishers("/cmd_vel").nodes == ()
 
 
-def test_a_node_of_the_name_of_an_output_is_looked_for_and_nothing_is_expected_of_it(observer) -> None:
+def test_a_node_of_the_name_of_an_output_is_looked_for_and_nothing_is_expected_of_it(observer: HealthObserver) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     observer.follow(_policy({"parallel": [gap, {"node": {"name": "/cmd_vel"}}]}), None)
     assert observer.gated == observer.expected == ["/beat"]
@@ -158,7 +128,7 @@ def test_a_node_of_the_name_of_an_output_is_looked_for_and_nothing_is_expected_o
     assert observer.summary == "Watching /beat, /cmd_vel."
 
 
-def test_an_output_that_is_compared_with_what_is_seen_is_received_but_not_expected(observer) -> None:
+def test_an_output_that_is_compared_with_what_is_seen_is_received_but_not_expected(observer: HealthObserver) -> None:
     motion = {"motion": {"topic": "/seen", "commands": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}}
     observer.follow(_policy(motion), None)
     assert observer.observations.in_control
@@ -167,7 +137,7 @@ def test_an_output_that_is_compared_with_what_is_seen_is_received_but_not_expect
     assert observer.expected == [], "a robot that is told nothing stands, and is well"
 
 
-def test_for_a_reflex_the_messages_of_such_an_output_are_received_too(observer) -> None:
+def test_for_a_reflex_the_messages_of_such_an_output_are_received_too(observer: HealthObserver) -> None:
     spec = {
         "template": {"spec": {}},
         "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
@@ -179,11 +149,7 @@ def test_for_a_reflex_the_messages_of_such_an_output_are_received_too(observer) 
     assert observer.expected == []
 
 
-def _policy(tree: dict[str, object]) -> FailurePolicySpec:
-    return FailurePolicySpec.model_validate({"monitoring": {"yaml": tree}, "strategies": [{"type": "Restart"}]})
-
-
-def test_a_condition_over_a_field_that_is_not_there_leaves_the_last_tree_in_force(observer) -> None:
+def test_a_condition_over_a_field_that_is_not_there_leaves_the_last_tree_in_force(observer: HealthObserver) -> None:
     leaf = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percent > 0.15"}
     observer.follow(_policy({"value": leaf}), None)
     (problem,) = observer.problems
@@ -192,7 +158,7 @@ def test_a_condition_over_a_field_that_is_not_there_leaves_the_last_tree_in_forc
     assert observer.gated == ["/beat", "/cmd_vel"]
 
 
-def test_what_a_new_tree_names_has_the_grace_to_come(observer) -> None:
+def test_what_a_new_tree_names_has_the_grace_to_come(observer: HealthObserver) -> None:
     now = time.time()
     assert observer.verdict(now=now, since=now - 3600).state == "Starting"
     leaf = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percentage > 0.15"}
@@ -202,7 +168,7 @@ def test_what_a_new_tree_names_has_the_grace_to_come(observer) -> None:
     assert observer.verdict(now=now + 60, since=now - 3600).reason == "no /battery within 30 s of the start"
 
 
-def test_a_type_that_is_not_installed_leaves_its_conditions_out(observer) -> None:
+def test_a_type_that_is_not_installed_leaves_its_conditions_out(observer: HealthObserver) -> None:
     leaf = {"topic": "/battery", "type": "nobodys_msgs/msg/Battery", "holds": "charge > 0.15"}
     tree = {"parallel": [{"value": leaf}, {"topic": {"name": "/beat", "gap": "1s"}}]}
     observer.follow(_policy(tree), None)
@@ -218,30 +184,57 @@ def _degraded(tree: dict[str, object], well: dict[str, object] | None) -> Failur
     return FailurePolicySpec.model_validate(spec)
 
 
-def test_a_topic_of_both_trees_is_received_once_and_by_what_both_need(observer) -> None:
+def received(observer: HealthObserver, *topics: str) -> set[str]:
+    """Which of these topics are received."""
+    return {topic for topic in topics if observer.observations.topic(topic) is not None}
+
+
+def test_a_topic_of_both_trees_is_received_once_and_by_what_both_need(observer: HealthObserver) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     well = {"parallel": [{"topic": {"name": "/beat", "rate": "> 9 Hz"}}, {"topic": {"name": "/scan", "gap": "1s"}}]}
+    beat = publisher(observer, "/beat", String)
     observer.follow(_degraded(gap, None), None)
-    subscription = observer._watching._topics["/beat"].subscription
-    assert set(observer._watching._topics) == {"/beat"}
+    until(observer, lambda: count(observer, "/beat"), each=lambda: beat.publish(String()))
+    assert received(observer, "/beat", "/scan", "/cmd_vel") == {"/beat"}
+    before, subscriptions = count(observer, "/beat"), beat.get_subscription_count()
     observer.follow(_degraded(gap, well), None)
-    assert set(observer._watching._topics) == {"/beat", "/scan"}
-    assert observer._watching._topics["/beat"].subscription is subscription
-    assert observer._watching._topics["/beat"].want.window > 0
+    assert received(observer, "/beat", "/scan", "/cmd_vel") == {"/beat", "/scan"}
+    assert (count(observer, "/beat"), beat.get_subscription_count()) == (before, subscriptions), "it is the same one"
+    record = observer.observations.topic("/beat")
+    assert record is not None
+    assert record.window > 0
     assert observer.gated == ["/beat"], "what is waited for at a failover is the health tree's alone"
     observer.follow(_degraded(gap, None), None)
-    assert set(observer._watching._topics) == {"/beat"}
+    assert received(observer, "/beat", "/scan") == {"/beat"}
 
 
-def test_what_well_means_changes_without_the_health_tree_beginning_anew(observer) -> None:
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The clock by which trees begin."""
+    clock = Clock()
+    for module in (health_observer, degraded_tree):
+        monkeypatch.setattr(module, "time", clock)
+    return clock
+
+
+GRACE = 30.0
+"""Seconds that a tree gives what it names to come, from its begin on."""
+
+
+def test_a_change_of_what_well_means_does_not_begin_the_health_tree_again(
+    observer: HealthObserver, clock: Clock
+) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     observer.follow(_degraded(gap, None), None)
-    tree = observer._tree
+    begun, clock.now = clock.now, clock.now + 20
     observer.follow(_degraded(gap, {"topic": {"name": "/beat", "rate": "> 9 Hz"}}), None)
-    assert observer._tree is tree
+    assert observer.verdict(now=begun + GRACE - 1, since=begun).state == "Starting"
+    assert observer.verdict(now=begun + GRACE + 1, since=begun).state == "Failed"
 
 
-def test_a_type_that_only_well_needs_and_that_is_not_installed_leaves_the_health_tree_whole(observer) -> None:
+def test_a_type_that_only_well_needs_and_that_is_not_installed_leaves_the_health_tree_whole(
+    observer: HealthObserver,
+) -> None:
     health = {"parallel": [{"topic": {"name": "/beat", "gap": "1s"}}, {"publisher": {"topic": "/battery"}}]}
     well = {"value": {"topic": "/battery", "type": "nobodys_msgs/msg/Battery", "holds": "charge > 0.5"}}
     observer.follow(_degraded(health, well), None)
@@ -252,20 +245,24 @@ def test_a_type_that_only_well_needs_and_that_is_not_installed_leaves_the_health
     assert observer.wellness(now=now, since=now).state == "Starting"
 
 
-def test_a_tree_of_what_well_means_that_does_not_load_is_told_and_the_last_one_stays(observer) -> None:
+def test_a_tree_of_what_well_means_that_does_not_load_is_reported_and_the_last_one_stays(
+    observer: HealthObserver, clock: Clock
+) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     good = {"topic": {"name": "/beat", "rate": "> 9 Hz"}}
     observer.follow(_degraded(gap, good), None)
-    well = observer._wellness._well
+    begun, clock.now = clock.now, clock.now + 20
     observer.follow(_degraded(gap, {"topic": {"name": "/beat", "rate": "> 9 Herz"}}), None)
     (problem,) = observer.problems
     assert "spec.degraded.monitoring.yaml.topic.rate" in problem
-    assert observer._wellness._well is well
+    assert observer.wellness(now=begun + GRACE + 1, since=begun).state == "Failed"
     observer.follow(_degraded(gap, good), None)
     assert observer.problems == []
 
 
-def test_the_situation_is_seen_by_what_is_watched_for_it_alone_and_the_health_tree_is_left_as_it_is(observer) -> None:
+def test_the_situation_is_seen_by_what_is_watched_for_it_alone_and_the_health_tree_is_left_as_it_is(
+    observer: HealthObserver, clock: Clock
+) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     strategies = [{"type": "Restart"}]
     carrying = {"name": "carrying", "when": {"task": {"action": "/go"}}, "strategies": strategies}
@@ -273,107 +270,25 @@ def test_the_situation_is_seen_by_what_is_watched_for_it_alone_and_the_health_tr
     loaded = {"name": "loaded", "when": {"yaml": loads}, "strategies": strategies}
     spec = {"monitoring": {"yaml": gap}, "strategies": strategies, "situations": [carrying, loaded]}
     observer.follow(_policy(gap), None)
-    assert set(observer._watching._topics) == {"/beat"}
-    tree = observer._tree
+    assert received(observer, "/beat", "/load") == {"/beat"}
+    begun, clock.now = clock.now, clock.now + 20
     observer.follow(FailurePolicySpec.model_validate(spec), None)
-    assert observer._tree is tree
+    assert observer.verdict(now=begun + GRACE + 1, since=begun).state == "Failed", "it did not begin again"
+    clock.now = time.time()
     observer.drain([], "")
     now = time.time()
     seen = observer.situations([], now=now, since=now)
     assert (seen["carrying"].so, seen["loaded"].so) == (False, None)
     assert any("nobodys_msgs/msg/Load is not installed" in problem for problem in observer.problems)
-    observer._watching._topics[STATUS].active[bytes(16)] = now
+    begin_task(observer)
     assert observer.situations([], now=now, since=now)["carrying"].so
     assert observer.summary == "Watching /beat."
     observer.follow(_policy(gap), None)
-    assert set(observer._watching._topics) == {"/beat"}
-
-
-def _instance(name: str, ready: str, restarts: int = 0) -> Instance:
-    return Instance(name, f"uid-{name}", restarts=restarts, conditions=(PodCondition("Ready", ready),))
-
-
-def test_a_leaf_about_the_pod_is_judged_by_what_the_cluster_says_of_the_one_in_control(observer) -> None:
-    observer.follow(_policy({"pod": {"condition": "Ready"}}), None)
-    assert observer.summary == "Watching pod."
-    active, standby = _instance("w-1", "True"), _instance("w-2", "False")
-    since = time.time()
-    observer.drain([active, standby], "w-1")
-    assert observer.verdict(now=time.time(), since=since).state == "Healthy"
-    observer.drain([active, _instance("w-2", "Unknown")], "w-1")
-    assert observer.verdict(now=time.time(), since=since).state == "Healthy"
-    observer.drain([_instance("w-1", "False"), standby], "w-1")
-    verdict = observer.verdict(now=time.time(), since=since)
-    assert (verdict.state, verdict.leaf) == ("Failed", "pod.Ready")
-    since = time.time()
-    assert observer.verdict(now=time.time(), since=since).state == "Starting", "nobody has looked at the next one"
-    observer.drain([_instance("w-2", "True")], "w-2")
-    assert observer.verdict(now=time.time(), since=since).state == "Healthy"
-    observer.drain([], "w-2")
-    assert observer.verdict(now=time.time(), since=since).state == "Healthy", "what is gone is told otherwise"
-
-
-def test_restarts_of_the_instance_in_control_count(observer) -> None:
-    observer.follow(_policy({"pod": {"restarts": 1, "window": "10m"}}), None)
-    since = time.time()
-    for restarts, expected in ((4, "Healthy"), (5, "Healthy"), (6, "Failed")):
-        observer.drain([_instance("w-1", "True", restarts), _instance("w-2", "True", 9 * restarts)], "w-1")
-        assert observer.verdict(now=time.time(), since=since).state == expected
-
-
-def test_what_is_known_of_the_pod_is_said_anew_and_only_where_the_tree_asks_for_it(observer) -> None:
-    instances = [_instance("w-1", "True")]
-    observer.drain(instances, "w-1")
-    assert observer.observations.pod() is None
-    observer.follow(_policy({"pod": {"condition": "Ready"}}), None)
-    observer.drain(instances, "w-1")
-    first = observer.observations.pod()
-    assert first is not None
-    end = time.monotonic() + 20
-    while observer.observations.pod() is first and time.monotonic() < end:
-        observer.drain(instances, "w-1")
-        time.sleep(0.02)
-    assert observer.observations.pod().received > first.received
-
-
-def test_what_the_pod_takes_is_asked_for_where_the_tree_needs_it_and_judged(observer) -> None:
-    meter = ResourceMeter(None, "fleet", "w")  # type: ignore[arg-type]
-    observer = type(observer)(meter)
-    instances = [_instance("w-1", "True"), _instance("w-2", "True")]
-    observer.follow(_policy({"pod": {"condition": "Ready"}}), None)
-    observer.drain(instances, "w-1")
-    assert meter._pod == "", "nobody asks for it"
-    observer.follow(_policy({"pod": {"memory": "< 200Mi"}}), None)
-    since = time.time()
-
-    def until(state: str) -> None:
-        end = time.monotonic() + 20
-        while observer.verdict(now=time.time(), since=since).state != state:
-            assert time.monotonic() < end
-            observer.drain(instances, "w-1")
-            time.sleep(0.02)
-
-    until("Healthy")  # there are no figures yet
-    assert meter._pod == "w-1"
-    usage = {"cpu": "1", "memory": "300Mi"}
-    item = {"metadata": {"name": "w-1"}, "timestamp": "t", "containers": [{"name": "drive", "usage": usage}]}
-    meter._take({"items": [item]})
-    end = time.monotonic() + 20
-    while observer.verdict(now=time.time(), since=since).state == "Healthy" and time.monotonic() < end:
-        observer.drain(instances, "w-1")
-        time.sleep(0.02)
-    assert (
-        observer.verdict(now=time.time(), since=since).reason
-        == "memory < 200Mi of the pod does not hold (it was 300Mi)"
-    )
-    observer.drain(instances, "w-2")
-    assert (meter._pod, meter.usage) == ("w-2", None)
-    meter._problem = "CPU and memory of pods are unknown: because."
-    assert meter._problem in observer.problems
+    assert observer.observations.task(STATUS) is None, "nobody watches it any more"
 
 
 def test_a_leaf_of_one_s_own_that_fails_by_itself_is_told_of_and_no_failure(
-    observer, monkeypatch: pytest.MonkeyPatch
+    observer: HealthObserver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Broken:
         def judge(self, message: object) -> str:
@@ -382,12 +297,10 @@ def test_a_leaf_of_one_s_own_that_fails_by_itself_is_told_of_and_no_failure(
     monkeypatch.setattr(health_loader, "LEAVES", {**health_loader.LEAVES, "acme_leaf": kind_of("acme_leaf", Broken)})
     monkeypatch.setattr(health_loader, "KINDS", (*health_loader.KINDS, "acme_leaf"))
     observer.follow(_policy({"acme_leaf": {"topic": "/beat", "type": "std_msgs/msg/String"}}), None)
-    from std_msgs.msg import String
-
-    publisher = observer.graph.node.create_publisher(String, "/beat", 10)
+    beat = publisher(observer, "/beat", String)
     since, end = time.time(), time.monotonic() + 20
     while not observer.problems and time.monotonic() < end:
-        publisher.publish(String(data="x"))
+        beat.publish(String(data="x"))
         time.sleep(0.05)
         observer.drain([], "")
         verdict = observer.verdict(now=time.time(), since=since)
