@@ -89,11 +89,12 @@ class Simulation(Troubles):
 
 def prepared(scene: Scene, kind: type[Simulation] = Simulation) -> Base:
     """The cluster of a scene at rest. It is made once, and many runs begin from it."""
-    return _prepared(dataclasses.replace(scene, troubles=(), weather=()), kind)
+    return at_rest(dataclasses.replace(scene, troubles=(), weather=()), kind)
 
 
 @functools.cache
-def _prepared(scene: Scene, kind: type[Simulation]) -> Base:
+def at_rest(scene: Scene, kind: type[Simulation]) -> Base:
+    """The cluster of a scene without troubles, once nothing changes any more."""
     with tempfile.TemporaryDirectory() as folder:
         simulation = kind(scene, 0, None, Path(folder))
         try:

@@ -74,12 +74,16 @@ def count(observer: HealthObserver, topic: str) -> int:
     return record.count if record is not None else 0
 
 
-def begin_task(observer: HealthObserver) -> None:
-    """Have a goal of /go be worked on, and wait until the observer knows."""
-    status = GoalStatus(status=GoalStatus.STATUS_EXECUTING)
+def begin_task(observer: HealthObserver) -> Callable[[], None]:
+    """Have a goal of /go be worked on, and wait until the observer knows. Returns what ends it."""
     server = publisher(observer, STATUS, GoalStatusArray, latched=True)
-    server.publish(GoalStatusArray(status_list=[status]))
+
+    def say(status: int) -> None:
+        server.publish(GoalStatusArray(status_list=[GoalStatus(status=status)]))
+
+    say(GoalStatus.STATUS_EXECUTING)
     until(observer, lambda: observer.observations.task(STATUS) is not None)
+    return lambda: say(GoalStatus.STATUS_SUCCEEDED)
 
 
 def own_address(observer: HealthObserver) -> str:

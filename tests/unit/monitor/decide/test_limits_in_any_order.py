@@ -14,7 +14,7 @@ from tests.unit.interleavings import simulation
 from understudy.failover.limits.state import ActiveLimit
 from understudy.failover.progress import Progress
 from understudy.kube.client import Object
-from understudy.monitor.act.recovery.deferred_recovery import DeferredRecovery
+from understudy.monitor.decide.budget_spending import BudgetSpending
 from understudy.monitor.observe.objects.storm_condition import StormCondition
 
 BUDGET = {"budget": {"recoveries": 1, "within": "20s"}, "healthyDelay": "10s", "cooldown": "1s"}
@@ -26,7 +26,7 @@ RUNS = 20
 def test_robots_whose_failures_are_held_are_driven_in_the_end(
     monkeypatch: pytest.MonkeyPatch, limits: Object, first: int
 ) -> None:
-    made, hold, on = world.policy, DeferredRecovery._fence, StormCondition.on
+    made, report, on = world.policy, BudgetSpending.report_held, StormCondition.on
     held: list[str] = []
 
     def policy(*arguments: Any, **more: Any) -> Object:
@@ -34,10 +34,9 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
         found["spec"]["limits"] = limits
         return found
 
-    async def holding(self: DeferredRecovery, progress: Progress) -> int:
-        epoch = await hold(self, progress)
+    def reported(self: BudgetSpending, progress: Progress) -> None:
         held.append(progress.reason)
-        return epoch
+        report(self, progress)
 
     def storm(self: StormCondition, now: float) -> ActiveLimit | None:
         if (said := on(self, now)) is not None:
@@ -46,8 +45,8 @@ def test_robots_whose_failures_are_held_are_driven_in_the_end(
 
     monkeypatch.setattr(world, "policy", policy)
     # What other tests of this process have prepared has another policy, and the other way round.
-    monkeypatch.setattr(simulation, "_prepared", functools.cache(simulation._prepared.__wrapped__))
-    monkeypatch.setattr(DeferredRecovery, "_fence", holding)
+    monkeypatch.setattr(simulation, "at_rest", functools.cache(simulation.at_rest.__wrapped__))
+    monkeypatch.setattr(BudgetSpending, "report_held", reported)
     monkeypatch.setattr(StormCondition, "on", storm)
     for seed in range(first, first + RUNS):
         outcome = simulation.run(seed)

@@ -14,14 +14,14 @@ from geometry_msgs.msg import Twist
 from std_msgs.msg import String
 
 from tests.support.clock import Clock
+from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.observed import STATUS, begin_task, count, observing, own_address, publisher, until
 from tests.unit.monitor.observed import policy_with as _policy
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.observe.robot import degraded_tree, health_observer
-from understudy.monitor.observe.robot.health_observer import GatedReaders, HealthObserver
-from understudy.ros.observe.sample_sources import Sources
+from understudy.monitor.observe.robot.health_observer import HealthObserver
 from understudy.trees.languages.short import health_loader
 from understudy.trees.leaves.custom_leaf import kind_of
 
@@ -80,32 +80,18 @@ def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(observ
     assert well == observer.last_from("w-1")
 
 
-async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output() -> None:
-    class Sight:
-        expected = ("/cmd_vel",)
-
-        def drain(self, instances: object, active: object) -> None:
-            """There is nothing to drain."""
-
-    class Watching:
-        sources = Sources({})
-
-        def first_from(self, topic: str, pod: str, *, since: float) -> None:
-            """Nothing has come."""
-
-    class Fleet:
-        def of_workload(self) -> list[Instance]:
-            return []
-
-    class Gate:
-        state = GateState(active="standby", active_uid="u")
-
-    seen = Sight()
-    readers = GatedReaders(seen, Watching(), Fleet(), Gate())  # type: ignore[arg-type]
-    waiting = asyncio.create_task(readers.first_from(Instance("standby", "u"), since=0.0))
+async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output(observer: HealthObserver) -> None:
+    driving = {"while": {"task_active": {"action": "/go"}}, "do": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}}
+    observer.follow(_policy(driving), None)
+    objects, standby = ClusterObjects(), Instance("standby", "u", running=True)
+    objects.put_pods(standby)
+    objects.put_gate(GateState(epoch=4, active="standby", active_uid="u"))
+    readers = observer.outputs(objects.pods, objects.gate)
+    end_task = begin_task(observer)
+    waiting = asyncio.create_task(readers.first_from(standby, since=0.0))
     await asyncio.sleep(0.1)
     assert not waiting.done()
-    seen.expected = ()
+    end_task()
     async with asyncio.timeout(20):
         assert await waiting is None
 
