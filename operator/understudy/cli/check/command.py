@@ -108,9 +108,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--strict", action="store_true", help="exit with 1 also for warnings")
     add_output(parser, "one line per finding, or all details as JSON or YAML")
     given = parser.parse_args(arguments)
-    # Read a file once that is named twice, as by a folder and a pattern.
-    files = dict(entry for argument in dict.fromkeys(given.files) for entry in manifest_reader.contents(argument))
-    result = check(list(files.items()))
+    result = check(list(manifest_reader.contents(given.files).items()))
     text = given.output == "text"
     terminal.write(map(str, result.findings) if text else [structured(result.to_wire(), given.output)])
     print(f"understudy check: {result.totals()}", file=sys.stderr)

@@ -6,9 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from understudy.cli.common.text import text_tables
-from understudy.cli.common.text.text_tables import Cell
-from understudy.cli.common.text.tree_text import plain
+from understudy.cli.common.text.tree_text import coloured, plain
 from understudy.cli.common.text.wording import counted, listed, wrapped
 
 Level = Literal["OK", "WARN", "FAIL"]
@@ -33,13 +31,9 @@ def lines(findings: Sequence[Finding], *, columns: int | None, colours: bool) ->
     width = max((len(plain(finding.check)) for finding in findings), default=0)
     hanging = width + len("FAIL") + 4
     for finding in findings:
-        row = [Cell(finding.level.ljust(len("FAIL")), _STATES[finding.level]), Cell(finding.check.ljust(width))]
-        (head,) = text_tables.format_table([row], colours=colours)
+        level = coloured(finding.level.ljust(len("FAIL")), _STATES[finding.level], colours=colours)
         first, *others = wrapped(finding.found, columns, indent=hanging)
-        # Colour codes have no width: the next column is aligned by the visible width.
-        seen = text_tables.width([row])
-        padding = " " * (seen - len(text_tables.format_table([row], colours=False)[0]))
-        yield f"{head}{padding}  {first.lstrip()}"
+        yield f"{level}  {plain(finding.check):{width}}  {first.lstrip()}"
         yield from others
         if finding.cure:
             yield from wrapped(f"{_LABEL}{finding.cure}", columns, indent=hanging, hanging=hanging + len(_LABEL))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -132,8 +132,12 @@ class TooMuch(Exception):
         self.node, self.message = node, message
 
 
-def contents(argument: str) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of the files that an argument selects. Raises CommandError."""
+def contents(arguments: Iterable[str]) -> dict[str, bytes]:
+    """Return the contents of the files that arguments select, by name, each once. Raises CommandError."""
+    return dict(entry for argument in dict.fromkeys(arguments) for entry in _contents(argument))
+
+
+def _contents(argument: str) -> Iterator[tuple[str, bytes]]:
     if argument == STANDARD_INPUT:
         yield "<stdin>", sys.stdin.buffer.read()
         return

@@ -24,6 +24,8 @@ _TYPES = {
     "boolean": "boolean (true or false, without quotes)",
 }
 
+_CLASSES: dict[str, type] = {"object": Mapping, "array": list, "string": str, "boolean": bool}
+
 _CHANGES = re.compile(r"\boldSelf\b")
 """Transition rules, which do not apply on creation."""
 
@@ -96,20 +98,11 @@ def _validate(value: Any, schema: Schema, path: str) -> Iterator[Problem]:
 
 
 def _is(value: Any, kind: str) -> bool:
-    match kind:
-        case "object":
-            return isinstance(value, Mapping)
-        case "array":
-            return isinstance(value, list)
-        case "string":
-            return isinstance(value, str)
-        case "boolean":
-            return isinstance(value, bool)
-        case "integer":
-            return not isinstance(value, bool) and (
-                isinstance(value, int) or (isinstance(value, float) and value.is_integer())
-            )
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if kind in _CLASSES:
+        return isinstance(value, _CLASSES[kind])
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isinstance(value, int) or (value.is_integer() if kind == "integer" else math.isfinite(value))
 
 
 def _form(schema: Schema) -> str:

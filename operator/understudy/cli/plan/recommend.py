@@ -64,7 +64,7 @@ def main(arguments: list[str]) -> int:
 def _read(files: Sequence[str]) -> list[Manifest]:
     """Return the objects of Understudy's kinds in the files. Raises CommandError."""
     manifests: list[Manifest] = []
-    for file, content in dict(entry for one in dict.fromkeys(files) for entry in manifest_reader.contents(one)).items():
+    for file, content in manifest_reader.contents(files).items():
         read, findings = manifest_reader.read(file, content)
         if wrong := [str(finding) for finding in findings if finding.severity == "error"]:
             raise CommandError("the files cannot be read\n" + "\n".join(wrong))

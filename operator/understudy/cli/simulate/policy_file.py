@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from understudy.api.base import seconds
@@ -44,11 +45,6 @@ class Policy:
         """Seconds within which an instance must become healthy for the first time."""
         return seconds(self.spec.monitoring.startup_grace)
 
-    def with_grace(self, grace: str) -> Policy:
-        """Return a copy with another startup grace, such as ``3s``."""
-        monitoring = self.spec.monitoring.model_copy(update={"startup_grace": grace})
-        return replace(self, spec=self.spec.model_copy(update={"monitoring": monitoring}))
-
     def tree(self, fields: Fields | None) -> HealthTree:
         """Load its health tree; ``fields`` gives the fields of message types, to check conditions. Raises CommandError."""
         try:
@@ -56,6 +52,14 @@ class Policy:
         except TreeError as error:
             problems = (str(self.manifest.finding(problem.path, problem.message)) for problem in error.problems)
             raise CommandError("the policy's health tree is invalid\n" + "\n".join(problems)) from error
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that choose a policy."""
+    parser.add_argument(
+        "policy_file", metavar="POLICY.yaml", help="a file with a FailurePolicy, or - for standard input"
+    )
+    parser.add_argument("--policy", metavar="NAME", help="the policy, if the file contains several")
 
 
 def read(file: str, name: str | None = None, grace: str | None = None) -> Policy:
@@ -77,14 +81,14 @@ def read(file: str, name: str | None = None, grace: str | None = None) -> Policy
     spec = FailurePolicySpec.model_validate(manifest.data["spec"])
     if spec.monitoring.config_map_key_ref is not None:
         spec = _with_config_map_tree(shown, manifest, spec, [one for one in manifests if one.kind == "ConfigMap"])
-    policy = Policy(manifest, spec)
-    if grace is None:
-        return policy
-    try:
-        seconds(grace)
-    except ValueError as error:
-        raise CommandError(f"--grace: {error}") from error
-    return policy.with_grace(grace)
+    if grace is not None:
+        try:
+            seconds(grace)
+        except ValueError as error:
+            raise CommandError(f"--grace: {error}") from error
+        monitoring = spec.monitoring.model_copy(update={"startup_grace": grace})
+        spec = spec.model_copy(update={"monitoring": monitoring})
+    return Policy(manifest, spec)
 
 
 def _with_config_map_tree(

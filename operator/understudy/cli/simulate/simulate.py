@@ -55,11 +55,8 @@ def _parser() -> argparse.ArgumentParser:
         "what would have been detected and when. It needs neither a cluster nor ROS, but the extra understudy[bags].",
         epilog="Exit status: 0 if nothing would have been detected, 1 if something would, 2 on an error.",
     )
-    parser.add_argument(
-        "policy_file", metavar="POLICY.yaml", help="a file with a FailurePolicy, or - for standard input"
-    )
+    policy_file.add_options(parser)
     parser.add_argument("--bag", required=True, metavar="BAG", help="a rosbag2 folder, or an .mcap or .db3 file")
-    parser.add_argument("--policy", metavar="NAME", help="the policy, if the file contains several")
     parser.add_argument(
         "--onset",
         action="append",

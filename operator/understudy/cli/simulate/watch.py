@@ -159,10 +159,7 @@ def _parser() -> argparse.ArgumentParser:
         "otherwise it prints one line per change.",
         epilog="Exit status: 0 if no failure was detected, 1 if one was, 2 on an error.",
     )
-    parser.add_argument(
-        "policy_file", metavar="POLICY.yaml", help="a file with a FailurePolicy, or - for standard input"
-    )
-    parser.add_argument("--policy", metavar="NAME", help="the policy, if the file contains several")
+    policy_file.add_options(parser)
     parser.add_argument(
         "--for", dest="length", type=_duration, metavar="DURATION", help="end after this time, such as 30s"
     )
