@@ -169,7 +169,7 @@ async def test_one_that_another_monitor_has_taken_up_under_the_same_id_is_that_o
     assert (found.resumed, found.result) == (True, "Running")
 
 
-async def test_a_monitor_that_starts_before_it_was_said_does_not_go_on_with_it_and_says_it(
+async def test_a_monitor_that_starts_before_the_mark_was_written_does_not_continue_the_recovery_and_writes_it(
     monitor: Monitor, tmp_path: Path
 ) -> None:
     await monitor.recover(None, STANDBY, DENIED)
@@ -248,7 +248,7 @@ async def test_what_somebody_fenced_by_hand_is_not_opened_by_saying_it(monitor: 
     assert not monitor.seen().failing
 
 
-async def test_on_a_volume_that_is_full_it_is_said_all_the_same(
+async def test_on_a_full_volume_the_mark_is_written_all_the_same(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await monitor.gate.commit(None, progress := begun())

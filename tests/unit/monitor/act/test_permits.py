@@ -208,7 +208,7 @@ def cut_off() -> AgentStatus:
     return AgentStatus("Running", False, "held", cut_off=1700000000.0)
 
 
-async def test_every_agent_learns_who_may_answer_it_and_learns_it_anew_in_a_new_session() -> None:
+async def test_every_agent_learns_its_witnesses_in_each_session() -> None:
     world = World(("uid-a", running()), ("uid-s", running()))
     agents = world.agents
     task = asyncio.create_task(world.permits.run())
@@ -224,7 +224,7 @@ async def test_every_agent_learns_who_may_answer_it_and_learns_it_anew_in_a_new_
     task.cancel()
 
 
-async def test_a_word_is_held_up_neither_by_an_api_server_that_is_away_nor_by_another_agent() -> None:
+async def test_a_permit_is_delayed_neither_by_an_api_server_that_is_away_nor_by_another_agent() -> None:
     world = World(("uid-a", running()), ("uid-s", running()), deaf="uid-a", client=Away())
     agents = world.agents
     task = asyncio.create_task(world.permits.run())
@@ -269,7 +269,7 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
     task.cancel()
 
 
-async def test_one_that_was_replaced_is_told_so_as_long_as_it_is_there() -> None:
+async def test_a_replaced_instance_is_ordered_to_stay_for_as_long_as_it_exists() -> None:
     world = World(("uid-a", cut_off()), ("uid-s", running()))
     agents = world.agents
     world.current.progress = recovery(ACTIVE, reflex=True)

@@ -153,7 +153,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planned_switchover, "LOOK", 0.02)
 
 
-async def test_nothing_is_done_where_nobody_asks() -> None:
+async def test_without_a_request_nothing_is_done() -> None:
     scene = Scene()
     assert await scene.looked(0.05) is None
     assert (scene.told.status.switchover, scene.told.events) == (None, [])
@@ -177,7 +177,7 @@ async def test_a_request_is_carried_out_once() -> None:
     assert await scene.looked() is not None, "that's another one"
 
 
-async def test_a_new_monitor_does_not_carry_it_out_again_even_after_others_that_nobody_asked_for() -> None:
+async def test_a_new_monitor_does_not_repeat_a_request_even_after_drains() -> None:
     scene = Scene()
     scene.ask(asked := request("failover", time.time()))
     found = await scene.looked()
@@ -194,7 +194,7 @@ async def test_a_new_monitor_does_not_carry_it_out_again_even_after_others_that_
     assert await again.looked(0.1) is None
 
 
-async def test_a_new_monitor_begins_anew_with_one_that_was_being_prepared() -> None:
+async def test_a_new_monitor_starts_again_with_a_switchover_that_was_being_prepared() -> None:
     scene = Scene(InitializedFallback("warm", recovery=BRING_UP), pool="warm")
     scene.store.broken.add("w-2")
     scene.ask(asked := request("failover", time.time()))
@@ -222,7 +222,7 @@ async def test_it_waits_for_an_understudy_and_ends_with_the_reason(monkeypatch: 
     assert (scene.state.active, scene.store.commits) == ("w-1", [])
 
 
-async def test_it_is_not_begun_while_the_robot_is_not_driven_as_it_should_be() -> None:
+async def test_a_switchover_does_not_begin_while_the_active_instance_is_not_healthy() -> None:
     scene = Scene()
     scene.ask(request("failover", time.time()))
     assert scene.look("w-1 isn't healthy yet") is None
@@ -230,7 +230,7 @@ async def test_it_is_not_begun_while_the_robot_is_not_driven_as_it_should_be() -
     assert await scene.looked() is not None
 
 
-async def test_what_was_asked_for_long_ago_or_makes_no_sense_is_told_and_not_done() -> None:
+async def test_a_request_that_is_old_or_unknown_is_reported_and_not_carried_out() -> None:
     scene = Scene()
     scene.ask(request("failover", time.time() - 3600))
     assert await scene.looked(0.05) is None
@@ -290,7 +290,7 @@ async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:
     assert (scene.told.phase, scene.left) == ("NotDone", ["w-2"]), "what was begun with is of no use"
 
 
-async def test_one_that_waits_ends_when_nobody_asks_for_it_any_more() -> None:
+async def test_a_switchover_that_waits_ends_when_its_request_is_withdrawn() -> None:
     scene = Scene(ready=False)
     scene.drain("node-1")
     assert await scene.looked(0.05) is None

@@ -106,7 +106,7 @@ async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate
     assert [(w.workload, w.priority) for w in line.others("spare")] == [("a", 7)]
 
 
-async def test_people_are_told_of_the_place_and_once_by_an_event() -> None:
+async def test_the_place_in_the_queue_is_in_the_condition_and_in_one_event() -> None:
     notices, me = RecordedNotices(), place("w", priority=5)
     line = PoolQueue(view(MemoryClient(), "w"), notices)
     notices.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")

@@ -182,7 +182,7 @@ async def test_it_outlasts_the_monitor(monitor: Monitor, robot: Robot, tmp_path:
     await monitor.until(lambda: StateStore(tmp_path).load() and persisted())
 
 
-async def test_a_pose_that_can_not_be_carried_is_told(
+async def test_a_pose_that_cannot_be_propagated_is_reported(
     monitor: Monitor, robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "UNCARRIED_FOR", 0.3)
@@ -204,7 +204,7 @@ async def test_a_standby_is_kept_up_with_what_is_carried(monitor: Monitor, robot
     )
 
 
-async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None:
+async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) -> None:
     given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75, carried_metres=0.4321)
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
     monitor.keeping.report_restored(recovery)

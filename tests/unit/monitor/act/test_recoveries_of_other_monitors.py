@@ -60,7 +60,7 @@ async def test_while_the_robot_is_not_driven_somebody_may_be_at_it(later: Monito
     assert later.seen().failing, "it counts from when it is healthy again"
 
 
-async def test_each_commit_begins_the_time_anew(monitor: Monitor, later: Monitor, clock: Clock) -> None:
+async def test_each_commit_starts_the_time_again(monitor: Monitor, later: Monitor, clock: Clock) -> None:
     await later.look()
     clock.now += LASTS - 1
     await monitor.gate.commit(THIRD, begun(STANDBY))

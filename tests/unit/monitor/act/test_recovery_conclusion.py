@@ -104,7 +104,7 @@ def test_what_the_api_server_refused_is_tried_again_in_a_moment(tmp_path: Path) 
     ("kind", "since", "event"),
     [("SwitchedOver", COMMITTED, "SwitchedOver"), ("NotSwitchedOver", NOW, "SwitchoverNotDone")],
 )
-def test_a_switchover_leaves_what_was_put_off_before(tmp_path: Path, kind: Kind, since: float, event: str) -> None:
+def test_a_switchover_does_not_end_a_backoff(tmp_path: Path, kind: Kind, since: float, event: str) -> None:
     world = World(tmp_path)
     world.limits.retries.after(5.0)
     world.end(kind)

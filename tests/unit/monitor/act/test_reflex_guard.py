@@ -139,7 +139,7 @@ async def test_a_standby_that_is_no_longer_healthy_is_shut_out_at_once(world: Wo
     assert "w-2: no /cmd_vel for 500 ms" in world.message
 
 
-async def test_in_a_pause_nobody_is_let_through_and_afterwards_the_standby_is_again(world: World) -> None:
+async def test_in_a_pause_no_standby_is_admitted_and_afterwards_one_is_again(world: World) -> None:
     await world.keep()
     assert await world.keep(paused=True, seconds=2) == ("False", "Paused")
     assert world.writes == ["w-2", ""]
@@ -189,7 +189,7 @@ async def test_while_the_strength_in_control_is_unknown_nothing_changes(world: W
     assert world.writes == ["w-2"]
 
 
-async def test_commands_slower_than_the_deadline_are_told_and_nobody_is_let_through(world: World) -> None:
+async def test_commands_slower_than_the_deadline_are_reported_and_no_standby_is_admitted(world: World) -> None:
     world.arrives("w-1", *(NOW - 0.2 * i for i in range(50)))
     assert await world.keep() == ("False", "DeadlineTooShort")
     assert "gaps of up to 200 ms" in world.message
@@ -202,13 +202,13 @@ async def test_nothing_is_let_through_before_the_period_is_known(world: World) -
     assert not world.writes
 
 
-async def test_pods_that_cannot_be_told_apart_have_no_reflex(world: World) -> None:
+async def test_pods_that_cannot_be_distinguished_have_no_reflex(world: World) -> None:
     world.senses.observer.twins = {"w-1", "w-2"}
     assert await world.keep() == ("False", "Ambiguous")
     assert not world.writes
 
 
-async def test_a_standby_whose_packets_do_not_arrive_is_told(world: World) -> None:
+async def test_a_standby_whose_packets_do_not_arrive_is_reported(world: World) -> None:
     await world.keep()
     assert await world.keep(seconds=SILENT + 2) == ("False", "Blocked")
     world.objects.packets["uid-w-2"] = world.now
@@ -228,7 +228,7 @@ async def test_the_standby_that_is_let_through_is_seen_to_drive(world: World) ->
     assert (taken.standby.name, taken.last, taken.first) == ("w-2", last, last + 0.12)
 
 
-async def test_nobody_takes_over_who_is_not_let_through(world: World) -> None:
+async def test_a_standby_that_is_not_admitted_takes_nothing_over(world: World) -> None:
     world.arrives("w-2", world.arrivals("w-1")[-1] + 0.12)
     assert world.takeover.look(world.arrivals("w-2")[-1] + 1) is None
 

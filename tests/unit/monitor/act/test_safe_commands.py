@@ -56,7 +56,7 @@ class Waits:
 
 
 class TestUnattended:
-    def test_nobody_is_told_anything_before_the_failed_instance_is_fenced(self) -> None:
+    def test_no_safe_command_is_sent_before_the_failed_instance_is_fenced(self) -> None:
         assert Waits().during(progress(decided=100.0)) is None
 
     def test_it_begins_with_the_closed_gate_and_again_with_the_opened_one(self) -> None:
@@ -78,7 +78,7 @@ class TestUnattended:
         assert found.during(under_way) == 105.0
         assert Waits().during(under_way) == 100.0, "a new monitor goes by the failure"
 
-    def test_a_robot_that_follows_the_standby_already_is_told_nothing(self) -> None:
+    def test_a_robot_that_already_follows_the_standby_receives_no_safe_command(self) -> None:
         under_way = progress(fenced=101.0)
         under_way.taken_over = PodIdentity(name="p", uid="u")
         assert Waits().during(under_way) is None
@@ -203,7 +203,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
         ({"topic": "/cmd_vel"}, True, "spec.gate.reflex"),
     ],
 )  # fmt: skip
-async def test_what_can_not_be_told_is_a_problem_and_the_rest_is(
+async def test_a_safe_command_that_cannot_be_sent_is_a_problem(
     graphs: tuple[Any, Any], command: dict[str, Any], reflex: bool, words: str
 ) -> None:
     safe = SafeCommands(graphs[0], Waiting(1.0))
@@ -261,7 +261,7 @@ async def test_a_command_that_fails_is_followed_by_the_next() -> None:
             await asyncio.sleep(0.01)
 
 
-async def test_a_clock_that_is_set_back_does_not_end_what_the_robot_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_clock_that_is_set_back_does_not_stop_safe_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = time.time
     async with repeated(time.time()) as publisher, asyncio.timeout(20):
         while not publisher.sent:
@@ -272,7 +272,7 @@ async def test_a_clock_that_is_set_back_does_not_end_what_the_robot_is_told(monk
             await asyncio.sleep(0.01)
 
 
-async def test_what_another_node_told_by_a_clock_that_is_ahead_does_not_keep_the_robot_waiting() -> None:
+async def test_a_clock_of_another_node_that_is_ahead_does_not_delay_safe_commands() -> None:
     async with repeated(time.time() + 3600) as publisher, asyncio.timeout(20):
         begun = time.monotonic()
         while not publisher.sent:

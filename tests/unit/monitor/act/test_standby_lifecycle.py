@@ -95,7 +95,7 @@ async def test_each_instance_is_brought_there_once(world: World) -> None:
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
-async def test_a_failure_is_told_once_and_tried_again_later(world: World) -> None:
+async def test_a_failed_procedure_is_reported_once_and_tried_again_later(world: World) -> None:
     world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     await world.look()
     await world.look()
@@ -115,7 +115,7 @@ async def test_a_failure_is_told_once_and_tried_again_later(world: World) -> Non
 OTHER = Procedure(yaml={"wait_for": {"node": "/nav"}}, within="7s")
 
 
-async def test_a_correction_is_tried_at_once_and_nothing_is_said_of_what_it_corrects(world: World) -> None:
+async def test_a_correction_is_tried_at_once_and_the_corrected_problem_is_no_longer_reported(world: World) -> None:
     world.agents.ready["uid-3"] = False
     world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     for _ in range(4):  # the wait for the next try grows
@@ -212,12 +212,12 @@ async def test_pods_without_an_agent_are_named(world: World) -> None:
     assert message.startswith("w-1 has no agent")
 
 
-async def test_nothing_is_said_where_nothing_is_to_be_done(world: World) -> None:
+async def test_without_procedures_nothing_is_reported(world: World) -> None:
     world.keep_house(ACTIVE, spec=parsed_spec(), pool=HOT)
     assert world.notices.conditions == {}
 
 
-async def test_what_was_told_is_taken_back_when_the_procedures_are_gone(world: World) -> None:
+async def test_the_condition_says_that_nothing_is_to_do_once_the_procedures_are_gone(world: World) -> None:
     await world.look()
     world.keep_house(ACTIVE, spec=parsed_spec(), pool=HOT)
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "NothingToDo")

@@ -62,7 +62,7 @@ def say(graph: Graph) -> Callable[[float], None]:
     return publish
 
 
-async def test_the_last_healthy_pose_is_kept_and_told(monitor: Monitor, say: Callable[[float], None]) -> None:
+async def test_the_last_healthy_pose_is_kept_and_reported(monitor: Monitor, say: Callable[[float], None]) -> None:
     say(1.0)
     await monitor.until(lambda: monitor.x() == 1.0 and monitor.told.conditions.get("StateKept"))
     await monitor.until(lambda: monitor.told.conditions["StateKept"] == ("True", "Kept", "Keeping /amcl_pose."))
@@ -74,7 +74,7 @@ async def test_the_last_healthy_pose_is_kept_and_told(monitor: Monitor, say: Cal
     await monitor.until(lambda: monitor.x() == 2.0)
 
 
-async def test_what_is_said_while_the_workload_fails_is_never_given(monitor: Monitor, graph: Graph) -> None:
+async def test_messages_received_while_the_workload_fails_are_never_restored(monitor: Monitor, graph: Graph) -> None:
     publisher = graph.node.create_publisher(PoseWithCovarianceStamped, "/amcl_pose", 1)
 
     def say(x: float) -> None:
@@ -131,7 +131,9 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     recovering.cancel()
 
 
-async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_topic_that_nobody_publishes_is_reported_in_time(
+    monitor: Monitor, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(pure, "PATIENCE", 0.3)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
     told = (
@@ -145,7 +147,7 @@ async def test_a_topic_that_never_comes_is_told_in_time(monitor: Monitor, monkey
     )
 
 
-async def test_a_type_that_is_not_installed_is_told_at_once(monitor: Monitor) -> None:
+async def test_a_type_that_is_not_installed_is_reported_at_once(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"keep": [{"topic": "/plan", "type": "nav2_msgs/msg/Plan"}]})
     await monitor.until(lambda: "StateKept" in monitor.told.conditions)
     status, reason, message = monitor.told.conditions["StateKept"]
@@ -153,7 +155,7 @@ async def test_a_type_that_is_not_installed_is_told_at_once(monitor: Monitor) ->
     assert message.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
 
 
-async def test_a_state_that_is_too_old_is_told(monitor: Monitor, say: Callable[[float], None]) -> None:
+async def test_state_that_is_too_old_is_reported(monitor: Monitor, say: Callable[[float], None]) -> None:
     monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "500ms"}], "margin": "0s"})
     say(1.0)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "TooOld")
@@ -191,7 +193,7 @@ async def test_parameters_and_states_are_asked_of_the_agent(monitor: Monitor) ->
     assert (kept.lifecycle[0].node, kept.lifecycle[0].state) == ("/amcl", "active")
 
 
-async def test_an_agent_that_does_not_answer_is_told(monitor: Monitor) -> None:
+async def test_an_agent_that_does_not_answer_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
     assert monitor.told.conditions["StateKept"][2] == (
@@ -199,7 +201,7 @@ async def test_an_agent_that_does_not_answer_is_told(monitor: Monitor) -> None:
     )
 
 
-async def test_a_pod_without_an_agent_is_told(monitor: Monitor) -> None:
+async def test_a_pod_without_an_agent_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
     monitor.active = Instance("w-1", "uid-1", running=True, has_agent=False)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
@@ -223,7 +225,9 @@ async def test_a_waiting_standby_is_given_what_is_new_and_only_that(
     assert monitor.agents.given[1][1].samples[0].data != first.samples[0].data
 
 
-async def test_a_standby_that_can_not_be_kept_up_is_told_once(monitor: Monitor, say: Callable[[float], None]) -> None:
+async def test_a_standby_that_cannot_be_kept_up_to_date_is_reported_once(
+    monitor: Monitor, say: Callable[[float], None]
+) -> None:
     monitor.waiting = [(STANDBY, 0.1)]
     monitor.agents.refusal = "nobody subscribes to /initialpose"
     say(1.0)
@@ -245,7 +249,7 @@ async def test_nothing_is_given_to_standbys_while_the_workload_is_not_healthy(
     assert monitor.agents.given == []
 
 
-async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None:
+async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose"}, {"topic": "/map"}]})
     monitor.keeping.take(monitor.state, {}, ACTIVE.name)
     given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
@@ -269,7 +273,7 @@ async def test_what_became_of_it_in_a_recovery_is_told(monitor: Monitor) -> None
     assert "It was given /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
 
 
-async def test_a_recovery_in_which_nothing_is_given_takes_back_what_is_said_of_the_last(monitor: Monitor) -> None:
+async def test_a_recovery_without_restored_state_withdraws_the_last_report(monitor: Monitor) -> None:
     monitor.told.condition("StateRestored", "False", "NotRestored", "w-2 was not given ...")
     monitor.keeping.report_restored(Recovery(id="2", reason="x", result="Failed"))
     assert "StateRestored" in monitor.told.conditions

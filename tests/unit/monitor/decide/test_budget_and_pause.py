@@ -37,7 +37,7 @@ async def test_within_the_budget_nothing_is_waited_for_nor_written(world: World)
     assert world.monitor.journal.load() is None
 
 
-async def test_once_it_is_spent_what_failed_is_fenced_and_the_robot_is_told_safe_commands_until_a_word(
+async def test_with_a_spent_budget_a_failed_pod_is_fenced_and_safe_commands_are_sent_until_it_is_resumed(
     world: World,
 ) -> None:
     world.spend()
@@ -85,7 +85,7 @@ async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -
     assert len(world.objects.commits) == 1
 
 
-async def test_an_interrupted_hold_is_gone_on_with_and_an_interrupted_recovery_is_finished(world: World) -> None:
+async def test_an_interrupted_hold_continues_and_an_interrupted_recovery_is_finished(world: World) -> None:
     world.spend()
     begun = failure()
     begun.moments["decided"] = time.time()
@@ -153,7 +153,7 @@ async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_th
         assert await holding
 
 
-def test_a_failure_in_a_pause_is_told_once_and_nothing_is_done(world: World) -> None:
+def test_a_failure_in_a_pause_is_reported_once_and_nothing_is_done(world: World) -> None:
     world.pause(PAUSE)
     now = time.time()
     world.loop.decide.limits.pauses.look(now)

@@ -57,7 +57,7 @@ def world() -> World:
     return World()
 
 
-def test_a_healthy_workload_is_told_once_that_there_is_budget(world: World) -> None:
+def test_a_healthy_workload_reports_once_that_there_is_budget(world: World) -> None:
     world.spending.say(1000.0)
     assert world.said == ("True", "Left")
     before = world.notices.changes
@@ -66,7 +66,7 @@ def test_a_healthy_workload_is_told_once_that_there_is_budget(world: World) -> N
     assert world.events == []
 
 
-def test_once_it_is_spent_that_is_told_with_until_when_and_the_way_out(world: World) -> None:
+def test_a_spent_budget_is_reported_with_its_end_and_what_to_do(world: World) -> None:
     world.recover(1000.0)
     assert world.spending.spent_until(1001.0) is None
     world.recover(1060.0)
@@ -90,7 +90,7 @@ def test_when_the_window_has_moved_on_that_is_told(world: World) -> None:
     assert world.events[-1] == ("Normal", "BudgetLeft")
 
 
-def test_a_users_word_gives_all_of_it_back(world: World) -> None:
+def test_resuming_gives_the_whole_budget_back(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     world.resume(rfc3339(1100.0))
@@ -103,7 +103,7 @@ def test_a_users_word_gives_all_of_it_back(world: World) -> None:
 
 
 @pytest.mark.parametrize("said", ["", "soon", "2026-02-30T00:00:00Z"])
-def test_a_word_that_is_no_moment_is_none(world: World, said: str) -> None:
+def test_an_annotation_that_is_no_time_resumes_nothing(world: World, said: str) -> None:
     world.resume(said)
     assert world.spending.resumed is None
 
@@ -123,7 +123,7 @@ def test_a_planned_hand_over_spends_nothing(world: World) -> None:
     assert world.notices.status.spent == []
 
 
-def test_one_in_which_nothing_could_be_tried_spends_nothing_and_one_in_vain_does(world: World) -> None:
+def test_a_recovery_without_an_attempt_spends_nothing_and_a_failed_attempt_does(world: World) -> None:
     world.recover(1000.0, "NotAvailable")
     assert world.notices.status.spent == []
     world.recover(1060.0, "NotVerified")
@@ -146,7 +146,7 @@ def test_without_a_budget_nothing_is_kept_nor_said(world: World) -> None:
     assert "spent" not in world.notices.status.to_wire()
 
 
-def test_what_is_held_is_told_in_recovering(world: World) -> None:
+def test_a_held_recovery_is_in_the_condition_recovering(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     failed = [PodIdentity(name="w-1", uid="uid-1")]

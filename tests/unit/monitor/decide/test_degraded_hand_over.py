@@ -121,7 +121,7 @@ class TestHandingOver:
         world.look(20, given=HANDED)
         assert (world.levels.due is not None) == is_due
 
-    def test_what_keeps_it_from_being_begun_is_told(self, world: World) -> None:
+    def test_what_prevents_a_hand_over_is_reported(self, world: World) -> None:
         world.observer.well = SLOW
         world.look(10, given=HANDED)
         world.levels.wait(

@@ -88,7 +88,7 @@ def test_it_ends_when_it_is_taken_away() -> None:
         ({}, {names.RESUMED: "2"}, "it was removed"),
     ],
 )
-def test_who_ends_it_and_why_is_told(before: dict[str, str], after: dict[str, str], words: str) -> None:
+def test_who_ends_a_pause_and_why_is_reported(before: dict[str, str], after: dict[str, str], words: str) -> None:
     world = World()
     world.pause(GIVEN, before)
     world.pauses.look(1000.0)
@@ -97,7 +97,7 @@ def test_who_ends_it_and_why_is_told(before: dict[str, str], after: dict[str, st
     assert world.events[-1][1].endswith(words)
 
 
-def test_what_was_said_at_an_earlier_end_is_not_said_of_this_one() -> None:
+def test_the_reason_for_an_earlier_resume_does_not_explain_this_end() -> None:
     world, said = World(), {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}
     world.pause(GIVEN, said)
     world.pauses.look(1000.0)
@@ -106,7 +106,7 @@ def test_what_was_said_at_an_earlier_end_is_not_said_of_this_one() -> None:
     assert world.events[-1][1].endswith("it was removed")
 
 
-def test_another_pause_is_told_too() -> None:
+def test_another_pause_is_reported_too() -> None:
     world = World(GIVEN)
     world.pauses.look(1000.0)
     world.pause(Pause(reason="and a new arm", owner="bob"))
@@ -117,7 +117,7 @@ def test_another_pause_is_told_too() -> None:
 
 
 @pytest.mark.parametrize(("pause", "reasons"), [(GIVEN, []), (None, [])])
-def test_a_new_monitor_tells_nobody_again(pause: Pause | None, reasons: list[str]) -> None:
+def test_a_new_monitor_raises_no_second_event_for_a_pause(pause: Pause | None, reasons: list[str]) -> None:
     world = World(GIVEN)
     world.pauses.look(1000.0)
     later = World(pause, world.notices.status.to_wire())
@@ -132,7 +132,7 @@ def test_a_day_that_there_is_not_ends_no_pause() -> None:
     assert pause.words == "paused by ann: a new gripper"
 
 
-def test_nothing_is_said_of_a_workload_without_one() -> None:
+def test_a_workload_without_a_pause_reports_nothing() -> None:
     world = World()
     world.pauses.look(1000.0)
     assert world.said is None

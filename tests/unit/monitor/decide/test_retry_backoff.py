@@ -67,7 +67,7 @@ class World:
             self.retries.after_nothing_verified(self.policy)
 
 
-def test_what_comes_to_nothing_is_put_off_longer_each_time_until_it_has_worked() -> None:
+def test_the_backoff_grows_with_each_recovery_without_success_until_one_succeeds() -> None:
     world = World()
     for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST, 4 * BACKOFF_FIRST):
         world.in_vain(1)
@@ -107,7 +107,7 @@ def test_the_cooldown_after_a_recovery_stays() -> None:
     assert world.waits() == 60
 
 
-def test_a_users_word_ends_what_was_put_off() -> None:
+def test_resuming_ends_a_backoff() -> None:
     world, now = World(), NOW
     world.in_vain(3)
     before = world.retries.not_before
@@ -134,7 +134,7 @@ def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(
     assert world.waits() == later
 
 
-def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_told() -> None:
+def test_after_the_instance_of_every_strategy_failed_at_once_a_backoff_is_reported() -> None:
     world, now = World(), NOW
     world.retries.note(took_over(0, now))
     assert world.first(now + 1) == 1
@@ -149,7 +149,7 @@ def test_after_every_strategys_instance_failed_at_once_there_is_a_pause_that_is_
     assert world.first(now + 1) == 0, "and then the first one is tried again"
 
 
-def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_and_that_is_told() -> None:
+def test_an_instance_that_fails_within_the_healthy_delay_gets_the_next_strategy_and_an_event() -> None:
     world, now = World(limits={"healthyDelay": "1m"}), NOW
     world.retries.note(took_over(0, now))
     assert world.first(now + 30) == 1
@@ -160,7 +160,7 @@ def test_an_instance_that_fails_within_the_healthy_delay_has_the_next_strategy_a
     assert world.first(now + 60) == 0
 
 
-def test_a_recovery_tells_what_was_tried_in_vain_before() -> None:
+def test_a_recovery_reports_the_attempts_that_did_not_succeed() -> None:
     hung = "strategies[0].recovery.sequence[0].wait_for: node /nobody is not there within 14 s"
     recovery = Recovery(
         id="1",

@@ -72,7 +72,7 @@ def test_a_standby_that_is_ready_takes_over_at_once(monkeypatch: pytest.MonkeyPa
     assert world.loop.decide.options.holds(Restart()) is not None
 
 
-def test_it_waits_no_longer_than_it_is_to_though_nobody_says_that_it_is_over(
+def test_a_storm_that_never_ends_holds_a_recovery_for_holdfor_only(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     world, now = Storm(monkeypatch, tmp_path, RESTART), time.time()

@@ -51,19 +51,19 @@ def test_it_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: 
     ]
 
 
-def test_nothing_is_asked_of_a_policy_that_does_not_say_what_well_means(world: World) -> None:
+def test_without_spec_degraded_nothing_is_evaluated(world: World) -> None:
     world.observer.well = SLOW
     assert not world.look(10, given=policy())
     assert world.observer.times_asked == 0
     assert world.notices.conditions == {}
 
 
-def test_it_is_asked_less_often_than_health_is_looked_at(world: World) -> None:
+def test_degradation_is_judged_less_often_than_health(world: World) -> None:
     world.look(10)
     assert world.observer.times_asked <= 10 / LOOK + 1
 
 
-def test_figures_that_change_all_the_time_are_written_seldom(world: World) -> None:
+def test_figures_that_change_all_the_time_are_seldom_written(world: World) -> None:
     for hundredth in range(600):
         world.observer.well = Verdict("Failed", f"/scan at 8.{hundredth} Hz", "sensors/scan", None)
         world.look(0.1)
@@ -71,7 +71,7 @@ def test_figures_that_change_all_the_time_are_written_seldom(world: World) -> No
     assert len(world.notices.events) == 1
 
 
-def test_another_leaf_is_told_at_once(world: World) -> None:
+def test_another_failing_leaf_is_reported_at_once(world: World) -> None:
     world.observer.well = SLOW
     world.look(3)
     world.observer.well = Verdict("Failed", "/cmd_vel at 15 Hz", "commands", None)
@@ -91,7 +91,7 @@ def test_an_instance_whose_health_fails_is_not_asked_and_is_not_well_by_that(wor
     assert not world.look(2)
 
 
-def test_another_instance_is_judged_anew(world: World) -> None:
+def test_another_instance_starts_with_an_unknown_level(world: World) -> None:
     world.observer.well = SLOW
     world.look(3)
     world.observer.well = UNKNOWN
@@ -112,14 +112,14 @@ def test_a_new_monitor_goes_on_where_the_last_one_was(world: World) -> None:
     assert [reason for _, reason, _ in world.notices.events] == ["WellAgain"], "it is told once that it was degraded"
 
 
-def test_what_was_said_of_another_instance_by_the_last_monitor_is_not_so_of_this_one(world: World) -> None:
+def test_the_last_monitors_report_on_another_instance_does_not_count_for_this_one(world: World) -> None:
     world.adopt("w-0")
     world.observer.well = UNKNOWN
     assert not world.look(1)
     assert world.said == ("Unknown", "Starting")
 
 
-def test_with_the_policy_s_word_goes_what_was_said(world: World) -> None:
+def test_the_condition_goes_with_spec_degraded(world: World) -> None:
     world.observer.well = SLOW
     world.look(3)
     assert not world.look(1, given=policy())

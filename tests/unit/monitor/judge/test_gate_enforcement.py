@@ -55,7 +55,7 @@ def test_an_active_pod_that_does_not_get_through_is_blocked() -> None:
     assert judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE)[:2] == ("False", "Blocked")
 
 
-def test_just_after_a_commit_nothing_is_said() -> None:
+def test_just_after_a_commit_the_gate_is_not_judged() -> None:
     assert judge([ACTIVE, STANDBY], "uid-w-1", {"uid-w-2": NOW}, now=NOW, since=NOW - 1)[0] == "Unknown"
 
 
@@ -83,7 +83,7 @@ def test_a_standby_that_is_let_through_is_no_leak() -> None:
     assert "w-2" not in judged[2]
 
 
-def test_it_is_judged_anew_after_the_gate_lets_another_pod_through_and_said_once_that_can_be_told(
+def test_it_is_judged_again_after_the_gate_admits_another_pod_and_reported_once_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     objects, clock = ClusterObjects(), Clock(NOW)

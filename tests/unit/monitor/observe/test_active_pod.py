@@ -64,7 +64,7 @@ def test_restarts_of_the_instance_in_control_count(observer: HealthObserver) -> 
         assert observer.verdict(now=time.time(), since=since).state == expected
 
 
-def test_what_is_known_of_the_pod_is_said_anew_and_only_where_the_tree_asks_for_it(observer: HealthObserver) -> None:
+def test_the_state_of_the_pod_is_updated_and_only_if_the_tree_needs_it(observer: HealthObserver) -> None:
     instances = [_instance("w-1", "True")]
     observer.drain(instances, "w-1")
     assert observer.observations.pod() is None

@@ -18,7 +18,7 @@ from understudy.monitor.notices import Notices, PublishedStatus
 from understudy.monitor.report.status_writer import QUIET, StatusWriter
 
 
-async def test_a_failure_is_put_off_for_a_moment_and_acted_on_where_nobody_else_has_failed() -> None:
+async def test_a_failure_is_held_for_a_moment_and_recovered_if_no_dependency_has_failed() -> None:
     world = Upstream()
     await world.said("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
@@ -61,7 +61,7 @@ async def test_it_settles_and_is_then_a_failure_of_its_own() -> None:
     assert len(world.notices.events) == 1, "it is told once"
 
 
-async def test_what_is_said_of_it_does_not_change_with_its_figures() -> None:
+async def test_the_message_of_a_held_failure_does_not_change_with_its_figures() -> None:
     world = Upstream()
     await world.said("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.notice(NOW - 0.5, NOW)
@@ -86,7 +86,7 @@ async def test_a_failure_before_that_of_the_other_is_acted_on_as_ever() -> None:
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 2, NOW) is None
 
 
-async def test_those_that_depend_on_this_one_in_turn_learn_at_once_that_it_fails() -> None:
+async def test_workloads_that_depend_on_this_one_learn_at_once_that_it_fails() -> None:
     world = Upstream()
     flushed = asyncio.Event()
 
@@ -105,7 +105,7 @@ async def test_those_that_depend_on_this_one_in_turn_learn_at_once_that_it_fails
     writing.cancel()
 
 
-async def test_without_dependencies_nothing_is_watched_said_or_put_off() -> None:
+async def test_without_dependencies_nothing_is_watched_reported_or_held() -> None:
     world = Upstream()
     await world.said("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.follow(settings_of("planning"))
@@ -117,7 +117,7 @@ async def test_without_dependencies_nothing_is_watched_said_or_put_off() -> None
     assert world.notices.status.failing_since is None
 
 
-def test_the_beginning_of_a_failure_is_said_until_it_is_over_also_by_the_next_monitor() -> None:
+def test_the_start_of_a_failure_stays_in_the_status_until_it_is_over_also_with_the_next_monitor() -> None:
     notices = RecordedNotices()
     notices.set(health="Failed", failing_since=NOW)
     notices.set(health="Recovering", failing_since=NOW + 5)

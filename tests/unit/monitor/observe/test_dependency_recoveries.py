@@ -31,7 +31,7 @@ class TestAfterARecovery:
         assert world.dependencies.due(active(), NOW) is None
         assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
 
-    async def test_a_new_monitor_goes_by_what_the_one_before_it_has_said(self) -> None:
+    async def test_a_new_monitor_continues_from_the_recoveries_in_the_status(self) -> None:
         done, left = Upstream(adopted="r1"), Upstream(adopted="r0")
         for world in (done, left):
             await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
@@ -56,7 +56,7 @@ class TestAfterARecovery:
         assert world.dependencies.due(active(), NOW) is None
         assert world.notices.status.followed[0].recovery == "r1"
 
-    async def test_what_can_not_be_done_without_an_agent_is_told(self) -> None:
+    async def test_a_procedure_that_needs_an_agent_is_reported_if_there_is_none(self) -> None:
         world = Upstream(adopted="r0")
         await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(agent=False), NOW) is None
@@ -105,7 +105,7 @@ class TestWhatIsCarriedOut:
         assert progress.reason == "localization, on which it depends, was recovered"
 
 
-def test_it_is_told_what_was_done() -> None:
+def test_a_recovery_after_a_dependency_is_described() -> None:
     progress = Progress.begin("localization, on which it depends, was recovered", last_healthy=NOW, detected=NOW)
     progress.follows = [DependencyRecovery(name="localization", recovery="r1")]
     progress.target, progress.epoch = PodIdentity(name="planning-1", uid="uid-1"), 9

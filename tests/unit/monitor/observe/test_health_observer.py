@@ -273,7 +273,7 @@ def test_the_situation_is_seen_by_what_is_watched_for_it_alone_and_the_health_tr
     assert observer.observations.task(STATUS) is None, "nobody watches it any more"
 
 
-def test_a_leaf_of_one_s_own_that_fails_by_itself_is_told_of_and_no_failure(
+def test_a_custom_leaf_that_raises_is_reported_and_is_no_failure(
     observer: HealthObserver, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Broken:

@@ -116,7 +116,7 @@ def test_what_was_brought_elsewhere_or_was_started_again_since_is_initialized(be
     assert (found.brought == before, found.outdated) == (False, False)
 
 
-def test_agents_are_told_in_the_short_form_whatever_a_check_is_written_in() -> None:
+def test_agents_receive_a_check_in_the_short_form_whatever_its_language() -> None:
     pool = WARM.model_copy(update={"readiness_check": Check(xml=XML_CHECK, period="2s")})
     found = role_of(STANDBY, parsed_spec(), settings(pool), active_uid="uid-1")
     assert found.standby == {

@@ -52,7 +52,7 @@ def left(tmp_path: Path) -> Left:
     return Left(tmp_path)
 
 
-def test_a_recovery_that_was_not_recorded_is_gone_on_with_as_the_journal_has_it(left: Left) -> None:
+def test_a_recovery_that_was_not_recorded_continues_as_the_journal_has_it(left: Left) -> None:
     committed = begun(100.0)
     saved = committed.model_copy(update={"index": 1})
     for journal, index in ((saved, 1), (None, 0)):
@@ -72,14 +72,14 @@ def test_where_the_journal_is_of_an_older_one_the_gate_knows_better(left: Left) 
     assert progress.id == newer.id, "it hadn't come to the gate yet"
 
 
-def test_one_that_was_given_up_is_not_gone_on_with_once_another_is_over(left: Left) -> None:
+def test_an_abandoned_recovery_does_not_continue_after_another_is_over(left: Left) -> None:
     given_up, done = begun(100.0), begun(200.0)
     assert left.found(given_up, done, recorded=[done]) is None
     ended = given_up.model_copy(update={"result": "Failed"})
     assert left.found(given_up, ended) is None, "somebody was put in control since"
 
 
-def test_one_that_an_error_had_stopped_is_not_gone_on_with_although_the_gate_tells_of_it_and_a_later_one_is(
+def test_an_abandoned_recovery_in_the_gate_does_not_continue_and_a_later_one_does(
     left: Left,
 ) -> None:
     stopped, later = begun(100.0), begun(200.0)
@@ -90,7 +90,7 @@ def test_one_that_an_error_had_stopped_is_not_gone_on_with_although_the_gate_tel
     assert progress.id == later.id, "it hadn't come to the gate yet"
 
 
-def test_what_was_recorded_or_came_to_nothing_is_not_gone_on_with(left: Left) -> None:
+def test_a_recovery_that_was_recorded_or_failed_does_not_continue(left: Left) -> None:
     done, failed = begun(100.0), begun(200.0).model_copy(update={"result": "Failed"})
     assert left.found(done, failed, recorded=[done]) is None
     assert left.found(None, None) is None

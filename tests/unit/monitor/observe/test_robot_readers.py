@@ -72,7 +72,7 @@ def looks(one: RobotReaders, times: int) -> None:
     asyncio.run(look())
 
 
-def test_dds_is_asked_once_for_a_reader_and_what_it_does_not_tell_is_said(server: Server) -> None:
+def test_discovery_is_asked_once_for_a_reader_and_a_missing_answer_is_reported(server: Server) -> None:
     told = RecordedNotices()
     one = looking(server, told, [CMD_VEL])
     looks(one, 2)
@@ -89,14 +89,14 @@ def test_dds_is_asked_once_for_a_reader_and_what_it_does_not_tell_is_said(server
     assert server.asked(), "another one is asked for at once"
 
 
-def test_it_is_said_once_it_has_stood_for_a_while(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_finding_is_reported_only_after_it_has_lasted(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_readers, "SETTLE", 60.0)
     told = RecordedNotices()
     looks(looking(server, told, [CMD_VEL]), 3)
     assert told.conditions == {}
 
 
-def test_what_an_earlier_monitor_found_stands_until_it_is_known_anew(server: Server) -> None:
+def test_the_finding_of_an_earlier_monitor_stands_until_there_is_a_new_one(server: Server) -> None:
     said = condition("OutputsRead", False, "ReaderWithoutProfile", "The gate doesn't reach it.")
     told = RecordedNotices(PublishedStatus(by_type={said.type: said}))
     one = looking(server, told, [CMD_VEL])

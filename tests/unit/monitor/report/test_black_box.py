@@ -119,7 +119,9 @@ async def test_what_was_given_up_is_not_held_for_ever(monitored: Monitored) -> N
     assert not monitored.archive.recordings
 
 
-async def test_a_disk_that_refuses_is_told_once_and_harms_nothing(monitored: Monitored, tmp_path: Path) -> None:
+async def test_a_disk_that_refuses_writes_is_reported_once_and_harms_nothing(
+    monitored: Monitored, tmp_path: Path
+) -> None:
     (tmp_path / "recordings").write_text("a file where the folder should be")
     for _ in range(2):
         monitored.recovered(monitored.fail())

@@ -114,7 +114,7 @@ async def test_a_failover_is_read_from_ok_over_error_with_its_reason_to_ok(graph
         assert after["at"] >= failed["at"]
 
 
-async def test_it_is_told_only_where_it_is_asked_for(graph: Any) -> None:
+async def test_diagnostics_are_published_only_where_the_spec_asks_for_them(graph: Any) -> None:
     monitor = Monitor(graph)
     monitor.notices.set(active="w-1", health="Healthy")
     async with monitor.running():
@@ -140,7 +140,9 @@ async def test_the_tree_is_drawn_by_a_tool_that_finds_it_by_itself(graph: Any, p
         assert drawn[2].endswith("-- no /cmd_vel for 500 ms")
 
 
-async def test_what_can_not_be_told_is_said_and_the_rest_is_told(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_what_cannot_be_published_is_reported_and_the_rest_is_published(
+    graph: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(snapshot_streams, "PACKAGE", "nobodys_interfaces")
     monitor = Monitor(graph)
     monitor.ask(diagnostics=True, snapshots=True)
