@@ -21,7 +21,7 @@ from understudy.trees.languages.osc.library import (
 )
 from understudy.trees.languages.osc.steps import CONDITIONS, DECORATORS, PROCEDURES, STEPS
 from understudy.trees.languages.osc.units import OWN, UNITS
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.leaf_plan import Key
 from understudy.trees.leaves.registry import LEAVES, PLUGINS
 
@@ -73,7 +73,7 @@ def summary_of(kind: str) -> str:
         return f"holds {LEAVES[kind].summary}"
     if kind in _AROUND:
         return _AROUND[kind][0]
-    return {**procedure_steps.STEPS, **procedure_steps.CONDITIONS}[kind].summary
+    return {**procedure_leaves.STEPS, **procedure_leaves.CONDITIONS}[kind].summary
 
 
 def keys_of(kind: str) -> Mapping[str, Key]:
@@ -82,7 +82,7 @@ def keys_of(kind: str) -> Mapping[str, Key]:
         return {("" if key.name == "settle" else "while.") + key.name: key for key in _AROUND[kind][1]}
     if kind in _AROUND:
         return {f"{kind}.{key.name}": key for key in _AROUND[kind][1]}
-    declared = {**LEAVES, **procedure_steps.STEPS, **procedure_steps.CONDITIONS}[kind].arguments
+    declared = {**LEAVES, **procedure_leaves.STEPS, **procedure_leaves.CONDITIONS}[kind].arguments
     return {f"{kind}.{key.name}": key for key in declared}
 
 
@@ -143,7 +143,8 @@ def health_models() -> str:
 def step_models() -> str:
     """Return the models of the nodes that only procedures have, for Groot 2."""
     own = {
-        tag_of(key): xml.PROCEDURES.nodes[tag_of(key)] for key in (*procedure_steps.STEPS, *procedure_steps.CONDITIONS)
+        tag_of(key): xml.PROCEDURES.nodes[tag_of(key)]
+        for key in (*procedure_leaves.STEPS, *procedure_leaves.CONDITIONS)
     }
     around = {tag: node for tag, node in xml.PROCEDURES.nodes.items() if node.key in ("timeout", "retry")}
     return _models(own | around)
@@ -245,8 +246,8 @@ def languages() -> str:
         "selector",
         "inverter",
         *DECORATORS,
-        *procedure_steps.STEPS,
-        *procedure_steps.CONDITIONS,
+        *procedure_leaves.STEPS,
+        *procedure_leaves.CONDITIONS,
     ):
         node = xml.PROCEDURES.nodes[tags[key]]
         ports = _listed([port for port, where in node.ports.items() if where])

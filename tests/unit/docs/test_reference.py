@@ -17,7 +17,7 @@ from tests.support.pages import PAGES, page_name, typed
 from understudy.main import VERBS
 from understudy.trees.languages.btcpp.library import NODES, tag_of
 from understudy.trees.languages.btcpp.loader import load_xml
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.registry import LEAVES
 
 REPOSITORY = Path(__file__).parents[3]
@@ -34,7 +34,7 @@ def sections(page: str) -> dict[str, str]:
 
 def test_every_leaf_and_step_is_there_with_each_of_its_values() -> None:
     found = sections(leaves.page())
-    for kind, declared in {**LEAVES, **procedure_steps.STEPS, **procedure_steps.CONDITIONS}.items():
+    for kind, declared in {**LEAVES, **procedure_leaves.STEPS, **procedure_leaves.CONDITIONS}.items():
         for key in declared.keys:
             assert f"| `{key}` |" in found[kind]
 

@@ -30,7 +30,7 @@ from understudy.trees.languages.osc.library import WORDS
 from understudy.trees.languages.procedure_notations import LoadedProcedure, compose, composed
 from understudy.trees.languages.short import procedure_loader
 from understudy.trees.languages.short.procedure_loader import CONDITIONS, DECORATORS, STEPS
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.registry import LEAVES
 from understudy.trees.source.problems import TreeError
 
@@ -142,7 +142,7 @@ def test_everything_that_procedures_have_can_be_written() -> None:
         one.key for one in (*scenarios.PROCEDURES.actions.values(), *scenarios.PROCEDURES.modifiers.values())
     }
     assert scenario_kinds == kinds - {*procedure_loader.COMPOSITES}
-    for kind, step in {**procedure_steps.STEPS, **procedure_steps.CONDITIONS}.items():
+    for kind, step in {**procedure_leaves.STEPS, **procedure_leaves.CONDITIONS}.items():
         where = {f"{kind}.{key}" for key in step.keys}
         assert set(xml.PROCEDURES.nodes[library.tag_of(kind)].ports.values()) == where
         assert {argument.where for argument in scenarios.PROCEDURES.actions[kind].arguments.values()} == where

@@ -17,7 +17,7 @@ from understudy.failover.pool_queue import Waiter, in_order
 from understudy.failover.progress import waiter
 from understudy.kube import selectors
 from understudy.kube.client import DISRUPTION_BUDGETS, PODS, Object
-from understudy.kube.gates import isolation
+from understudy.kube.gates import unclaimed_pod_policy
 
 MOVING = "Moving"
 """The condition that exists while pods are being replaced on other nodes."""
@@ -177,8 +177,8 @@ def plan(observed: Observed, pool_plan: PoolPlan, fresh: UniqueValues) -> Plan:
     want = pool_size.wanted(spec, pool_plan.sized)
     update = _update(spec, want)
     # The network policy that names the claimable pods is written before other pods are deleted.
-    policy = isolation.held_pods(name, pod_counts.claimable(living, present, update))
-    made.writes.append(Apply(isolation.RESOURCE, ownership.ours(policy, owner, pool)))
+    policy = unclaimed_pod_policy.held_pods(name, pod_counts.claimable(living, present, update))
+    made.writes.append(Apply(unclaimed_pod_policy.RESOURCE, ownership.ours(policy, owner, pool)))
     change = pod_counts.change(
         held,
         want=want,

@@ -36,7 +36,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
-from understudy.kube.gates import isolation, registry
+from understudy.kube.gates import registry, unclaimed_pod_policy
 
 
 class Key(NamedTuple):
@@ -249,7 +249,7 @@ def _has_plenty(name: str, held: Object, store: Store, namespace: str) -> bool:
     if pool is None:
         return False
     reserved = ((pool.get("spec") or {}).get("reserve") or {}).get("pods") or 0
-    allowed = pool_pods.claimable_hash(store.get(isolation.RESOURCE, namespace, names.held(name)))
+    allowed = pool_pods.claimable_hash(store.get(unclaimed_pod_policy.RESOURCE, namespace, names.held(name)))
     others = (
         pod
         for pod in store.labelled(PODS, namespace, names.POOL, name)

@@ -42,7 +42,7 @@ from understudy.kube.client import (
     Object,
     Resource,
 )
-from understudy.kube.gates import isolation
+from understudy.kube.gates import unclaimed_pod_policy
 
 
 class Reader(Protocol):
@@ -79,7 +79,7 @@ class Observer:
             held_policies={
                 pool: policy
                 for pool in serving
-                if (policy := store.get(isolation.RESOURCE, namespace, names.held(pool))) is not None
+                if (policy := store.get(unclaimed_pod_policy.RESOURCE, namespace, names.held(pool))) is not None
             },
             owned=store.owned(kube_objects.uid(item)),
             # Read at the same moment as the next field: a pod that appears during a wait must be in one of the two.

@@ -14,7 +14,7 @@ from understudy.trees.leaves import (
     node,
     parameter,
     pod,
-    procedure_steps,
+    procedure_leaves,
     publisher,
     topic,
     transform,
@@ -44,7 +44,7 @@ one_of remove_default associated_actor while_task_active sub_tree parallel_all r
 async_sequence async_fallback retry_until_successful
 """
 
-RESERVED = frozenset((*procedure_steps.STEPS, *procedure_steps.CONDITIONS, *_WORDS.split()))
+RESERVED = frozenset((*procedure_leaves.STEPS, *procedure_leaves.CONDITIONS, *_WORDS.split()))
 """Names of two or more words that a language already uses. Leaves of other packages have at least two words."""
 
 _ADDED = load_plugins(RESERVED)

@@ -16,8 +16,8 @@ from understudy.api import names
 from understudy.kube import selectors
 from understudy.kube.client import NETWORK_POLICIES, Object, Resource
 from understudy.kube.gates.base import GateKind
-from understudy.kube.gates.isolation import network_policy
 from understudy.kube.gates.probes import ProbeReceiver
+from understudy.kube.gates.unclaimed_pod_policy import network_policy
 
 _LAST_PORT = 65535
 

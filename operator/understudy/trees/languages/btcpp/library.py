@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from understudy.trees.languages.btcpp import thresholds
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 from understudy.trees.source import tree_kinds
 from understudy.trees.source.tree_kinds import TreeKind
@@ -155,8 +155,8 @@ HEALTH = Library(
     NODES,
     {
         **REFUSED,
-        **{tag_of(key): _RECOVERY for key in procedure_steps.STEPS},
-        **{tag_of(key): _LOOKS for key in procedure_steps.CONDITIONS},
+        **{tag_of(key): _RECOVERY for key in procedure_leaves.STEPS},
+        **{tag_of(key): _LOOKS for key in procedure_leaves.CONDITIONS},
     },
     NO_SCRIPTS,
     "Parallel",

@@ -17,8 +17,8 @@ from understudy.trees.languages.btcpp.library import (
 )
 from understudy.trees.languages.short.procedure_loader import HEALTH
 from understudy.trees.languages.text import step_values
-from understudy.trees.leaves import procedure_steps
-from understudy.trees.leaves.procedure_steps import StepKind
+from understudy.trees.leaves import procedure_leaves
+from understudy.trees.leaves.procedure_leaves import StepKind
 from understudy.trees.source import tree_kinds
 from understudy.trees.source.tree_kinds import TreeKind
 from understudy.trees.source.value_reader import found_text
@@ -54,9 +54,9 @@ _DECORATORS: Mapping[str, Node] = {
         {"num_attempts": step_values.whole_of},
     ),
 }
-_STEPS: Mapping[str, Node] = {tag_of(key): _own("Action", key, step) for key, step in procedure_steps.STEPS.items()}
+_STEPS: Mapping[str, Node] = {tag_of(key): _own("Action", key, step) for key, step in procedure_leaves.STEPS.items()}
 _LOOKS: Mapping[str, Node] = {
-    tag_of(key): _own("Condition", key, step) for key, step in procedure_steps.CONDITIONS.items()
+    tag_of(key): _own("Condition", key, step) for key, step in procedure_leaves.CONDITIONS.items()
 }
 _LEAVES: Mapping[str, Node] = {tag: node for tag, node in NODES.items() if node.category == "Condition"}
 _WATCHED: Mapping[str, Node] = {tag: node for tag, node in _LEAVES.items() if node.key in HEALTH}

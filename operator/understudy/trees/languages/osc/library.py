@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.leaf_plan import Key
 from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 
@@ -138,8 +138,8 @@ _OTHERS: Mapping[str, str] = {
         ("action_call", "service_call", "topic_publish", "set_node_parameter", "kubernetes_delete"), _RECOVERY
     ),
     "kubernetes_patch_network_policy": _RECOVERY,
-    **dict.fromkeys(procedure_steps.STEPS, _RECOVERY),
-    **dict.fromkeys(procedure_steps.CONDITIONS, _LOOKS),
+    **dict.fromkeys(procedure_leaves.STEPS, _RECOVERY),
+    **dict.fromkeys(procedure_leaves.CONDITIONS, _LOOKS),
 }
 
 REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in ACTIONS}

@@ -9,17 +9,17 @@ from understudy.trees.languages.osc.dialects import Dialect
 from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS, STATUS_CHANGES, Argument, Behavior, behavior_of
 from understudy.trees.languages.short.procedure_loader import HEALTH
 from understudy.trees.languages.text import step_values
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.registry import REFUSED_PLUGINS
 from understudy.trees.source import tree_kinds
 
 STEPS: Mapping[str, Behavior] = {
-    kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_steps.STEPS.items()
+    kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_leaves.STEPS.items()
 }
 """The steps of procedures as actions, by name."""
 
 CONDITIONS: Mapping[str, Behavior] = {
-    kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_steps.CONDITIONS.items()
+    kind: behavior_of(kind, step.arguments, step_values.READS) for kind, step in procedure_leaves.CONDITIONS.items()
 }
 """The conditions that procedures and checks evaluate once, by name."""
 

@@ -2,7 +2,7 @@
 (docs/procedures.md).
 
 Both are loaded from the short form, regardless of the language in which they were written (procedure_notations.py), and
-run inside the instance's pod. Their leaves use the interface :class:`understudy.trees.core.procedure_steps.Actions`.
+run inside the instance's pod. Their leaves use the interface :class:`understudy.trees.core.procedure_leaves.Actions`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from understudy.trees.core.procedure_steps import (
     unfinished,
 )
 from understudy.trees.languages.short.step_reader import StepReader
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.registry import LEAVES, REFUSED_PLUGINS
 from understudy.trees.source.problems import TreeError, did_you_mean
 from understudy.trees.source.value_reader import duration_of, found_text
@@ -45,7 +45,7 @@ HEALTH = tuple(kind for kind, leaf in LEAVES.items() if not leaf.active_only)
 """Conditions that are leaves of health trees."""
 
 CONDITIONS = ("lifecycle_is", *HEALTH, "node_present", "service_present", "parameter_is")
-STEPS = tuple(procedure_steps.STEPS)
+STEPS = tuple(procedure_leaves.STEPS)
 MOST_TRIES = 1000
 
 TICK = 0.05

@@ -10,7 +10,7 @@ from understudy.trees.core.answer_matching import mismatch
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
 from understudy.trees.core.procedure_steps import Actions, ProcedureFailed, Work
 from understudy.trees.languages.short.health_loader import load
-from understudy.trees.leaves import procedure_steps
+from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.lifecycle import STATES
 from understudy.trees.source.problems import TreeError
 from understudy.trees.source.value_reader import Reader, duration_of, found_text, name_of, type_of
@@ -18,7 +18,7 @@ from understudy.trees.source.value_reader import Reader, duration_of, found_text
 SETTLE = 0.05
 """Seconds between two evaluations of a leaf that is still starting."""
 
-_KEYS = {key: step.keys for key, step in (*procedure_steps.STEPS.items(), *procedure_steps.CONDITIONS.items())}
+_KEYS = {key: step.keys for key, step in (*procedure_leaves.STEPS.items(), *procedure_leaves.CONDITIONS.items())}
 _EXAMPLES = {"node": "map_server", "service": "controller_server/get_state", "topic": "initialpose"}
 _TYPES = {"srv": "std_srvs/srv/Trigger", "msg": "geometry_msgs/msg/Twist"}
 
