@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cluster.operators import APPS, CORE, Fleet, Operator
 from tests.support.cluster import Cluster, Object, until
 from tests.support.sharing import shared
 from understudy.api.base import GROUP
@@ -68,6 +69,38 @@ def release(
         lambda: _install(cluster, helm, kubeconfig, found),
         lambda before: _restore(cluster, helm, kubeconfig, found, before),
     ):
+        yield found
+
+
+@pytest.fixture(scope="module")
+def alone(cluster: Cluster, release: Release) -> Iterator[None]:
+    """No other operator looks after the namespaces of these tests."""
+    installed = cluster.find(APPS, "Deployment", release.operator, NAMESPACE)
+    replicas = (installed or {}).get("spec", {}).get("replicas", 0)
+    if not installed or not replicas:
+        yield
+        return
+    cluster.patch(installed, {"spec": {"replicas": 0}}, subresource="scale")
+    selector = ",".join(f"{k}={v}" for k, v in installed["spec"]["selector"]["matchLabels"].items())
+    until(
+        lambda: not cluster.list(CORE, "Pod", NAMESPACE, labels=selector),
+        "the installed operator to be gone",
+        seconds=60,
+    )
+    yield
+    cluster.patch(installed, {"spec": {"replicas": replicas}}, subresource="scale")
+
+
+@pytest.fixture
+def fleet(alone: None, cluster: Cluster, namespace: str) -> Fleet:
+    """A namespace without an operator."""
+    return Fleet(cluster, namespace)
+
+
+@pytest.fixture
+def operator(fleet: Fleet) -> Iterator[Operator]:
+    """An operator for the namespace."""
+    with Operator(fleet.cluster.kubeconfig, fleet.namespace) as found:
         yield found
 
 

@@ -15,10 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import pytest
-
-from tests.cluster.conftest import NAMESPACE as SYSTEM
-from tests.cluster.conftest import REPOSITORY, Release
 from tests.support.cluster import Cluster, Object, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
@@ -40,6 +36,7 @@ POLICY = "policy/v1"
 NOWHERE = "understudy.invalid/nowhere:1"
 
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 IMAGES = Images(NOWHERE, "Never")
 
 
@@ -264,29 +261,6 @@ class Operator:
             assert not self._thread.is_alive(), "the operator didn't end within 30 s"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def alone(cluster: Cluster, release: Release) -> Iterator[None]:
-    """No other operator looks after the namespaces of these tests."""
-    installed = cluster.find(APPS, "Deployment", release.operator, SYSTEM)
-    replicas = (installed or {}).get("spec", {}).get("replicas", 0)
-    if not installed or not replicas:
-        yield
-        return
-    cluster.patch(installed, {"spec": {"replicas": 0}}, subresource="scale")
-    selector = ",".join(f"{k}={v}" for k, v in installed["spec"]["selector"]["matchLabels"].items())
-    until(
-        lambda: not cluster.list(CORE, "Pod", SYSTEM, labels=selector), "the installed operator to be gone", seconds=60
-    )
-    yield
-    cluster.patch(installed, {"spec": {"replicas": replicas}}, subresource="scale")
-
-
-@pytest.fixture
-def fleet(cluster: Cluster, namespace: str) -> Fleet:
-    """A namespace without an operator."""
-    return Fleet(cluster, namespace)
-
-
 @contextmanager
 def process(fleet: Fleet, identity: str, port: int = 0) -> Iterator[subprocess.Popen[bytes]]:
     """An operator in a process of its own, which says at a port how it is."""
@@ -317,10 +291,3 @@ def leader(fleet: Fleet) -> str:
     lease = fleet.cluster.find("coordination.k8s.io/v1", "Lease", running.LEASE, fleet.namespace)
     found: str = ((lease or {}).get("spec") or {}).get("holderIdentity") or ""
     return found
-
-
-@pytest.fixture
-def operator(fleet: Fleet) -> Iterator[Operator]:
-    """An operator for the namespace."""
-    with Operator(fleet.cluster.kubeconfig, fleet.namespace) as found:
-        yield found

@@ -11,29 +11,12 @@ from contextlib import ExitStack
 import pytest
 
 from tests.cluster.operator_objects import OURS
-from tests.cluster.operators import (
-    BUILT,
-    CORE,
-    Fleet,
-    Operator,
-    alone,
-    fleet,
-    hot,
-    leader,
-    operator,
-    policy,
-    process,
-    ready,
-    spare,
-    workload,
-)
+from tests.cluster.operators import BUILT, CORE, Fleet, Operator, hot, leader, policy, process, ready, spare, workload
 from tests.support.cluster import Cluster, Refused, until
 from understudy.api import names
 from understudy.controller.runtime import process as running
 
 # -- the end ------------------------------------------------------------------------------------------------------------
-
-__all__ = ["alone", "fleet", "operator"]  # fixtures
 
 
 def test_nothing_is_left_of_a_deleted_workload_and_pool(fleet: Fleet, operator: Operator) -> None:
@@ -61,6 +44,7 @@ def test_nothing_is_left_of_a_deleted_workload_and_pool(fleet: Fleet, operator: 
     assert left() == []
 
 
+@pytest.mark.usefixtures("alone")
 def test_a_namespace_is_deleted_with_everything_in_it(cluster: Cluster) -> None:
     name = f"test-{uuid.uuid4().hex[:8]}"
     item = cluster.create({"apiVersion": CORE, "kind": "Namespace", "metadata": {"name": name}})

@@ -6,26 +6,11 @@ import json
 import time
 
 from tests.cluster.operator_objects import deployment
-from tests.cluster.operators import (
-    APPS,
-    CORE,
-    NOWHERE,
-    RBAC,
-    Fleet,
-    Operator,
-    alone,
-    fleet,
-    hot,
-    operator,
-    policy,
-    workload,
-)
+from tests.cluster.operators import APPS, CORE, NOWHERE, RBAC, Fleet, Operator, hot, policy, workload
 from tests.support.cluster import Object, until
 from understudy.api import names
 
 # -- dependencies -------------------------------------------------------------------------------------------------------
-
-__all__ = ["alone", "fleet", "operator"]  # fixtures
 
 
 def depending(name: str, *others: str) -> Object:

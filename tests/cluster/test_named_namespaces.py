@@ -10,10 +10,8 @@ import pytest
 import yaml
 
 from tests.cluster.conftest import REPOSITORY, Release
-from tests.cluster.operators import Fleet, Operator, alone, hot, policy, workload
+from tests.cluster.operators import Fleet, Operator, hot, policy, workload
 from tests.support.cluster import Cluster, Object, Refused, account, until
-
-__all__ = ["alone"]  # a fixture
 
 RIGHTS = ("ServiceAccount", "ClusterRole", "ClusterRoleBinding", "Role", "RoleBinding")
 
@@ -43,6 +41,7 @@ def confined(cluster: Cluster, helm: str, kubeconfig: Path, namespace: str, tmp_
         cluster.delete(item)
 
 
+@pytest.mark.usefixtures("alone")
 def test_an_operator_of_named_namespaces_sees_only_these(
     cluster: Cluster, release: Release, namespace: str, confined: Path
 ) -> None:

@@ -6,27 +6,12 @@ import json
 import time
 
 from tests.cluster.operator_objects import deployment
-from tests.cluster.operators import (
-    CORE,
-    Fleet,
-    Operator,
-    alone,
-    custom,
-    fleet,
-    hot,
-    operator,
-    policy,
-    spare,
-    template,
-    workload,
-)
+from tests.cluster.operators import CORE, Fleet, Operator, custom, hot, policy, spare, template, workload
 from tests.support.cluster import Object, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
 
 # -- degraded -----------------------------------------------------------------------------------------------------------
-
-__all__ = ["alone", "fleet", "operator"]  # fixtures
 
 
 def degrading(action: Object, *strategies: str) -> Object:

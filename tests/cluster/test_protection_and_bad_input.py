@@ -16,11 +16,8 @@ from tests.cluster.operators import (
     NOWHERE,
     Fleet,
     Operator,
-    alone,
     custom,
-    fleet,
     hot,
-    operator,
     policy,
     spare,
     template,
@@ -30,8 +27,6 @@ from tests.support.cluster import Object, until
 from understudy.api import names
 
 # -- protection ---------------------------------------------------------------------------------------------------------
-
-__all__ = ["alone", "fleet", "operator"]  # fixtures
 
 
 @pytest.fixture

@@ -4,23 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from tests.cluster.operators import (
-    CORE,
-    Fleet,
-    Operator,
-    alone,
-    fleet,
-    hot,
-    operator,
-    policy,
-    spare,
-    template,
-    workload,
-)
+from tests.cluster.operators import CORE, Fleet, Operator, hot, policy, spare, template, workload
 from tests.support.cluster import Cluster, Object, until
 from understudy.api import names
-
-__all__ = ["alone", "fleet", "operator"]  # fixtures
 
 
 @pytest.fixture

@@ -8,19 +8,14 @@ from typing import Any
 import pytest
 
 from tests.support.golden import assert_golden
+from tests.unit.controller.nodes import held, leaving, node, on
 from tests.unit.controller.pools import condition, observe, plan, present, status
 from tests.unit.controller.world import (
-    IMAGES,
     NOW,
-    World,
     applied,
     created,
     deleted,
-    gate,
     held_pod,
-    hot,
-    policy,
-    source_pod,
     spare,
     stamp,
     standby_pod,
@@ -28,42 +23,14 @@ from tests.unit.controller.world import (
 )
 from understudy.api import names
 from understudy.controller.observed import kube_objects, leaving_nodes
-from understudy.controller.pods import instance_pod, pod_placement, pool_pods
+from understudy.controller.pods import pool_pods
 from understudy.controller.reconcile import change_index
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.expectations import Expectations
 from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.runtime import resync
-from understudy.kube.client import DISRUPTION_BUDGETS, NETWORK_POLICIES, NODES, PODS, POOLS, WORKLOADS, Object
-
-
-def node(name: str, *, version: int = 5, taint: str = "", **spec: Any) -> Object:
-    taints = {"taints": [{"key": taint, "effect": "NoExecute"}]} if taint else {}
-    metadata = {"name": name, "uid": f"uid-{name}", "resourceVersion": str(version), "labels": {"zone": "a"}}
-    images = [{"names": ["app:1"], "sizeBytes": 1}]
-    return {
-        "apiVersion": "v1",
-        "kind": "Node",
-        "metadata": metadata,
-        "spec": {**spec, **taints},
-        "status": {"images": images},
-    }
-
-
-def on(place: str, pod: Object) -> Object:
-    return pod | {"spec": {"nodeName": place}}
-
-
-def held(pool: Object, *places: str, ready: bool = True, prefix: str = "spare") -> list[Object]:
-    return [
-        on(place, held_pod(f"{prefix}-{number}", of=pool, template_hash=present(pool), ready=ready))
-        for number, place in enumerate(places)
-    ]
-
-
-def leaving(observed: pool_pods.Observed, *names: str) -> pool_pods.Observed:
-    return replace(observed, leaving=frozenset(names))
+from understudy.kube.client import DISRUPTION_BUDGETS, NODES, PODS, POOLS, WORKLOADS, Object
 
 
 class TestWhichNodesLeave:
@@ -252,166 +219,3 @@ class TestEvictions:
         store.put(DISRUPTION_BUDGETS, {"metadata": ours, "spec": {}})
         (found,) = (await Observer(client, store, Expectations()).pool(pool)).budgets
         assert found["metadata"]["name"] == "theirs"
-
-
-class TestStandbysOfARobot:
-    def world(self, *standbys: Object) -> World:
-        made = World(workload(), policy("hot", "Restart"), hot())
-        active = on("n", source_pod("w-a"))
-        made.own(gate(made.workload, active=active, epoch=3))
-        made.pods = [active, *standbys]
-        return made
-
-    def planned(self, made: World, *leaves: str) -> Any:
-        made.leaving = frozenset(leaves)
-        return made.plan()
-
-    def standby(self, made: World, place: str, name: str = "w-s") -> Object:
-        return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash, age=50.0))
-
-    def test_they_are_replaced_before_they_go_and_the_one_in_control_stays(self) -> None:
-        empty = self.world()
-        old, new = self.standby(empty, "m"), self.standby(empty, "o", "w-t")
-        made = self.planned(self.world(old), "m", "n")
-        assert (len(created(made, "pods")), deleted(made)) == (1, [])
-        assert deleted(self.planned(self.world(old, new), "m", "n")) == ["w-s"]
-        assert not created(self.planned(self.world(old)), "pods")
-
-    def driven(self, per_workload: int) -> World:
-        """A robot that a standby drives since the pod of its workload's own controller failed."""
-        made = World(workload(), policy("hot", "Restart"), hot(per_workload=per_workload))
-        made.build()
-        made.build()
-        made.pods = [self.standby(made, "n", "w-a")]
-        made.own(gate(made.workload, active=made.pods[0], epoch=2))
-        return made
-
-    def now(self, made: World, *waiting: Object) -> tuple[int, list[str]]:
-        """How many are made, and which go, where these wait beside the one that drives and node m is to be emptied."""
-        made.pods = [made.pods[0], *waiting]
-        plan = self.planned(made, "m")
-        return len(created(plan, "pods")), deleted(plan)
-
-    def own(self, made: World, place: str, name: str = "w-own", **more: Any) -> Object:
-        return on(place, source_pod(name, template_hash=made.own_hash, **more))
-
-    @pytest.mark.parametrize("ready", [True, False])
-    @pytest.mark.parametrize("drives_on", ["n", "m"])
-    def test_a_stand_in_is_replaced_before_it_goes(self, drives_on: str, ready: bool) -> None:
-        made = self.driven(per_workload=1)
-        made.pods = [on(drives_on, made.pods[0])]
-        own, other = self.own(made, "m", ready=ready), self.standby(made, "o", "w-t")
-        starting = on("o", standby_pod("w-t", of=made.workload, template_hash=made.template_hash, ready=False))
-        assert self.now(made, own) == (1, [])
-        assert self.now(made, own, starting) == (0, [])
-        assert self.now(made, own, other) == (0, ["w-own"])
-        assert self.now(made, other) == (0, []), "the workload's own controller makes the next one"
-        assert self.now(made, self.own(made, "o", "w-own2", ready=False), other) == (0, [])
-        assert self.now(made, self.own(made, "o", "w-own2"), other) == (0, ["w-t"])
-
-    async def test_its_pool_says_so_and_is_looked_at_when_its_node_is_to_go(self) -> None:
-        made, store = self.driven(per_workload=1), Store()
-        driving, own, pool = made.pods[0], self.own(made, "m"), made.others[1]
-        told = [(WORKLOADS, made.workload), (NETWORK_POLICIES, made.owned["networkpolicies", "w-gate"])]
-        for resource, item in [
-            *told,
-            (POOLS, pool),
-            (PODS, driving),
-            (PODS, own),
-            (NODES, node("m")),
-            (NODES, node("o")),
-        ]:
-            store.put(resource, item)
-        seen: list[set[Key]] = []
-        store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
-        store.put(NODES, node("m", version=6, unschedulable=True))
-        assert seen == [{Key(POOLS.plural, "fleet", "hot"), Key(WORKLOADS.plural, "fleet", "w")}]
-        client: Any = None
-        observed = await Observer(client, store, Expectations()).pool(pool)
-        assert_golden("operator", condition(observed, "Moving")["message"], "1 of 1")
-
-    def test_a_stand_in_stays_where_only_others_on_such_nodes_are_ready_and_in_a_recovery(self) -> None:
-        made = self.driven(per_workload=2)
-        own, others = self.own(made, "m"), [self.standby(made, "o", "w-s"), self.standby(made, "o", "w-t")]
-        assert self.now(made, own, others[0]) == (1, []), "two others are needed before it goes"
-        assert self.now(made, own, others[0], self.standby(made, "m", "w-t")) == (1, [])
-        assert self.now(made, own, *others) == (0, ["w-own"])
-        made.workload["status"] = {"health": "Recovering"}
-        assert self.now(made, own, *others) == (0, [])
-
-    def test_a_stand_in_that_is_placed_on_such_a_node_again_goes_no_more(self) -> None:
-        made = self.driven(per_workload=1)
-        own, other = self.own(made, "m", age=10.0), self.standby(made, "o", "w-t")
-        assert self.now(made, own, other) == (0, [])
-        assert deleted(self.planned(made)) == ["w-t"], "the node stays"
-
-    def test_none_is_made_for_one_that_is_replaced_beside_a_stand_in_that_is_starting(self) -> None:
-        made = self.driven(per_workload=2)
-        old, new = self.standby(made, "m", "w-s"), self.standby(made, "o", "w-t")
-        starting = on("o", standby_pod("w-t", of=made.workload, template_hash=made.template_hash, ready=False))
-        own = self.own(made, "p", ready=False)
-        assert self.now(made, old, own) == (1, [])
-        assert self.now(made, old, starting, own) == (0, [])
-        assert self.now(made, old, new, own) == (0, []), "two are wanted, and so many are ready"
-        assert self.now(made, old, new, self.own(made, "p")) == (0, ["w-s"])
-
-    def test_one_that_stays_for_a_stand_in_that_is_starting_does_so_on_a_node_that_is_emptied_too(self) -> None:
-        made = self.driven(per_workload=1)
-        more = self.standby(made, "m")
-        for own in ([], [self.own(made, "o", ready=False)]):
-            assert self.now(made, more, *own) == (0, [])
-        own = self.own(made, "o", ready=False)
-        assert self.now(made, more, self.standby(made, "p", "w-t"), own) == (0, ["w-s"]), "the better one stays"
-        assert self.now(made, more, self.own(made, "o")) == (0, ["w-s"])
-
-
-class TestSpreading:
-    def pod(self, **spec: Any) -> Object:
-        pool = spare(replicas=1)
-        pool["spec"]["template"]["spec"] |= spec
-        (found,) = created(plan(observe(pool)), "pods")
-        return found
-
-    def test_a_pool_s_pods_prefer_nodes_without_others_of_it(self) -> None:
-        (term,) = self.pod()["spec"]["affinity"]["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
-        assert term["weight"] == 100
-        assert term["podAffinityTerm"]["topologyKey"] == "kubernetes.io/hostname"
-        assert term["podAffinityTerm"]["labelSelector"]["matchLabels"] == {names.POOL: "spare"}
-
-    def test_those_on_their_way_out_are_not_counted_where_the_next_one_is_placed(self) -> None:
-        """For an affinity they are there, and a new pod would as soon be beside the one in control as where one has failed."""
-        (constraint,) = self.pod()["spec"]["topologySpreadConstraints"]
-        assert constraint == {
-            "maxSkew": 1,
-            "topologyKey": "kubernetes.io/hostname",
-            "whenUnsatisfiable": "ScheduleAnyway",
-            "labelSelector": {"matchLabels": {names.POOL: "spare"}},
-        }
-
-    @pytest.mark.parametrize(("when", "ours"), [("ScheduleAnyway", 0), ("DoNotSchedule", 1)])
-    def test_a_workload_s_own_constraint_is_kept_and_none_of_its_kind_put_beside_it(self, when: str, ours: int) -> None:
-        given = {"maxSkew": 3, "topologyKey": "kubernetes.io/hostname", "whenUnsatisfiable": when}
-        recipe = instance_pod.Recipe(workload="w", namespace="robots", images=IMAGES, secret="w-agent")
-        template = {
-            "spec": {
-                "containers": [{"name": "app", "image": "app", "command": ["app"]}],
-                "topologySpreadConstraints": [given],
-            }
-        }
-        found = instance_pod.build(template, recipe)["spec"]["topologySpreadConstraints"]
-        assert found[0] == given
-        assert [one["labelSelector"]["matchLabels"] for one in found[1:]] == [{names.WORKLOAD: "w"}] * ours
-
-    def test_where_the_template_says_otherwise_it_counts_alone(self) -> None:
-        spread = [{"maxSkew": 1, "topologyKey": "zone", "whenUnsatisfiable": "DoNotSchedule"}]
-        found = self.pod(topologySpreadConstraints=spread)["spec"]
-        assert found["topologySpreadConstraints"] == spread
-        assert "affinity" not in found
-        apart = {"podAntiAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": []}}
-        assert self.pod(affinity=apart)["spec"]["affinity"] == apart
-        near = {"nodeAffinity": {}}
-        assert "podAntiAffinity" in self.pod(affinity=near)["spec"]["affinity"]
-
-    def test_a_lost_node_is_left_soon(self) -> None:
-        seconds = {t["tolerationSeconds"] for t in self.pod()["spec"]["tolerations"]}
-        assert seconds == {pod_placement.LOST_SECONDS}

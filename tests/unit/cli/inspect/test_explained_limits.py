@@ -1,0 +1,95 @@
+"""What the limits of a policy would do to a failure now, in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.support import fleet
+from tests.support.golden import assert_golden
+from tests.unit.cli.inspect.explained import known, told
+from understudy.api import names
+
+
+@pytest.mark.parametrize(("priority", "waits"), [("Normal", True), ("Safety", False)])
+def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
+    item = fleet.well()
+    policy = fleet.policy(limits={"cooldown": "5m"}, priority=priority)
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert_golden("explain", first)
+    assert first.startswith("! Nothing would be done for another 48 s") is waits
+    assert ("limits.cooldown" in first) is waits
+
+
+def test_a_pause_with_who_and_why() -> None:
+    item = fleet.well()
+    item["spec"]["pause"] = {"reason": "a new gripper", "owner": "ann", "until": "2026-11-22T18:00:00Z"}
+    first = told(known(item))["If it failed now"][0]
+    assert_golden("explain", first)
+    assert first.startswith("! Nothing would be done: paused by ann")
+    assert all(fact in first for fact in ("a new gripper", "2026-11-22 18:00:00 UTC"))
+    item["spec"]["pause"]["until"] = "2026-11-22T14:00:00Z"
+    assert "paused" not in told(known(item))["If it failed now"][0], "that is over"
+
+
+@pytest.mark.parametrize(
+    ("spent", "resumed", "expected"),
+    [
+        ([], None, None),
+        ([100], None, "limits.budget of its policy (2 recoveries within 10m) has 1 left."),
+        (
+            [100, 60],
+            None,
+            "! The failed instance would be fenced, and nothing else would be done: 2 recoveries within 10m were made",
+        ),
+        ([700, 60], None, "limits.budget of its policy (2 recoveries within 10m) has 1 left."),
+        ([100, 60], 30, None),
+    ],
+)
+def test_what_the_budget_has_left(spent: list[float], resumed: float | None, expected: str | None) -> None:
+    item = fleet.well()
+    item["status"]["spent"] = [fleet.ago(seconds) for seconds in spent]
+    if resumed is not None:
+        item["metadata"]["annotations"] = {names.RESUMED: fleet.ago(resumed)}
+    policy = fleet.policy(limits={"budget": {"recoveries": 2, "within": "10m"}})
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert first.startswith(expected or "✓ 1. Fallback")
+
+
+def test_a_storm_by_which_it_would_be_held() -> None:
+    item, policy = fleet.well(), fleet.policy(limits={"stormGuard": {}})
+    policy["status"] = {
+        "conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.", since=20).to_wire()]
+    }
+    others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
+    first = told(known(item, [*others, policy]))["If it failed now"][0]
+    assert_golden("explain", first)
+    assert first.startswith("Only a standby that is ready"), "there is one"
+    assert "12 of 20 workloads fail" in first
+
+
+def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing() -> None:
+    item = fleet.well()
+    text = "Paused by ann: a new gripper."
+    item["status"]["conditions"] = [
+        *(c for c in item["status"]["conditions"] if c["type"] != "Protected"),
+        fleet.said("Paused", "True", "Maintenance", text).to_wire(),
+        fleet.said("Protected", "False", "Paused", f"{text} If it failed now, nothing would be done.").to_wire(),
+    ]
+    found = known(item)
+    assert not found.is_well
+    (missing,) = told(found)["Missing"]
+    assert_golden("explain", missing)
+    assert missing.startswith("✗ not protected (Paused, 4m12s)")
+    assert text in missing
+
+
+def test_a_failure_that_is_held_is_told_and_why() -> None:
+    why = "no /plan for 500 ms; localization, on which it depends, is Recovering; that one comes first"
+    held = fleet.said("DependencyFailed", "True", "Held", why, since=4)
+    item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4, held, health="Failed"))
+    text = told(known(item))
+    assert text[""][0] == "fleet/planning  Failed for 4s"
+    assert text[""][1] == f"{why}."
+    assert f"✗ suspended by a dependency (Held, 4s): {why}" in text["Missing"]

@@ -1,0 +1,148 @@
+"""A workload that refers to a controller of its own: its pods are used, and it is never written."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.unit.controller.world import (
+    World,
+    applied,
+    created,
+    custom,
+    deleted,
+    gate,
+    hot,
+    patched,
+    pod,
+    policy,
+    source_pod,
+    standby_pod,
+    workload,
+)
+from understudy.api import names
+from understudy.controller.desired import workload_objects
+from understudy.controller.observed.workload_reference import ReferencedObjects
+from understudy.kube.client import Object
+
+
+class TestReference:
+    def deployment(self, **spec: object) -> Object:
+        made = {
+            "replicas": 1,
+            "selector": {"matchLabels": {"app": "nav", "robot": "17"}},
+            "template": {
+                "metadata": {"labels": {"app": "nav", "robot": "17", "team": "a"}},
+                "spec": {"containers": [{"name": "app", "image": "app:1"}]},
+            },
+            **spec,
+        }
+        return custom("Deployment", "nav2", made) | {"apiVersion": "apps/v1"}
+
+    def world(self, referred: ReferencedObjects, *pods: Object) -> World:
+        item = workload(workloadRef={"kind": "Deployment", "name": "nav2"})
+        return World(item, policy("hot"), hot(), pods=pods, reference=referred)
+
+    def user_pod(self, name: str, **more: object) -> Object:
+        owner = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": "nav2-1", "uid": "uid-rs", "controller": True}
+        return pod(name, owner=owner, **more)  # type: ignore[arg-type]
+
+    def test_the_controller_itself_is_never_written(self) -> None:
+        plan = self.world(ReferencedObjects(self.deployment(), [self.user_pod("nav2-1-x")])).plan()
+        assert "nav2" not in applied(plan, "deployments")
+        assert "nav2" not in patched(plan, "deployments")
+        assert "nav2" not in deleted(plan)
+        assert not applied(plan, "replicasets")
+
+    def test_its_pods_get_the_labels_that_the_gate_selects_by(self) -> None:
+        plan = self.world(ReferencedObjects(self.deployment(), [self.user_pod("nav2-1-x")])).plan()
+        assert patched(plan, "pods")["nav2-1-x"] == {
+            "metadata": {"labels": {names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"}}
+        }
+
+    def test_labelled_pods_are_left_alone(self) -> None:
+        labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
+        plan = self.world(ReferencedObjects(self.deployment(), [labelled]), labelled).plan()
+        assert not patched(plan, "pods")
+
+    def test_pods_of_an_earlier_reference_lose_the_labels(self) -> None:
+        earlier = self.user_pod("old-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "old-1-x"})
+        plan = self.world(ReferencedObjects(self.deployment(), []), earlier).plan()
+        assert patched(plan, "pods")["old-1-x"] == {
+            "metadata": {"labels": {names.WORKLOAD: None, names.INSTANCE: None}}
+        }
+
+    def test_pods_of_a_workload_that_is_gone_lose_the_labels_but_ours_keep_them(self) -> None:
+        labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
+        ours = [source_pod("w-a"), standby_pod("w-s", of=workload())]
+        assert set(patched(workload_objects.abandoned("w", [labelled, *ours]), "pods")) == {"nav2-1-x"}
+
+    def test_its_standbys_would_not_be_adopted(self) -> None:
+        plan = self.world(ReferencedObjects(self.deployment(), [])).plan()
+        (standby,) = created(plan, "pods")
+        assert {"app", "robot"}.isdisjoint(standby["metadata"]["labels"])
+        assert standby["metadata"]["labels"]["team"] == "a"
+
+    def test_while_a_standby_is_in_control_there_is_another_since_the_controllers_own_pods_have_no_agent(self) -> None:
+        world = self.world(ReferencedObjects(self.deployment(), [self.user_pod("nav2-1-x")]))
+        driving = standby_pod("w-s", of=world.workload)
+        world.own(gate(world.workload, active=driving, epoch=2))
+        world.pods = [driving]
+        assert len(created(world.plan(), "pods")) == 1
+        protected = world.condition("Protected")
+        assert (protected["status"], protected["reason"]) == ("False", "StandbyNotReady")
+        world.pods.append(standby_pod("w-t", of=world.workload, template_hash=world.template_hash))
+        plan = world.plan()
+        assert not created(plan, "pods")
+        assert not deleted(plan)
+        assert world.condition("Protected")["status"] == "True"
+
+    def test_its_pods_are_held_back_from_birth(self) -> None:
+        found = applied(self.world(ReferencedObjects(self.deployment(), [])).plan(), "networkpolicies")
+        assert found["w-standby-ref"]["spec"]["podSelector"] == {"matchLabels": {"app": "nav", "robot": "17"}}
+        peers = [peer["podSelector"]["matchExpressions"] for peer in found["w-standby"]["spec"]["ingress"][0]["from"]]
+        not_ours = {"key": names.WORKLOAD, "operator": "NotIn", "values": ["w"]}
+        assert peers == [
+            [not_ours, {"key": "app", "operator": "NotIn", "values": ["nav"]}],
+            [not_ours, {"key": "robot", "operator": "NotIn", "values": ["17"]}],
+        ]
+        assert found["w-standby-ref"]["spec"]["egress"] == found["w-standby"]["spec"]["egress"]
+
+    @pytest.mark.parametrize(
+        ("referred", "rivals", "reason"),
+        [
+            (ReferencedObjects(None), [], "ReferenceNotFound"),
+            (
+                ReferencedObjects(
+                    custom("Deployment", "nav2", {"replicas": 2, "selector": {"matchLabels": {"a": "b"}}})
+                ),
+                [],
+                "ReplicasNotOne",
+            ),
+            (
+                ReferencedObjects(
+                    custom("Deployment", "nav2", {"replicas": 1, "selector": {"matchLabels": {"a": "b"}}})
+                ),
+                ["older"],
+                "ReferenceTaken",
+            ),
+        ],
+    )
+    def test_what_can_not_be_protected_is_said(
+        self, referred: ReferencedObjects, rivals: list[str], reason: str
+    ) -> None:
+        world = self.world(referred)
+        world.rivals = rivals
+        assert world.condition("Accepted")["reason"] == reason
+        assert "nav2" in world.condition("Accepted")["message"]
+        assert not created(world.plan(), "pods")
+
+    def test_a_second_workload_leaves_the_pods_of_the_first_one_alone(self) -> None:
+        # With the label of another workload the pod that drives is behind no gate that is open.
+        labels = {"app": "nav", "robot": "17", names.WORKLOAD: "older", names.INSTANCE: "nav2-abc"}
+        world = self.world(ReferencedObjects(self.deployment(), [pod("nav2-abc", labels=labels)]))
+        world.rivals = ["older"]
+        assert not patched(world.plan(), "pods")
+        mistaken = pod("nav2-abc", labels={**labels, names.WORKLOAD: "w"})
+        world.pods = [mistaken]
+        world.reference = ReferencedObjects(self.deployment(), [mistaken])
+        assert not patched(world.plan(), "pods")
