@@ -23,9 +23,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from understudy.cli.report.sample_statistics import quantile
-
 HERE = Path(__file__).resolve().parent
+
+
+def quantile(values: Sequence[float], fraction: float) -> float:
+    """Return a quantile of whole percent, interpolated linearly between the two nearest ranks."""
+    cuts = statistics.quantiles([*values] * (2 if len(values) == 1 else 1), n=100, method="inclusive")
+    return [min(values), *cuts, max(values)][round(100 * fraction)]
 
 
 @dataclass
