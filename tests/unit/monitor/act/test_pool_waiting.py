@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import time
 from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.kube.memory import MemoryClient
 from tests.unit.monitor.cluster_objects import ClusterObjects, pod_of, policy_of, settings_of
@@ -115,7 +117,13 @@ async def test_the_place_in_the_queue_is_in_the_condition_and_in_one_event() -> 
     assert said is not None
     assert (said.status, said.reason) == ("True", "WaitingForPod")
     assert said.message.startswith("no /cmd_vel for 500 ms; since ")
-    assert "it waits for a pod of FallbackPool spare, number 2 of 3 that wait (poolPriority 5), until " in said.message
+    assert_golden(
+        "monitor",
+        re.sub(r"\d\d:\d\d:\d\d", "TIME", said.message),
+        "FallbackPool spare",
+        "number 2 of 3",
+        "poolPriority 5",
+    )
     line.waits(me, 0, 2)
     assert "number 1 of 2" in notices.conditions["Recovering"][2]
     assert [(kind, reason) for kind, reason, _ in notices.events] == [("Warning", "WaitingForPod")]

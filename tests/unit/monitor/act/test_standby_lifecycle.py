@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tests.support.clock import Clock
+from tests.support.golden import assert_golden
 from tests.unit.monitor.cluster_objects import ClusterObjects, parsed_spec, policy_of
 from tests.unit.monitor.readiness import ACTIVE, HOT, INIT, STANDBY, UP, WARM, XML_CHECK, settings
 from tests.unit.monitor.senses import GivenAgents
@@ -99,11 +100,10 @@ async def test_a_failed_procedure_is_reported_once_and_tried_again_later(world: 
     world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     await world.look()
     await world.look()
-    assert world.notices.conditions["BroughtUp"] == (
-        "False",
-        "ProcedureFailed",
-        "w-3: initialization.set_lifecycle: node /nav did not configure. Correct spec.initialization of FallbackPool warm, "
-        "or what it waits for there. It is tried again.",
+    status, reason, message = world.notices.conditions["BroughtUp"]
+    assert (status, reason) == ("False", "ProcedureFailed")
+    assert_golden(
+        "monitor", message, "w-3: initialization.set_lifecycle", "/nav", "spec.initialization", "FallbackPool warm"
     )
     assert len(world.agents.ran) == 1
     world.clock.now += standby_lifecycle.RETRY_FIRST
@@ -155,7 +155,7 @@ async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(wor
     assert world.agents.ran == []
     status, _, message = world.notices.conditions["BroughtUp"]
     assert status == "True"
-    assert "An earlier version of the procedure prepared w-3: delete the pod" in message
+    assert_golden("monitor", message, "w-3")
 
 
 async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: World) -> None:
@@ -231,6 +231,4 @@ async def test_a_procedure_that_can_not_be_read_fails_with_its_place() -> None:
     agents = AgentConnections(objects.client, objects.view, "127.0.0.1", objects.crash_points, roles, objects.wakeups)
     with pytest.raises(NotVerified) as failure:
         await agents.run(STANDBY, procedure, within=1.0, state=KeptState(), brought="")
-    assert str(failure.value) == (
-        "recovery, line 3, column 1: <LifecycleWas>: unknown node, did you mean 'LifecycleIs'?"
-    )
+    assert_golden("monitor", str(failure.value), "line 3, column 1", "LifecycleWas", "'LifecycleIs'")

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -152,7 +154,7 @@ async def test_a_type_that_is_not_installed_is_reported_at_once(monitor: Monitor
     await monitor.until(lambda: "StateKept" in monitor.told.conditions)
     status, reason, message = monitor.told.conditions["StateKept"]
     assert (status, reason) == ("False", "TypeNotInstalled")
-    assert message.startswith("/plan: nav2_msgs/msg/Plan is not installed in the monitor's image")
+    assert_golden("monitor", message, "/plan", "nav2_msgs/msg/Plan")
 
 
 async def test_state_that_is_too_old_is_reported(monitor: Monitor, say: Callable[[float], None]) -> None:
@@ -196,9 +198,7 @@ async def test_parameters_and_states_are_asked_of_the_agent(monitor: Monitor) ->
 async def test_an_agent_that_does_not_answer_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"lifecycle": ["/amcl"]})
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "NotAsked")
-    assert monitor.told.conditions["StateKept"][2] == (
-        "/amcl (lifecycle): its agent is not connected (state.lifecycle[0] of the policy)."
-    )
+    assert_golden("monitor", monitor.told.conditions["StateKept"][2], "/amcl", "state.lifecycle[0]")
 
 
 async def test_a_pod_without_an_agent_is_reported(monitor: Monitor) -> None:
@@ -232,9 +232,9 @@ async def test_a_standby_that_cannot_be_kept_up_to_date_is_reported_once(
     monitor.agents.refusal = "nobody subscribes to /initialpose"
     say(1.0)
     await monitor.until(lambda: len(monitor.agents.given) > 3)
-    assert monitor.told.events == [
-        ("Warning", "StandbyNotKeptUp", "w-2: /amcl_pose: nobody subscribes to /initialpose")
-    ]
+    ((level, reason, message),) = monitor.told.events
+    assert (level, reason) == ("Warning", "StandbyNotKeptUp")
+    assert_golden("monitor", message, "w-2", "/amcl_pose", "/initialpose")
 
 
 async def test_nothing_is_given_to_standbys_while_the_workload_is_not_healthy(
@@ -266,10 +266,7 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
     ((_, reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
-    assert message == (
-        "w-2 did not receive all of the kept state: /map: what is kept is 61.0 s old, more than maxAge (1m) (state.keep[1] of "
-        "the policy). It took over nevertheless. To prevent that, use a restore_state step in the strategy's recovery."
-    )
+    assert_golden("monitor", message, "w-2", "/map", "61.0 s", "1m", "state.keep", "restore_state")
     assert "It was given /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
 
 

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.monitor.cluster_objects import ClusterObjects, policy_of
 from understudy.api import names
@@ -154,7 +155,5 @@ def test_a_held_recovery_is_in_the_condition_recovering(world: World) -> None:
     found = world.notices.status.find("Recovering")
     assert found is not None
     assert (found.status, found.reason) == ("False", "BudgetSpent")
-    assert found.message.startswith(
-        "no /cmd_vel; w-1 is fenced, and nothing else is done. limits.budget of the policy is spent (2 recoveries within 10m)"
-    )
+    assert_golden("monitor", found.message, "/cmd_vel", "w-1", "limits.budget", "2 recoveries", "10m")
     assert world.events[-1] == ("Warning", "RecoveryHeld")

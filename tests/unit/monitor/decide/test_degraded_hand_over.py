@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.monitor.degraded import ACTIVE, FAILED, HAND_OVER, HANDED, HEALTHY, OTHER, SLOW, UNKNOWN, World, policy
 from tests.unit.monitor.monitors import GivenMonitor
 from understudy.api.conditions import condition
@@ -43,14 +44,12 @@ class TestHandingOver:
         world.observer.well, world.observer.work = SLOW, GOAL
         world.look(10, given=HANDED)
         assert world.levels.due is None
-        assert world.notices.conditions["Degraded"][2].endswith("It is not handed over yet: a goal of /go is active.")
+        assert_golden("monitor", world.notices.conditions["Degraded"][2], "/go")
         world.observer.work = None
         world.look(2.5, given=HANDED)
         assert world.levels.due is None
         world.look(2, given=HANDED)
-        assert world.levels.due == (
-            "degraded: /scan at 8.6 Hz, below 9 Hz over 2 s, in leaf sensors/scan of spec.degraded; rescheduled while idle"
-        )
+        assert_golden("monitor", world.levels.due, "/scan", "8.6 Hz", "9 Hz", "2 s", "spec.degraded")
 
     def test_idle_means_without_a_break(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from understudy.api import names
@@ -50,7 +51,7 @@ def test_who_why_and_until_when() -> None:
     assert world.said is not None
     status, reason, message = world.said
     assert (status, reason) == ("True", "Maintenance")
-    assert message.startswith("Paused by ann: a new gripper, until 1970-01-01 00:20:00 UTC. ")
+    assert_golden("monitor", message, "ann: a new gripper", "1970-01-01 00:20:00")
     assert "understudy resume -n fleet w" in message
     world.pauses.look(1001.0)
     assert [reason for reason, _ in world.events] == ["Paused"]
@@ -64,10 +65,9 @@ def test_it_ends_by_itself() -> None:
     assert world.pauses.ended == END - 0.1
     assert world.said is not None
     assert world.said[:2] == ("False", "Over")
-    assert world.events[-1] == (
-        "PauseEnded",
-        "No longer paused by ann: a new gripper, until 1970-01-01 00:20:00 UTC; its end was reached",
-    )
+    reason, message = world.events[-1]
+    assert reason == "PauseEnded"
+    assert_golden("monitor", message, "ann: a new gripper", "1970-01-01 00:20:00 UTC")
 
 
 def test_it_ends_when_it_is_taken_away() -> None:
@@ -77,7 +77,9 @@ def test_it_ends_when_it_is_taken_away() -> None:
     world.pauses.look(5000.0)
     assert world.pauses.on is None
     assert world.said is None
-    assert world.events[-1] == ("PauseEnded", "No longer paused by ann: a new gripper; it was removed")
+    reason, message = world.events[-1]
+    assert reason == "PauseEnded"
+    assert_golden("monitor", message, "ann: a new gripper", "removed")
 
 
 @pytest.mark.parametrize(

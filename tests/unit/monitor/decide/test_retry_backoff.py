@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.support.clock import Clock
+from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.monitor.cluster_objects import ClusterObjects
 from tests.unit.monitor.takeovers import policy, took_over
@@ -155,7 +156,7 @@ def test_an_instance_that_fails_within_the_healthy_delay_gets_the_next_strategy_
     assert world.first(now + 30) == 1
     ((kind, reason, message),) = world.told.events
     assert (kind, reason) == ("Warning", "Relapsed")
-    assert "30.0 s after it took over (limits.healthyDelay is 1m)" in message
+    assert_golden("monitor", message, "30.0 s", "limits.healthyDelay", "1m")
     world.retries.note(took_over(0, now))
     assert world.first(now + 60) == 0
 

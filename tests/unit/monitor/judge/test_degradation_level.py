@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.unit.monitor.degraded import (
     ACTIVE,
     FAILED,
@@ -40,7 +41,7 @@ def test_it_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: 
     assert world.said == ("True", "NotWell")
     assert sum(isinstance(notice, BecameDegraded) for notice in world.notices.log) == 1
     said = world.notices.conditions["Degraded"][2]
-    assert said == "/scan at 8.6 Hz, below 9 Hz over 2 s, in leaf sensors/scan of spec.degraded."
+    assert_golden("monitor", said, "/scan", "8.6 Hz", "9 Hz", "2 s", "spec.degraded")
     world.observer.well = HEALTHY
     assert world.look(4.5)
     assert not world.look(1)

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from tests.support.golden import assert_golden
+
 pytest.importorskip("rclpy")
 
 from tests.unit.kube.memory import MemoryClient
@@ -128,7 +130,7 @@ async def test_what_the_pod_uses_is_asked_for_where_the_tree_needs_it_and_judged
         await world.until(lambda: world.judged().state == "Healthy" and world.asked)  # there are no figures yet
         world.uses("w-1", "300Mi")
         await world.until(lambda: world.judged().state == "Failed")
-        assert world.judged().reason == "memory < 200Mi of the pod does not hold (it was 300Mi)"
+        assert_golden("monitor", world.judged().reason, "memory < 200Mi", "300Mi")
         await world.until(lambda: meter.usage is None, active="w-2")
         client.failing = lambda method, name: ApiError(500, "Error", "because") if name == POD_METRICS.plural else None
         await world.until(lambda: any(f"{METRICS}: because" in one for one in observer.problems), active="w-2")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.golden import assert_golden
 from tests.support.notices import RecordedNotices
 from tests.unit.monitor.cluster_objects import settings_of
 from tests.unit.monitor.gates import gate
@@ -40,10 +41,7 @@ async def test_a_failure_that_is_noticed_before_the_one_it_follows_from_is_held_
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05) == pytest.approx(NOW + 120)
     status, reason, message = world.condition()
     assert (status, reason) == ("True", "Held")
-    assert message == (
-        "no /plan for 500 ms; localization, on which it depends, is Recovering; it is recovered first, and this workload at "
-        "14:04:11 UTC at the latest."
-    )
+    assert_golden("monitor", message, "/plan", "500 ms", "localization", "Recovering", "14:04:11")
     assert [event[1] for event in world.notices.events] == ["DependencyFailed"]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from tests.support.golden import assert_golden
 from tests.unit.monitor.cluster_objects import parsed_spec, policy_of, settings_of
 from tests.unit.monitor.upstream import BRING_UP, NOW, Upstream, active, recovery
 from understudy.api.kinds.robot_workload import Attempt, DependencyRecovery
@@ -112,6 +113,6 @@ def test_a_recovery_after_a_dependency_is_described() -> None:
     progress.result, progress.strategy = "Recovered", "Reinitialize"
     progress.charge("reinitialization", NOW + 0.25)
     progress.attempts = [Attempt(strategy="Reinitialize", pod="planning-1", result="Verified")]
-    assert describe(progress.to_recovery(2)) == (
-        "localization, on which it depends, was recovered. planning-1 is active again after Reinitialize in 0.250 s, epoch 9"
+    assert_golden(
+        "monitor", describe(progress.to_recovery(2)), "localization", "planning-1", "Reinitialize", "epoch 9", "0.250 s"
     )

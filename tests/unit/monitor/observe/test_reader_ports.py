@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from tests.support.golden import assert_golden
 from understudy.api import names
 from understudy.monitor.notices import ConditionReport
 from understudy.monitor.observe.robot.reader_ports import Reading, judge
@@ -29,7 +30,7 @@ def judged(
 def test_a_robot_that_reads_at_gated_ports_is_as_it_should_be() -> None:
     status, reason, message = judged(reading("10.1.0.7"))
     assert (status, reason) == ("True", "AtGatedPorts")
-    assert message == "Read at gated ports: /cmd_vel by /base at 10.1.0.7:7950."
+    assert_golden("monitor", message, "/cmd_vel", "/base", "10.1.0.7:7950")
 
 
 def test_a_robot_that_was_started_without_the_profile_is_told_with_the_cure() -> None:

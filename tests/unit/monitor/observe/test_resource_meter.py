@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from aiohttp import web
 
+from tests.support.golden import assert_golden
 from understudy.api import names
 from understudy.kube.client import Access, Client
 from understudy.monitor.observe.objects import resource_meter
@@ -147,7 +148,7 @@ async def test_figures_that_are_never_made_anew_become_worthless(
     monkeypatch.setattr(resource_meter, "STALE", 0.2)
     await until(lambda: meter.usage is None)
     (problem,) = meter.problems
-    assert problem.startswith("CPU and memory of w-1 are unknown: the metrics API has had no figures of it for 0.2 s")
+    assert_golden("monitor", problem, "w-1", "0.2 s")
     monkeypatch.setattr(resource_meter, "STALE", 90.0)
     served.has("w-1", 2, drive=("2", "1Mi"))
     await until(lambda: meter.usage is not None and meter.usage.cpu == 2.0)
