@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.unit.controller import world
-from tests.unit.interleavings import senses, simulation
+from tests.unit.interleavings import senses, simulated_cluster, simulation
 from tests.unit.interleavings.actors import NAMESPACE
 from tests.unit.interleavings.invariants import Invariants, _labels, _living
 from tests.unit.interleavings.scenes import Outcome, Scene
@@ -137,7 +137,7 @@ def situations(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(world, "policy", policy)
     monkeypatch.setattr(senses.HealthObserver, "situations", seen, raising=False)
-    monkeypatch.setattr(simulation, "Invariants", Settled)
+    monkeypatch.setattr(simulated_cluster, "Invariants", Settled)
 
 
 @pytest.mark.usefixtures("situations")
