@@ -1,4 +1,4 @@
-"""A monitor whose recoveries end by errors, for tests of what becomes of them."""
+"""A monitor whose recoveries end by errors, for tests of what happens to them."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def begin_task(observer: HealthObserver) -> Callable[[], None]:
 
 
 def own_address(observer: HealthObserver) -> str:
-    """Return an address by which the publishers of this process are those of a pod."""
+    """Return an address with which the publishers of this process are those of a pod."""
     end = time.monotonic() + 20
     while not (ends := observer.graph.publishers("/beat")):
         assert time.monotonic() < end

@@ -197,7 +197,7 @@ def test_a_topic_of_both_trees_is_received_once_and_by_what_both_need(observer: 
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    """The clock by which trees begin."""
+    """The clock with which trees begin."""
     clock = Clock()
     for module in (health_observer, degraded_tree):
         monkeypatch.setattr(module, "time", clock)
