@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
-from understudy.trees.core.observations import Evidence
+from understudy.trees.core.observations import Answer, Evidence
 from understudy.trees.core.task_activity import task_timing
 
 EvidenceT = TypeVar("EvidenceT", bound=Evidence)
+AnswerT = TypeVar("AnswerT", bound=Answer)
 
 
 class Finding(NamedTuple):
@@ -80,9 +81,16 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         self.hold_off = hold_off
         self._track: EvidenceTrack[EvidenceT] = EvidenceTrack()
 
-    @abstractmethod
+    def newest(self) -> EvidenceT | None:
+        """Return the last observation, for a leaf that evaluates only that; None if there is none."""
+        return None
+
     def fresh(self, track: EvidenceTrack[EvidenceT]) -> list[EvidenceT]:
-        """Return the instance's evidence that has not been evaluated, oldest first."""
+        """Return the instance's evidence that has not been evaluated, oldest first: the last observation, once."""
+        found = self.newest()
+        if found is None or found is track.seen or found.received < self._evaluation.since:
+            return []
+        return [found]
 
     @abstractmethod
     def said(self, content: EvidenceT, failed: bool) -> Finding | None:
@@ -178,3 +186,28 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         if self.hold_off:
             return f"{condition} has not held for {duration(self.hold_off)}{why}"
         return f"{condition} does not hold{why}"
+
+
+class AnswerLeaf(EvidenceLeaf[AnswerT]):
+    """Judges what a node reports about itself. It holds while that cannot be determined, because that is no failure."""
+
+    hears = False
+
+    @abstractmethod
+    def wrong(self, content: AnswerT) -> str:
+        """Return why an answer is not as expected, in words; empty if it is."""
+
+    def said(self, content: AnswerT, failed: bool) -> Finding | None:
+        """Evaluate an answer."""
+        if not content.is_known:
+            return None
+        why = self.wrong(content)
+        if why and self._track.bad is not None:
+            self._track.why = why  # while the answers change, the last one says most
+        return Finding(not why, why)
+
+    def _limits(self, track: EvidenceTrack[AnswerT]) -> tuple[float, float]:
+        found = self.newest()
+        if found is not None and found.received >= self._evaluation.since and not found.is_known:
+            return math.inf, math.inf
+        return super()._limits(track)

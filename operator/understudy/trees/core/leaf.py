@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -125,6 +126,30 @@ class Leaf(Behaviour, ABC):
         if state == "Failed":
             return f"no {what} within {duration(self._evaluation.grace)} of the start"
         return f"{what} is silent"
+
+
+class IntervalLeaf(Leaf):
+    """Fails from one time to another, which both are known as long as nothing more arrives."""
+
+    @abstractmethod
+    def _failing(self) -> tuple[float, float] | None:
+        """Return from when to when it fails if nothing more arrives; None if it does not."""
+
+    def state(self) -> State:
+        """The state at the time of the evaluation."""
+        failing = self._failing()
+        return "Failed" if failing is not None and failing[0] <= self._evaluation.now < failing[1] else "Healthy"
+
+    def healthy_until(self) -> float | None:
+        """When it stops being healthy if nothing more arrives; None if it is not healthy."""
+        failing = self._failing()
+        if failing is None or self._evaluation.now >= failing[1]:
+            return math.inf
+        return failing[0] if self._evaluation.now < failing[0] else None
+
+    def changes(self) -> list[float]:
+        """Return the times after the evaluation at which the state may change without a further message."""
+        return [moment for moment in self._failing() or () if self._evaluation.now < moment < math.inf]
 
 
 def duration(seconds: float) -> str:

@@ -21,6 +21,15 @@ class Evidence(Protocol):
     """When it was received or observed, in Unix seconds; moved if the clock was set."""
 
 
+class Answer(Evidence, Protocol):
+    """What a node reports about itself."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it can be determined."""
+        ...
+
+
 class Content(Evidence, Protocol):
     """A message that was received."""
 
@@ -86,6 +95,11 @@ class NodeState:
     """When the node was in this state, in Unix seconds; moved if the clock was set."""
     state: str | None
     """Its state; empty if the node does not exist, None if it cannot be determined."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether its state can be determined."""
+        return self.state is not None
 
 
 class PodCondition(NamedTuple):

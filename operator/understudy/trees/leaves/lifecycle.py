@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
-
-from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
+from understudy.trees.core.evidence import AnswerLeaf
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import NodeState
@@ -30,42 +28,23 @@ BURST = 100.0
 """Expected transitions per second: a whole stack is brought up at once, with two for each step."""
 
 
-class LifecycleLeaf(EvidenceLeaf[NodeState]):
+class LifecycleLeaf(AnswerLeaf[NodeState]):
     """Holds while a managed node is in a state, or while its state cannot be determined."""
-
-    hears = False
 
     def __init__(self, place: LeafPlace, node: str, hold_off: float, state: str) -> None:
         """Make a leaf over a node, fully qualified; ``hold_off`` in seconds."""
         super().__init__(place, f"{node}{EVENTS}", hold_off)
         self._node, self._state = node, state
 
-    def _found(self) -> NodeState | None:
-        """Return the known state of the node since the instance took control."""
-        found = self._evaluation.observations.lifecycle(self._node)
-        return found if found is not None and found.received >= self._evaluation.since else None
+    def newest(self) -> NodeState | None:
+        """Return the known state of the node."""
+        return self._evaluation.observations.lifecycle(self._node)
 
-    def fresh(self, track: EvidenceTrack[NodeState]) -> list[NodeState]:
-        """Return the known state, once."""
-        found = self._found()
-        return [found] if found is not None and found is not track.seen else []
-
-    def said(self, content: NodeState, failed: bool) -> Finding | None:
-        """Evaluate the state."""
-        if content.state is None:
-            return None
+    def wrong(self, content: NodeState) -> str:
+        """Return which other state it is in."""
         if content.state == self._state:
-            return Finding(True, "")
-        why = f"it is {content.state}" if content.state else "it is not there"
-        if self._track.bad is not None:
-            self._track.why = why  # while the node changes its state, the last state says most
-        return Finding(False, why)
-
-    def _limits(self, track: EvidenceTrack[NodeState]) -> tuple[float, float]:
-        found = self._found()
-        if found is not None and found.state is None:
-            return math.inf, math.inf  # being unable to judge is not a failure
-        return super()._limits(track)
+            return ""
+        return f"it is {content.state}" if content.state else "it is not there"
 
     def condition(self) -> str:
         """The condition in words."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from understudy.kinematics.command_following import Allowance, CommandFollowing, Motion
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import Leaf, LeafPlace, State
+from understudy.trees.core.leaf import IntervalLeaf, LeafPlace, State
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.core.task_activity import task_timing
 from understudy.trees.leaves.leaf_plan import TYPE, Given, Key, LeafKind, LeafPlan, time_key, topic_key
@@ -30,7 +30,7 @@ FASTEST = 100.0
 """Greatest velocity in m/s or rad/s, and greatest acceleration, that a tree may state."""
 
 
-class MotionLeaf(Leaf):
+class MotionLeaf(IntervalLeaf):
     """Holds unless the observed velocity differs from the commanded one by more than the tolerance and the noise
     explain.
 
@@ -107,22 +107,6 @@ class MotionLeaf(Leaf):
         found = task_timing(self.tasks, self._evaluation) if self.tasks else None
         begin = found.settled if found is not None else -math.inf
         return (begin, until) if begin < until else None
-
-    def state(self) -> State:
-        """The state at the time of the evaluation."""
-        failing = self._failing()
-        return "Failed" if failing is not None and failing[0] <= self._evaluation.now else "Healthy"
-
-    def healthy_until(self) -> float | None:
-        """When it stops being healthy; None if it is not healthy."""
-        failing = self._failing()
-        if failing is None:
-            return math.inf
-        return failing[0] if self._evaluation.now < failing[0] else None
-
-    def changes(self) -> list[float]:
-        """Return the times after the evaluation at which the state may change without a further message."""
-        return [moment for moment in self._failing() or () if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
         """Return when the robot was last seen to move as commanded, or when its task became active."""

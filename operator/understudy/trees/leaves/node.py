@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
+from understudy.trees.core.evidence import EvidenceLeaf, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import State, duration
 from understudy.trees.core.observations import NodePresence
@@ -14,12 +14,9 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
 
     hears = False
 
-    def fresh(self, track: EvidenceTrack[NodePresence]) -> list[NodePresence]:
-        """Return the last observation of the ROS graph, once."""
-        found = self._evaluation.observations.node(self.topic)
-        if found is None or found is track.seen or found.received < self._evaluation.since:
-            return []
-        return [found]
+    def newest(self) -> NodePresence | None:
+        """Return the last observation of the ROS graph."""
+        return self._evaluation.observations.node(self.topic)
 
     def said(self, content: NodePresence, failed: bool) -> Finding:
         """Evaluate the observation."""

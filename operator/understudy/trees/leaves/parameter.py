@@ -7,7 +7,7 @@ import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
+from understudy.trees.core.evidence import AnswerLeaf
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import ParameterState, ParameterValue
@@ -92,42 +92,23 @@ def _equal(value: ParameterValue, text: str) -> bool:
     return re.fullmatch(_NUMBER, text) is not None and float(text) == value
 
 
-class ParameterLeaf(EvidenceLeaf[ParameterState]):
+class ParameterLeaf(AnswerLeaf[ParameterState]):
     """Holds while a parameter of a node has an expected value, or while its value cannot be determined."""
-
-    hears = False
 
     def __init__(self, place: LeafPlace, node: str, hold_off: float, name: str, expected: Expected) -> None:
         """Make a leaf over a parameter of a node, fully qualified; ``hold_off`` in seconds."""
         super().__init__(place, EVENTS, hold_off)
         self._node, self._name, self._expected = node, name, expected
 
-    def _found(self) -> ParameterState | None:
-        """Return the known value since the instance took control."""
-        found = self._evaluation.observations.parameter(self._node, self._name)
-        return found if found is not None and found.received >= self._evaluation.since else None
+    def newest(self) -> ParameterState | None:
+        """Return the known value of the parameter."""
+        return self._evaluation.observations.parameter(self._node, self._name)
 
-    def fresh(self, track: EvidenceTrack[ParameterState]) -> list[ParameterState]:
-        """Return the known value, once."""
-        found = self._found()
-        return [found] if found is not None and found is not track.seen else []
-
-    def said(self, content: ParameterState, failed: bool) -> Finding | None:
-        """Evaluate the value."""
-        if not content.is_known:
-            return None
-        if content.value is not None and self._expected.holds(content.value):
-            return Finding(True, "")
-        why = f"it is {found_text(content.value)}" if content.value is not None else content.lacks
-        if self._track.bad is not None:
-            self._track.why = why  # of several wrong values, the last one says most
-        return Finding(False, why)
-
-    def _limits(self, track: EvidenceTrack[ParameterState]) -> tuple[float, float]:
-        found = self._found()
-        if found is not None and not found.is_known:
-            return math.inf, math.inf  # being unable to judge is not a failure
-        return super()._limits(track)
+    def wrong(self, content: ParameterState) -> str:
+        """Return which other value it has."""
+        if content.value is None:
+            return content.lacks
+        return "" if self._expected.holds(content.value) else f"it is {found_text(content.value)}"
 
     def condition(self) -> str:
         """The condition in words."""

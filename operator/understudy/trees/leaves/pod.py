@@ -17,7 +17,7 @@ from operator import ge, gt, le, lt
 from understudy.api.quantities import QUANTITY, amount
 from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
 from understudy.trees.core.health_tree import WatchedTopic
-from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
+from understudy.trees.core.leaf import IntervalLeaf, Leaf, LeafPlace, State, duration
 from understudy.trees.core.observations import PodState
 from understudy.trees.core.task_activity import task_timing
 from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, time_key
@@ -72,12 +72,9 @@ class _LookLeaf(EvidenceLeaf[PodState]):
     of_cluster = True
     unrecorded = _UNRECORDED
 
-    def fresh(self, track: EvidenceTrack[PodState]) -> list[PodState]:
-        """Return the last observation of the pod, once."""
-        found = self._evaluation.observations.pod()
-        if found is None or found is track.seen or found.received < self._evaluation.since:
-            return []
-        return [found]
+    def newest(self) -> PodState | None:
+        """Return the last observation of the pod."""
+        return self._evaluation.observations.pod()
 
     def _limits(self, track: EvidenceTrack[PodState]) -> tuple[float, float]:
         return super()._limits(track) if self._evaluation.observations.in_control else (math.inf, math.inf)
@@ -153,7 +150,7 @@ class _Counted:
         self.times = deque((time + step for time in self.times), self.times.maxlen)
 
 
-class RestartsLeaf(Leaf):
+class RestartsLeaf(IntervalLeaf):
     """Holds while the containers of the pod are not restarted too often within a window.
 
     It fails with the first restart that is too many, and is well again when enough restarts are older than the window.
@@ -196,22 +193,6 @@ class RestartsLeaf(Leaf):
                 return None
             begin = found.settled
         return (begin, end) if begin < end else None
-
-    def state(self) -> State:
-        """The state at the time of the evaluation."""
-        failing = self._failing()
-        return "Failed" if failing is not None and failing[0] <= self._evaluation.now < failing[1] else "Healthy"
-
-    def healthy_until(self) -> float | None:
-        """When it stops being healthy; None if it is not healthy. Another restart can be seen at any time."""
-        failing = self._failing()
-        if failing is None or self._evaluation.now >= failing[1]:
-            return math.inf
-        return failing[0] if self._evaluation.now < failing[0] else None
-
-    def changes(self) -> list[float]:
-        """Return the times after the evaluation at which the state may change without a further restart."""
-        return [moment for moment in self._failing() or () if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
         """Return when all was last well: when the last restart was seen."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from understudy.trees.core.evidence import EvidenceLeaf, EvidenceTrack, Finding
+from understudy.trees.core.evidence import EvidenceLeaf, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Publishers
@@ -23,12 +23,9 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         super().__init__(place, topic, hold_off)
         self._count, self._node = count, node
 
-    def fresh(self, track: EvidenceTrack[Publishers]) -> list[Publishers]:
-        """Return the last observation of the ROS graph, once."""
-        found = self._evaluation.observations.publishers(self.topic)
-        if found is None or found is track.seen or found.received < self._evaluation.since:
-            return []
-        return [found]
+    def newest(self) -> Publishers | None:
+        """Return the last observation of the ROS graph."""
+        return self._evaluation.observations.publishers(self.topic)
 
     def said(self, content: Publishers, failed: bool) -> Finding:
         """Evaluate the observation."""

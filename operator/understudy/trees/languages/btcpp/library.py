@@ -86,48 +86,26 @@ _LOOKS = (
 REFUSED_PLUGIN_TAGS: Mapping[str, str] = {tag_of(name): why for name, why in REFUSED_PLUGINS.items()}
 """Why leaves of other packages cannot be used, by tag."""
 
+SWITCHES = tuple(f"Switch{cases}" for cases in range(2, 7))
+LOOPS = ("KeepRunningUntilFailure", "Repeat", "LoopInt", "LoopDouble", "LoopString", "LoopBool")
+SCRIPT_NODES = ("Script", "ScriptCondition", "Precondition")
+ENTRY_NODES = ("SetBlackboard", "UnsetBlackboard", "SkipUnlessUpdated", "WaitValueUpdate", "WasEntryUpdated")
+CONSTANTS = ("AlwaysSuccess", "AlwaysFailure", "TestNode")
+
 REFUSED: Mapping[str, str] = {
     **REFUSED_PLUGIN_TAGS,
-    "SequenceWithMemory": f"{_ANEW} <Sequence>",
-    "SequenceStar": f"{_ANEW} <Sequence>",
-    "AsyncSequence": f"{_ANEW} <Sequence>",
-    "FallbackStar": f"{_ANEW} <Fallback>",
-    "AsyncFallback": f"{_ANEW} <Fallback>",
-    "IfThenElse": _TASK,
-    "WhileDoElse": _TASK,
-    **{f"Switch{cases}": _TASK for cases in range(2, 7)},
-    "ManualSelector": "no operator is present to choose; write <Fallback>",
-    "TryCatch": _RECOVERY,
-    "RetryUntilSuccessful": _ONCE,
-    "RetryUntilSuccesful": _ONCE,
-    "KeepRunningUntilFailure": _ONCE,
-    "Repeat": _ONCE,
+    **dict.fromkeys(("SequenceWithMemory", "SequenceStar", "AsyncSequence", "PipelineSequence"), f"{_ANEW} <Sequence>"),
+    **dict.fromkeys(("FallbackStar", "AsyncFallback", "RoundRobin"), f"{_ANEW} <Fallback>"),
     "RunOnce": f"{_ANEW} what is in it alone",
-    "LoopInt": _ONCE,
-    "LoopDouble": _ONCE,
-    "LoopString": _ONCE,
-    "LoopBool": _ONCE,
-    "Delay": _LATER,
-    "Timeout": _LATER,
-    "Sleep": _LATER,
-    "ForceSuccess": _CERTAIN,
-    "ForceFailure": _CERTAIN,
-    "AlwaysSuccess": _CERTAIN,
-    "AlwaysFailure": _CERTAIN,
-    "TestNode": _CERTAIN,
-    "Script": NO_SCRIPTS,
-    "ScriptCondition": NO_SCRIPTS,
-    "Precondition": NO_SCRIPTS,
-    "SetBlackboard": _STORE,
-    "UnsetBlackboard": _STORE,
-    "SkipUnlessUpdated": _STORE,
-    "WaitValueUpdate": _STORE,
-    "WasEntryUpdated": _STORE,
+    **dict.fromkeys(("IfThenElse", "WhileDoElse", *SWITCHES), _TASK),
+    "ManualSelector": "no operator is present to choose; write <Fallback>",
+    **dict.fromkeys(("TryCatch", "RecoveryNode"), _RECOVERY),
+    **dict.fromkeys(("RetryUntilSuccessful", "RetryUntilSuccesful", "RateController", *LOOPS), _ONCE),
+    **dict.fromkeys(("Delay", "Timeout", "Sleep"), _LATER),
+    **dict.fromkeys(("ForceSuccess", "ForceFailure", *CONSTANTS), _CERTAIN),
+    **dict.fromkeys(SCRIPT_NODES, NO_SCRIPTS),
+    **dict.fromkeys(ENTRY_NODES, _STORE),
     "SubTreePlus": 'it is of version 3; write <SubTree ID="..." _autoremap="true"/>',
-    "RecoveryNode": _RECOVERY,
-    "PipelineSequence": f"{_ANEW} <Sequence>",
-    "RoundRobin": f"{_ANEW} <Fallback>",
-    "RateController": _ONCE,
 }
 """Why health trees cannot have other nodes of BehaviorTree.CPP (and the control nodes that Nav2 adds), and what to use
 instead."""

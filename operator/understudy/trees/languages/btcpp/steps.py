@@ -7,9 +7,14 @@ from collections.abc import Mapping
 
 from understudy.trees.languages.btcpp import thresholds
 from understudy.trees.languages.btcpp.library import (
+    CONSTANTS,
+    ENTRY_NODES,
+    LOOPS,
     NODES,
     REFUSED,
     REFUSED_PLUGIN_TAGS,
+    SCRIPT_NODES,
+    SWITCHES,
     Category,
     Library,
     Node,
@@ -73,10 +78,7 @@ _DRIVING = "it judges the active instance only, and this one is not active yet; 
 
 _SEQUENCES = ("SequenceWithMemory", "SequenceStar", "ReactiveSequence", "PipelineSequence")
 _FALLBACKS = ("FallbackStar", "ReactiveFallback", "RoundRobin", "ManualSelector")
-_BRANCHES = ("IfThenElse", "WhileDoElse", *(f"Switch{cases}" for cases in range(2, 7)))
-_LOOPS = ("KeepRunningUntilFailure", "Repeat", "RunOnce", "LoopInt", "LoopDouble", "LoopString", "LoopBool")
-_TRIES = ("RetryUntilSuccesful", "RecoveryNode", "RateController", *_LOOPS)
-_ENTRIES = ("SetBlackboard", "UnsetBlackboard", "SkipUnlessUpdated", "WaitValueUpdate", "WasEntryUpdated")
+_TRIES = ("RetryUntilSuccesful", "RecoveryNode", "RateController", "RunOnce", *LOOPS)
 
 _REFUSED: Mapping[str, str] = {
     **REFUSED_PLUGIN_TAGS,
@@ -84,13 +86,13 @@ _REFUSED: Mapping[str, str] = {
     **dict.fromkeys(_SEQUENCES, f"{_IN_ORDER} <Sequence>"),
     **dict.fromkeys(_FALLBACKS, f"{_IN_ORDER} <Fallback>"),
     "ParallelAll": "after a failure it waits for the others; write <Parallel>, which cuts them short",
-    **dict.fromkeys(_BRANCHES, _BRANCH),
+    **dict.fromkeys(("IfThenElse", "WhileDoElse", *SWITCHES), _BRANCH),
     **dict.fromkeys(("TryCatch", "ForceSuccess", "ForceFailure"), _OTHERWISE),
     **dict.fromkeys(_TRIES, _ONCE),
     **dict.fromkeys(("Delay", "Sleep"), _WAIT),
-    **dict.fromkeys(("AlwaysSuccess", "AlwaysFailure", "TestNode"), _CERTAIN),
-    **dict.fromkeys(("Script", "ScriptCondition", "Precondition"), _NO_SCRIPTS),
-    **dict.fromkeys(_ENTRIES, _STORE),
+    **dict.fromkeys(CONSTANTS, _CERTAIN),
+    **dict.fromkeys(SCRIPT_NODES, _NO_SCRIPTS),
+    **dict.fromkeys(ENTRY_NODES, _STORE),
     "WhileTaskActive": "a procedure is run whatever the robot works on; write the node that is in it",
     "SubTreePlus": REFUSED["SubTreePlus"],
 }
