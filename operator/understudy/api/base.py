@@ -44,6 +44,21 @@ def with_rules(*entries: tuple[str, str] | tuple[str, str, str]) -> Callable[[Mo
     return decorate
 
 
+def length(field: str, least: str, most: str = "") -> tuple[str, str, str]:
+    """The rule for the bounds of a duration."""
+    bounds = f"duration(self.{field}) >= duration('{least}')"
+    if most:
+        bounds = f"({bounds} && duration(self.{field}) <= duration('{most}'))"
+    words = f"from {least} to {most}" if most else f"at least {least}"
+    return f"!self.{field}.matches(r'{DURATION_PATTERN}') || {bounds}", f"{field} must be {words}", f".{field}"
+
+
+def unique(field: str, key: str, message: str, *, required: bool = False) -> tuple[str, str, str]:
+    """The rule for a list whose items differ in a key; ``required`` is whether there always is a list."""
+    rule = f"self.{field}.all(a, self.{field}.exists_one(b, b.{key} == a.{key}))"
+    return rule if required else f"!has(self.{field}) || {rule}", message, f".{field}"
+
+
 def matching(pattern: str, message: str, **more: Any) -> Any:
     """The field of a text with a pattern, and with ``more`` as for ``Field``."""
     return Field(pattern=pattern, json_schema_extra=pattern_rule(pattern, message), **more)

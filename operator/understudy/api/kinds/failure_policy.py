@@ -9,14 +9,15 @@ from pydantic import Field, model_validator
 
 from understudy.api import names
 from understudy.api.base import (
-    DURATION_PATTERN,
     Duration,
     LocalReference,
     Model,
     ObjectName,
     RosName,
+    length,
     matching,
     seconds,
+    unique,
     with_rules,
 )
 from understudy.api.conditions import Conditions
@@ -118,11 +119,7 @@ class Monitoring(Written):
         "recovery is not allowed for type Auto: set spec.bringUp of the RobotWorkload, or list the strategies yourself",
         ".recovery",
     ),
-    (
-        f"!self.verifyWithin.matches(r'{DURATION_PATTERN}') || duration(self.verifyWithin) >= duration('100ms')",
-        "verifyWithin must be at least 100ms",
-        ".verifyWithin",
-    ),
+    length("verifyWithin", "100ms"),
     (
         "self.type == 'Fallback' || !has(self.waitFor)",
         "waitFor is allowed only for a strategy of type Fallback: it is the time to wait for a pod of its pool",
@@ -195,13 +192,7 @@ MOST_COUNTED = 20
 """Maximum of recoveries in a budget. The workload's status keeps the start time of each."""
 
 
-@with_rules(
-    (
-        f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
-        "within must be at least 1s",
-        ".within",
-    ),
-)
+@with_rules(length("within", "1s"))
 class Budget(Model):
     """Maximum number of automatic recoveries in a sliding time window."""
 
@@ -221,13 +212,7 @@ class Budget(Model):
         return f"{self.recoveries} {'recovery' if self.recoveries == 1 else 'recoveries'} within {self.within}"
 
 
-@with_rules(
-    (
-        f"!self.within.matches(r'{DURATION_PATTERN}') || duration(self.within) >= duration('1s')",
-        "within must be at least 1s",
-        ".within",
-    ),
-)
+@with_rules(length("within", "1s"))
 class StormGuard(Model):
     """Detects that many workloads fail at once, which suggests that the network or the cluster failed and not the workloads."""
 
@@ -260,13 +245,7 @@ class Limits(Model):
     docs/limits.md."""
 
 
-@with_rules(
-    (
-        f"!self.every.matches(r'{DURATION_PATTERN}') || duration(self.every) >= duration('10ms')",
-        "every must be at least 10ms",
-        ".every",
-    ),
-)
+@with_rules(length("every", "10ms"))
 class SafeCommand(Model):
     """A message to the robot while no instance controls it."""
 
@@ -279,13 +258,7 @@ class SafeCommand(Model):
     """How often the message is sent."""
 
 
-@with_rules(
-    (
-        "self.commands.all(a, self.commands.exists_one(b, b.topic == a.topic))",
-        "commands contains the same topic twice",
-        ".commands",
-    ),
-)
+@with_rules(unique("commands", "topic", "commands contains the same topic twice", required=True))
 class Safety(Model):
     """What is done for the robot's safety while no instance is verified to be in control."""
 
@@ -313,11 +286,7 @@ class Safety(Model):
         "requirements is required for a strategy of type Auto, which uses them to choose",
         ".requirements",
     ),
-    (
-        "!has(self.situations) || self.situations.all(a, self.situations.exists_one(b, b.name == a.name))",
-        "situations contains the same name twice",
-        ".situations",
-    ),
+    unique("situations", "name", "situations contains the same name twice"),
     (
         "!has(self.situations) || self.strategies.exists(s, s.type == 'Auto') || self.situations.all(a, has(a.strategies))",
         "the policy lists its strategies, so each situation must list its own: set strategies",

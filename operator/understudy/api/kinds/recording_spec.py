@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from understudy.api.base import DURATION_PATTERN, Duration, Model, matching, with_rules
+from understudy.api.base import Duration, Model, length, matching, with_rules
 from understudy.api.conditions import Time
 from understudy.api.quantities import amount
 
@@ -17,14 +17,7 @@ Size = Annotated[str, matching(SIZE_PATTERN, SIZE_MESSAGE, max_length=6)]
 """A number of bytes."""
 
 
-@with_rules(
-    (
-        f"!self.window.matches(r'{DURATION_PATTERN}') || (duration(self.window) >= duration('1s') && "
-        "duration(self.window) <= duration('10m'))",
-        "window must be from 1s to 10m",
-        ".window",
-    ),
-)
+@with_rules(length("window", "1s", "10m"))
 class BlackBox(Model):
     """Recording of each failure: what the monitor received before and during it, as an MCAP file."""
 

@@ -7,13 +7,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from understudy.api.base import (
-    DURATION_PATTERN,
     Duration,
     LocalReference,
     Model,
     ObjectName,
     RosName,
+    length,
     matching,
+    unique,
     with_rules,
 )
 from understudy.api.conditions import Conditions, Time
@@ -125,14 +126,7 @@ class Ros(Model):
     """How the nodes of the graph find each other."""
 
 
-@with_rules(
-    (
-        f"!self.deadline.matches(r'{DURATION_PATTERN}') || (duration(self.deadline) >= duration('20ms') && "
-        "duration(self.deadline) <= duration('10s'))",
-        "deadline must be from 20ms to 10s",
-        ".deadline",
-    ),
-)
+@with_rules(length("deadline", "20ms", "10s"))
 class Reflex(Model):
     """DDS exclusive ownership in addition to the gate: the robot's own reader switches to the standby without the control plane."""
 
@@ -230,22 +224,14 @@ class Dependency(Model):
         "it again and restart the robot's processes",
         ".gate",
     ),
-    (
-        "!has(self.tasks) || self.tasks.all(a, self.tasks.exists_one(b, b.action == a.action))",
-        "tasks contains the same action twice",
-        ".tasks",
-    ),
+    unique("tasks", "action", "tasks contains the same action twice"),
     (
         "!has(self.tasks) || self.tasks.all(t, !self.outputs.exists(o, has(o.action) && o.action == t.action))",
         "an action belongs either to tasks (the workload serves it, and clients keep their goals) or to "
         "outputs (the robot serves it), not to both",
         ".tasks",
     ),
-    (
-        "!has(self.dependsOn) || self.dependsOn.all(a, self.dependsOn.exists_one(b, b.name == a.name))",
-        "dependsOn contains the same workload twice",
-        ".dependsOn",
-    ),
+    unique("dependsOn", "name", "dependsOn contains the same workload twice"),
     (
         "!has(self.dependsOn) || has(self.bringUp) || self.dependsOn.all(d, d.onRecovery != 'Reinitialize')",
         "onRecovery Reinitialize runs bringUp, which is missing: set spec.bringUp, or use Procedure or Restart",

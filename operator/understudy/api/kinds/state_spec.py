@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from understudy.api.base import Duration, Model, ObjectName, RosName, matching, with_rules
+from understudy.api.base import Duration, Model, ObjectName, RosName, matching, unique, with_rules
 from understudy.api.conditions import Time
 from understudy.api.ros_names import ROS_TYPE_MESSAGE
 from understudy.kinematics.pose_decoding import ODOMETRY, POSE_TYPES
@@ -90,16 +90,8 @@ class Storage(Model):
 
 
 @with_rules(
-    (
-        "!has(self.keep) || self.keep.all(a, self.keep.exists_one(b, b.topic == a.topic))",
-        "keep contains the same topic twice",
-        ".keep",
-    ),
-    (
-        "!has(self.parameters) || self.parameters.all(a, self.parameters.exists_one(b, b.node == a.node))",
-        "parameters contains the same node twice: list all of its parameters in one entry",
-        ".parameters",
-    ),
+    unique("keep", "topic", "keep contains the same topic twice"),
+    unique("parameters", "node", "parameters contains the same node twice: list all of its parameters in one entry"),
 )
 class State(Model):
     """Which state of a healthy instance is kept, how often and how much."""

@@ -17,17 +17,20 @@ from understudy.api.kinds.switchover_spec import Drain
 class PoolChoice(Model):
     """A pool that serves this workload and that a strategy of the policy names."""
 
-    name: str = Field(description="FallbackPool.")
-    readiness: Readiness = Field(description="Its readiness.")
-    template_hash: str = Field(default="", description="Hash of the template whose pods may be claimed. Empty: any.")
-    reserved: int = Field(default=0, description="How many of the last ready pods this workload may not claim.")
-    initialization: Procedure | None = Field(
-        default=None, description="Procedure that brings the pool's standbys to their readiness."
-    )
-    readiness_check: Check | None = Field(default=None, description="Condition that the pool's standbys must meet.")
-    keep_up: str | None = Field(
-        default=None, description="Time between two transfers of the kept state to the pool's standbys. Absent: none."
-    )
+    name: str
+    """FallbackPool."""
+    readiness: Readiness
+    """Its readiness."""
+    template_hash: str = ""
+    """Hash of the template whose pods may be claimed. Empty: any."""
+    reserved: int = 0
+    """How many of the last ready pods this workload may not claim."""
+    initialization: Procedure | None = None
+    """Procedure that brings the pool's standbys to their readiness."""
+    readiness_check: Check | None = None
+    """Condition that the pool's standbys must meet."""
+    keep_up: str | None = None
+    """Time between two transfers of the kept state to the pool's standbys. Absent: none."""
 
     @property
     def level(self) -> ReadinessLevel:
@@ -38,49 +41,42 @@ class PoolChoice(Model):
 class Upstream(Model):
     """A workload that this one depends on, directly or indirectly."""
 
-    name: str = Field(description="RobotWorkload.")
-    depends_on: list[str] = Field(default_factory=list, description="The workloads that it depends on.")
+    name: str
+    """RobotWorkload."""
+    depends_on: list[str] = Field(default_factory=list)
+    """The workloads that it depends on."""
 
 
 class WorkloadSettings(Model):
     """Settings of one workload's monitor."""
 
-    workload: str = Field(description="RobotWorkload.")
-    namespace: str = Field(description="Namespace of the workload.")
-    uid: str = Field(description="Its UID.")
-    source_kind: str = Field(description="ReplicaSet (template), Deployment or StatefulSet (workloadRef).")
-    source_name: str = Field(description="Name of the controller that replaces deleted pods.")
-    source_selector: dict[str, str] = Field(
-        default_factory=dict,
-        description="For a workloadRef: matchLabels of its selector, so that the monitor finds new pods before they are "
-        "labelled.",
-    )
-    ros_environment: dict[str, str] = Field(default_factory=dict, description="ROS environment of this robot's graph.")
-    container_environment: dict[str, dict[str, str]] = Field(
-        default_factory=dict,
-        description="For each container of the template: the literal environment with which a claimed pod starts.",
-    )
-    instance_profiles: str = Field(
-        default="", description="The DDS profiles with which a claimed pod starts. Empty if it needs none."
-    )
-    tasks_problem: str = Field(
-        default="",
-        description="Why some or all tasks have no action proxy, or one with limits. Empty if there is no problem.",
-    )
-    pools: list[PoolChoice] = Field(
-        default_factory=list, description="Pools that the policy names and that serve this workload."
-    )
-    drain: Drain | None = Field(
-        default=None, description="Set if the active instance runs on a node that is being drained."
-    )
-    strategies: list[Strategy] | None = Field(
-        default=None,
-        description="The strategies in effect, in order, if the policy has Auto or situations.",
-    )
-    situation: str | None = Field(
-        default=None, description="The policy's situation that these strategies belong to. Absent: none."
-    )
-    upstream: list[Upstream] = Field(
-        default_factory=list,
-        description="All direct and indirect dependencies, each after its own. Empty if there is a cycle.",
-    )
+    workload: str
+    """RobotWorkload."""
+    namespace: str
+    """Namespace of the workload."""
+    uid: str
+    """Its UID."""
+    source_kind: str
+    """ReplicaSet (template), Deployment or StatefulSet (workloadRef)."""
+    source_name: str
+    """Name of the controller that replaces deleted pods."""
+    source_selector: dict[str, str] = Field(default_factory=dict)
+    """For a workloadRef: matchLabels of its selector, so that the monitor finds new pods before they are labelled."""
+    ros_environment: dict[str, str] = Field(default_factory=dict)
+    """ROS environment of this robot's graph."""
+    container_environment: dict[str, dict[str, str]] = Field(default_factory=dict)
+    """For each container of the template: the literal environment with which a claimed pod starts."""
+    instance_profiles: str = ""
+    """The DDS profiles with which a claimed pod starts. Empty if it needs none."""
+    tasks_problem: str = ""
+    """Why some or all tasks have no action proxy, or one with limits. Empty if there is no problem."""
+    pools: list[PoolChoice] = Field(default_factory=list)
+    """Pools that the policy names and that serve this workload."""
+    drain: Drain | None = None
+    """Set if the active instance runs on a node that is being drained."""
+    strategies: list[Strategy] | None = None
+    """The strategies in effect, in order, if the policy has Auto or situations."""
+    situation: str | None = None
+    """The policy's situation that these strategies belong to. Absent: none."""
+    upstream: list[Upstream] = Field(default_factory=list)
+    """All direct and indirect dependencies, each after its own. Empty if there is a cycle."""
