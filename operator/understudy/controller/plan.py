@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from understudy.kube.client import MERGE, Object, Resource
@@ -87,6 +87,37 @@ class Images:
     """Names of the pull Secrets in the namespace of the workload."""
     priority_class: str = ""
     """PriorityClass of monitors and discovery servers. It does not apply to agents, which run in the user's pods."""
+
+
+def variables(environment: Mapping[str, str]) -> list[Object]:
+    """The env of a container with these values."""
+    return [{"name": key, "value": value} for key, value in sorted(environment.items())]
+
+
+def from_field(name: str, path: str) -> Object:
+    """An entry of a container's env whose value is a field of its pod."""
+    return {"name": name, "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": path}}}
+
+
+def config_map(name: str, data: Mapping[str, str]) -> Object:
+    """A ConfigMap."""
+    return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": name}, "data": dict(data)}
+
+
+def deployment(name: str, labels: Mapping[str, str], annotations: Mapping[str, str], pod: Object) -> Object:
+    """A Deployment of one pod, whose predecessor ends before it starts."""
+    template = {"labels": labels, "annotations": annotations} if annotations else {"labels": labels}
+    return {
+        "apiVersion": "apps/v1",
+        "kind": "Deployment",
+        "metadata": {"name": name, "labels": labels},
+        "spec": {
+            "replicas": 1,
+            "strategy": {"type": "Recreate"},
+            "selector": {"matchLabels": labels},
+            "template": {"metadata": template, "spec": {"enableServiceLinks": False, **pod}},
+        },
+    }
 
 
 def priority(images: Images) -> Object:

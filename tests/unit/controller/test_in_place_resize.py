@@ -82,7 +82,7 @@ def test_what_has_it_already_is_left_alone_and_told() -> None:
     made = world(MORE, pod=running(resources=enough))
     found = only(made)
     assert found.write is None
-    said = in_place_resize.judged(made.observed(), [found])
+    said = in_place_resize.judged([found])
     assert said is not None
     assert (said.status, said.reason) == ("True", "Resized")
     assert said.message == "container app of pod w-a has cpu 1500m."
@@ -92,7 +92,7 @@ def test_nothing_is_done_once_it_is_no_longer_degraded_or_the_policy_is_not_acce
     made = world(MORE)
     made.resized = None
     assert outcomes(made) == []
-    assert in_place_resize.judged(made.observed(), []) is None
+    assert in_place_resize.judged([]) is None
     made = world(MORE)
     made.others[0]["spec"]["degraded"]["monitoring"]["yaml"] = {"topik": {}}
     assert outcomes(made) == []
@@ -161,7 +161,7 @@ def test_what_the_api_server_refuses_is_told_and_the_rest_is_said_of_what_is_not
     first, second = outcomes(made)
     refused = in_place_resize.refused(first, Problem("Forbidden", "Pod w-a: exceeded quota"))
     assert (refused.reason, refused.write) == ("Refused", None)
-    said = in_place_resize.judged(made.observed(), [refused, second])
+    said = in_place_resize.judged([refused, second])
     assert said is not None
     assert (said.status, said.reason) == ("False", "Refused")
     assert "exceeded quota" in said.message
@@ -201,7 +201,7 @@ class TestStatus:
         from understudy.controller.reconcile.reconciler import _says
         from understudy.controller.status import workload_status
 
-        said = in_place_resize.judged(made.observed(), outcomes(made))
+        said = in_place_resize.judged(outcomes(made))
         status = workload_status.status(made.observed(), made.understood(), (), said)
         assert [c["type"] for c in status["conditions"]][-1] == "Resized"
         item = {"status": {**status, "conditions": status["conditions"]}}

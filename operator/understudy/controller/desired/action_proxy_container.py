@@ -7,6 +7,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
+from understudy.controller.plan import config_map
 from understudy.controller.pods import instance_pod
 from understudy.kube.client import Object
 from understudy.ros.rmw import MIDDLEWARE
@@ -27,12 +28,7 @@ def instance_profiles(spec: RobotWorkloadSpec) -> str:
 
 def profiles_map(workload: str, profiles: str) -> Object:
     """Return the ConfigMap that instances mount."""
-    return {
-        "apiVersion": "v1",
-        "kind": "ConfigMap",
-        "metadata": {"name": names.instance_profiles(workload)},
-        "data": {names.PROFILES_KEY: profiles},
-    }
+    return config_map(names.instance_profiles(workload), {names.PROFILES_KEY: profiles})
 
 
 def problem(workload: str, spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from understudy.api import names
+from understudy.controller import plan
 from understudy.controller.plan import Images, priority, pull_secrets
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.kube.client import Object
@@ -23,16 +24,10 @@ def _labels(workload: str) -> dict[str, str]:
 
 def service(workload: str, address: str | None = None) -> Object:
     """Return the Service. ``address`` is a former address to request again, because running processes know no other."""
+    port = names.DISCOVERY_PORT
     spec: Object = {
         "selector": _labels(workload),
-        "ports": [
-            {
-                "name": "discovery",
-                "protocol": "UDP",
-                "port": names.DISCOVERY_PORT,
-                "targetPort": names.DISCOVERY_PORT,
-            }
-        ],
+        "ports": [{"name": "discovery", "protocol": "UDP", "port": port, "targetPort": port}],
     }
     if address:
         spec["clusterIP"] = address
@@ -59,29 +54,16 @@ def deployment(workload: str, images: Images, address: str) -> Object:
         "securityContext": HARDENED,
         "volumeMounts": [{"name": "tmp", "mountPath": "/tmp"}],
     }
-    return {
-        "apiVersion": "apps/v1",
-        "kind": "Deployment",
-        "metadata": {"name": names.discovery(workload), "labels": _labels(workload)},
-        "spec": {
-            "replicas": 1,
-            "strategy": {"type": "Recreate"},
-            "selector": {"matchLabels": _labels(workload)},
-            "template": {
-                "metadata": {"labels": _labels(workload)},
-                "spec": {
-                    "automountServiceAccountToken": False,
-                    "enableServiceLinks": False,
-                    "terminationGracePeriodSeconds": 2,
-                    "tolerations": TOLERATIONS,
-                    **priority(images),
-                    **pull_secrets(images.pull_secrets),
-                    "containers": [container],
-                    "volumes": [{"name": "tmp", "emptyDir": {}}],
-                },
-            },
-        },
+    pod: Object = {
+        "automountServiceAccountToken": False,
+        "terminationGracePeriodSeconds": 2,
+        "tolerations": TOLERATIONS,
+        **priority(images),
+        **pull_secrets(images.pull_secrets),
+        "containers": [container],
+        "volumes": [{"name": "tmp", "emptyDir": {}}],
     }
+    return plan.deployment(names.discovery(workload), _labels(workload), {}, pod)
 
 
 def address(service_: Object | None) -> str | None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from understudy.api import names
 from understudy.api.protocol.monitor_settings import PoolChoice, WorkloadSettings
+from understudy.controller import plan
 from understudy.controller.desired import action_proxy_container, effective_policy, node_drain
 from understudy.controller.desired.workload_plan import WorkloadPlan
 from understudy.controller.observed import dependency_graph, kube_objects, pool_reader
@@ -44,12 +45,7 @@ def config_map(observed: Observed, workload_plan: WorkloadPlan, environment: Map
     )
     # Sorted and indented, because people read it to find the cause of a problem.
     text = json.dumps(settings.to_wire(), indent=1, sort_keys=True)
-    return {
-        "apiVersion": "v1",
-        "kind": "ConfigMap",
-        "metadata": {"name": names.settings(kube_objects.name(workload))},
-        "data": {"settings.json": text},
-    }
+    return plan.config_map(names.settings(kube_objects.name(workload)), {"settings.json": text})
 
 
 def choices(observed: Observed, workload_plan: WorkloadPlan) -> list[PoolChoice]:

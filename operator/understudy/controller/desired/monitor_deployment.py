@@ -8,8 +8,9 @@ from typing import Any
 from understudy.api import names
 from understudy.api.base import GROUP
 from understudy.api.kinds.robot_workload import MonitorSettings
+from understudy.controller import plan
 from understudy.controller.desired.discovery_server import TOLERATIONS
-from understudy.controller.plan import Images, priority, pull_secrets
+from understudy.controller.plan import Images, from_field, priority, pull_secrets, variables
 from understudy.controller.pods import ros_environment
 from understudy.controller.pods.instance_pod import HARDENED
 from understudy.controller.pods.pod_placement import away_from
@@ -78,15 +79,9 @@ def deployment(
         "imagePullPolicy": images.pull_policy,
         "args": ["monitor"],
         "env": [
-            *({"name": key, "value": value} for key, value in sorted(fixed.items())),
-            {
-                "name": "UNDERSTUDY_POD_IP",
-                "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": "status.podIP"}},
-            },
-            {
-                "name": "UNDERSTUDY_POD",
-                "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": "metadata.name"}},
-            },
+            *variables(fixed),
+            from_field("UNDERSTUDY_POD_IP", "status.podIP"),
+            from_field("UNDERSTUDY_POD", "metadata.name"),
         ],
         "ports": [{"name": "metrics", "containerPort": names.METRICS_PORT, "protocol": "TCP"}],
         "readinessProbe": {
@@ -113,45 +108,28 @@ def deployment(
         shared.append({"name": KEPT_VOLUME, "persistentVolumeClaim": {"claimName": claim}})
         group = HARDENED["runAsGroup"]
         owned = {"securityContext": {"fsGroup": group, "fsGroupChangePolicy": "OnRootMismatch"}}
-    return {
-        "apiVersion": "apps/v1",
-        "kind": "Deployment",
-        "metadata": {"name": names.monitor(workload), "labels": labels(workload)},
-        "spec": {
-            "replicas": 1,
-            "strategy": {"type": "Recreate"},
-            "selector": {"matchLabels": labels(workload)},
-            "template": {
-                "metadata": {
-                    "labels": labels(workload),
-                    "annotations": {names.PROFILES_HASH: digest(profiles)},
-                },
-                "spec": {
-                    "serviceAccountName": names.monitor_account(workload),
-                    "automountServiceAccountToken": True,
-                    "enableServiceLinks": False,
-                    "terminationGracePeriodSeconds": 5,
-                    "tolerations": TOLERATIONS,
-                    "affinity": {
-                        "podAntiAffinity": {
-                            "preferredDuringSchedulingIgnoredDuringExecution": [
-                                away_from({names.WORKLOAD: workload}, _DISTANCE)
-                            ]
-                        }
-                    },
-                    **owned,
-                    **priority(images),
-                    **pull_secrets(images.pull_secrets),
-                    "containers": containers,
-                    "volumes": [
-                        {"name": "state", "emptyDir": {}},
-                        {"name": "profiles", "configMap": {"name": names.robot_profiles(workload)}},
-                        *shared,
-                    ],
-                },
-            },
+    pod: Object = {
+        "serviceAccountName": names.monitor_account(workload),
+        "automountServiceAccountToken": True,
+        "terminationGracePeriodSeconds": 5,
+        "tolerations": TOLERATIONS,
+        "affinity": {
+            "podAntiAffinity": {
+                "preferredDuringSchedulingIgnoredDuringExecution": [away_from({names.WORKLOAD: workload}, _DISTANCE)]
+            }
         },
+        **owned,
+        **priority(images),
+        **pull_secrets(images.pull_secrets),
+        "containers": containers,
+        "volumes": [
+            {"name": "state", "emptyDir": {}},
+            {"name": "profiles", "configMap": {"name": names.robot_profiles(workload)}},
+            *shared,
+        ],
     }
+    hashes = {names.PROFILES_HASH: digest(profiles)}
+    return plan.deployment(names.monitor(workload), labels(workload), hashes, pod)
 
 
 def _tasks(
@@ -174,7 +152,7 @@ def _tasks(
         "image": settings.image or images.monitor,
         "imagePullPolicy": images.pull_policy,
         "args": ["tasks"],
-        "env": [{"name": key, "value": value} for key, value in sorted(fixed.items())],
+        "env": variables(fixed),
         "ports": [{"name": "tasks", "containerPort": names.TASKS_PORT, "protocol": "TCP"}],
         # A restart loses no goal but takes seconds, so the proxy has a minute to answer on a busy node.
         "livenessProbe": {

@@ -100,11 +100,11 @@ def conditions(observed: Observed, workload_plan: WorkloadPlan) -> list[Conditio
     active, drain = observed.active, seen(observed)
     if workload_plan.spec is None or drain is None or active is None:
         return []
-    found, generation = hold(observed, workload_plan), kube_objects.generation(observed.workload)
+    found = hold(observed, workload_plan)
     message = f"Node {drain.node}, where the active instance {kube_objects.name(active)} runs, is cordoned."
     if not found.holds:
         then = f"Evictions of this instance are not delayed: {found.message}."
-        return [condition(CONDITION, False, found.reason, f"{message} {then}", generation=generation)]
+        return [condition(CONDITION, False, found.reason, f"{message} {then}")]
     clock = datetime.fromtimestamp(found.until or 0.0, UTC).strftime("%H:%M:%S UTC")
     then = f"Evictions of this instance are refused until an understudy on another node takes over, at the latest until {clock}."
-    return [condition(CONDITION, True, found.reason, f"{message} {then}", generation=generation)]
+    return [condition(CONDITION, True, found.reason, f"{message} {then}")]

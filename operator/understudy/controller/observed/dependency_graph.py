@@ -118,12 +118,12 @@ def problem(known: Graph, name: str, namespace: str) -> Problem | None:
 
 def resolved(known: Graph, workload: Object) -> list[Condition]:
     """Return the condition for a workload's dependencies; empty if it has none."""
-    name, generation = kube_objects.name(workload), kube_objects.generation(workload)
+    name = kube_objects.name(workload)
     if not known.get(name):
         return []
     found = problem(known, name, workload["metadata"]["namespace"])
     if found is not None:
-        return [condition(RESOLVED, False, found.reason, f"{found.message}.", generation=generation)]
+        return [condition(RESOLVED, False, found.reason, f"{found.message}.")]
     order = ", ".join(one.name for one in upstream(known, name))
     message = f"It depends on {order}. The procedures after a recovery of these workloads run in this order."
-    return [condition(RESOLVED, True, "Resolved", message, generation=generation)]
+    return [condition(RESOLVED, True, "Resolved", message)]

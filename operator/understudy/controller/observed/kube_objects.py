@@ -9,6 +9,7 @@ from typing import Any
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
+from understudy.api.conditions import Condition
 from understudy.kube.client import Object
 
 MANAGED_BY = {"app.kubernetes.io/managed-by": "understudy"}
@@ -37,10 +38,12 @@ def notes(item: Object) -> dict[str, str]:
     return item["metadata"].get("annotations") or {}
 
 
-def generation(item: Object) -> int | None:
-    """Return the generation of the object's spec."""
-    found: int | None = item["metadata"].get("generation")
-    return found
+def status(item: Object, conditions: Iterable[Condition]) -> Object:
+    """Return the status of an object with these conditions. They are about the present generation of its spec, unless
+    they name another one."""
+    generation = item["metadata"].get("generation")
+    present = {"observedGeneration": generation} if generation is not None else {}
+    return {"observedGeneration": generation, "conditions": [present | one.to_wire() for one in conditions]}
 
 
 def deleted(item: Object) -> bool:

@@ -14,7 +14,7 @@ from typing import Any
 from understudy.api import names
 from understudy.api.protocol import freeze_script, hold_script
 from understudy.controller.observed import kube_objects
-from understudy.controller.plan import Images, pull_secrets
+from understudy.controller.plan import Images, from_field, pull_secrets, variables
 from understudy.controller.pods import pod_placement, template_shape
 from understudy.kube import claims
 from understudy.kube.apply import digest
@@ -270,11 +270,11 @@ def literal_environment(template: Mapping[str, Any], ros: Mapping[str, str]) -> 
 
 def _container(container: Object, recipe: Recipe, scope: freeze_script.Scope) -> Object:
     given = {entry["name"] for entry in container.get("env") or []}
-    added = [entry for entry in _plain(recipe.variables) if entry["name"] not in given]
+    added = [entry for entry in variables(recipe.variables) if entry["name"] not in given]
     made = {**container, "env": [*(container.get("env") or []), *added]}
     if recipe.profiles:
         if names.POD_VARIABLE not in given:
-            made["env"].append(_field(names.POD_VARIABLE, "metadata.name"))
+            made["env"].append(from_field(names.POD_VARIABLE, "metadata.name"))
         made["volumeMounts"] = [*(container.get("volumeMounts") or []), _profiles_mount(recipe)]
     return _held(made, recipe, scope) if recipe.held else made
 
@@ -290,13 +290,13 @@ def _profiles_mount(recipe: Recipe) -> Object:
 
 def _prepare(recipe: Recipe, fenced: Sequence[str]) -> Object:
     """Return the init container that completes the profiles, before the application's own init containers."""
-    fences = _plain({names.FENCED_VARIABLE: " ".join(fenced)}) if fenced else []
+    fences = variables({names.FENCED_VARIABLE: " ".join(fenced)}) if fenced else []
     return {
         "name": names.INIT_CONTAINER,
         "image": recipe.images.monitor,
         "imagePullPolicy": recipe.images.pull_policy,
         "args": ["prepare"],
-        "env": [*fences, _field(names.POD_VARIABLE, "metadata.name")],
+        "env": [*fences, from_field(names.POD_VARIABLE, "metadata.name")],
         "resources": {"requests": dict(AGENT_REQUESTS)},
         "securityContext": copy.deepcopy(HARDENED),
         "volumeMounts": [
@@ -339,14 +339,6 @@ def _fenced(container: Object, scope: freeze_script.Scope) -> Object:
     return made
 
 
-def _plain(environment: Mapping[str, str]) -> list[Object]:
-    return [{"name": key, "value": value} for key, value in sorted(environment.items())]
-
-
-def _field(name: str, path: str) -> Object:
-    return {"name": name, "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": path}}}
-
-
 def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced: Sequence[str]) -> Object:
     fences = {names.FENCED_VARIABLE: " ".join(fenced), names.UNFENCED_VARIABLE: " ".join(unfenced)}
     fixed = {
@@ -365,10 +357,10 @@ def _agent(recipe: Recipe, held: Sequence[str], fenced: Sequence[str], unfenced:
         "imagePullPolicy": recipe.images.pull_policy,
         "args": ["agent"],
         "env": [
-            *_plain(fixed),
-            _field("UNDERSTUDY_POD", "metadata.name"),
-            _field("UNDERSTUDY_POD_UID", "metadata.uid"),
-            _field("UNDERSTUDY_POD_IP", "status.podIP"),
+            *variables(fixed),
+            from_field("UNDERSTUDY_POD", "metadata.name"),
+            from_field("UNDERSTUDY_POD_UID", "metadata.uid"),
+            from_field("UNDERSTUDY_POD_IP", "status.podIP"),
         ],
         "ports": [
             {"name": "us-agent", "containerPort": names.AGENT_PORT, "protocol": "TCP"},

@@ -185,14 +185,13 @@ def _settled(stored: Object, new: SizingStatus) -> SizingStatus:
     return old if same and change <= _LITTLE * old.failures_per_robot_hour else new
 
 
-def judged(pool: Object, found: Sized) -> Condition:
+def judged(found: Sized) -> Condition:
     """Return the condition with the number of pods and its reasons."""
-    generation = kube_objects.generation(pool)
     decision, spec = found.decision, found.spec
     if found.short:
         message = f"{_reason(found)} That takes {_pods(decision.needed)}, and spec.sizing.max is {spec.max}: raise it, or the risk."
-        return condition(CONDITION, False, SHORT, message, generation=generation)
-    return condition(CONDITION, True, CONDITION, f"{_reason(found)} {_outlook(found)}", generation=generation)
+        return condition(CONDITION, False, SHORT, message)
+    return condition(CONDITION, True, CONDITION, f"{_reason(found)} {_outlook(found)}")
 
 
 def _reason(found: Sized) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output, Reflex
+from understudy.controller.plan import config_map
 from understudy.kube.client import Object
 from understudy.ros.rmw import MIDDLEWARE
 
@@ -21,17 +22,8 @@ def config_maps(
 
     Raises ValueError if there are not enough gated ports for the outputs.
     """
+    variables = {**environment, MIDDLEWARE.settings_variable: PROFILES_FILE}
     return [
-        {
-            "apiVersion": "v1",
-            "kind": "ConfigMap",
-            "metadata": {"name": names.robot_env(workload)},
-            "data": {**environment, MIDDLEWARE.settings_variable: PROFILES_FILE},
-        },
-        {
-            "apiVersion": "v1",
-            "kind": "ConfigMap",
-            "metadata": {"name": names.robot_profiles(workload)},
-            "data": {PROFILES_KEY: MIDDLEWARE.robot_settings(outputs, reflex)},
-        },
+        config_map(names.robot_env(workload), variables),
+        config_map(names.robot_profiles(workload), {PROFILES_KEY: MIDDLEWARE.robot_settings(outputs, reflex)}),
     ]

@@ -53,16 +53,15 @@ def refused(outcome: ResizeOutcome, problem: Problem) -> ResizeOutcome:
     return replace(outcome, reason="Refused", message=words, write=None)
 
 
-def judged(observed: Observed, found: Sequence[ResizeOutcome]) -> Condition | None:
+def judged(found: Sequence[ResizeOutcome]) -> Condition | None:
     """Return the condition Resized of the workload, or None if no resize is requested."""
     if not found:
         return None
     shown = next((one for one in found if one.reason != "Resized"), None)
-    generation = kube_objects.generation(observed.workload)
     if shown is not None:
-        return condition(CONDITION, False, shown.reason, f"{shown.message}.", generation=generation)
+        return condition(CONDITION, False, shown.reason, f"{shown.message}.")
     words = "; ".join(one.message for one in found)
-    return condition(CONDITION, True, "Resized", f"{words}.", generation=generation)
+    return condition(CONDITION, True, "Resized", f"{words}.")
 
 
 def _outcome(pod: Object, index: int, resize: Resize) -> ResizeOutcome:

@@ -145,7 +145,7 @@ class Reconciler:
             return await self._build(key, observed, workload_plan)
         except ApiError as error:
             if (problem := _unanswered(error)) is not None:
-                resized = in_place_resize.judged(observed, in_place_resize.outcomes(observed, workload_plan))
+                resized = in_place_resize.judged(in_place_resize.outcomes(observed, workload_plan))
                 await self._write_status(
                     WORKLOADS, item, workload_status.status(observed, workload_plan, [problem], resized)
                 )
@@ -166,7 +166,7 @@ class Reconciler:
         if problems or any(one.reason == "Refused" for one in raised):
             again = FORGET_REFUSAL
         observed = self._seen(observed)
-        status = workload_status.status(observed, workload_plan, problems, in_place_resize.judged(observed, raised))
+        status = workload_status.status(observed, workload_plan, problems, in_place_resize.judged(raised))
         return _earliest(plan.again_after, again, turn, await self._write_status(WORKLOADS, observed.workload, status))
 
     async def _resize(

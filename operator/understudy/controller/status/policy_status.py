@@ -25,15 +25,14 @@ def in_short(policy: Object, pools: Mapping[str, Object]) -> str:
 
 def conditions(policy: Object, pools: Mapping[str, Object], config_maps: Mapping[str, Object]) -> list[Condition]:
     """Return the policy's condition Accepted."""
-    generation = kube_objects.generation(policy)
     found = policy_reader.problem(policy, config_maps)
     if found is None:
         found = _unfound(policy, pools)
     if found is None:
         found = _prewarm_problem(policy, pools) or _wait_problem(policy, pools)
     if found is not None:
-        return [condition("Accepted", False, found.reason, found.message, generation=generation)]
-    return [condition("Accepted", True, "Accepted", "The spec is valid.", generation=generation)]
+        return [condition("Accepted", False, found.reason, found.message)]
+    return [condition("Accepted", True, "Accepted", "The spec is valid.")]
 
 
 def _unfound(policy: Object, pools: Mapping[str, Object]) -> Problem | None:
@@ -98,11 +97,10 @@ def status(
     """
     tree = policy_reader.tree_in_force(policy, config_maps)
     return {
-        "observedGeneration": kube_objects.generation(policy),
         "workloads": len(users),
         "strategies": in_short(policy, pools),
         **({"tree": tree} if tree is not None else {}),
-        "conditions": [
-            c.to_wire() for c in (*conditions(policy, pools, config_maps), *([storm] if storm is not None else []))
-        ],
+        **kube_objects.status(
+            policy, (*conditions(policy, pools, config_maps), *([storm] if storm is not None else []))
+        ),
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 
 from understudy.api import names
 from understudy.api.conditions import Condition, condition
@@ -66,14 +67,13 @@ def _held(observed: pool_pods.Observed) -> list[Object]:
 def status(observed: pool_pods.Observed, pool_plan: pool_pods.PoolPlan, problems: Sequence[Problem]) -> Object:
     """Return the pool's status, without the times of its conditions."""
     pool, spec = observed.pool, pool_plan.spec
-    generation = kube_objects.generation(pool)
     # A webhook that does not answer says nothing about the pool.
     found = pool_plan.problem or next((one for one in problems if one.reason != UNANSWERED), None)
     if found is not None:
-        accepted = condition("Accepted", False, found.reason, found.message, generation=generation)
+        accepted = condition("Accepted", False, found.reason, found.message)
     else:
-        accepted = condition("Accepted", True, "Accepted", "The spec is valid.", generation=generation)
-    result: Object = {"observedGeneration": generation}
+        accepted = condition("Accepted", True, "Accepted", "The spec is valid.")
+    result: Object = {}
     if spec is not None:
         counts = count(observed, spec, pool_plan.sized)
         result |= {
@@ -90,23 +90,19 @@ def status(observed: pool_pods.Observed, pool_plan: pool_pods.PoolPlan, problems
             if pool_plan.built is not None:
                 present = instance_pod.template_hash(pool_plan.built)
                 result["updated"] = sum(pod_counts.hash_of(pod) == present for pod in _held(observed))
-                conditions.append(_updated(observed, spec, counts, result["updated"]))
+                conditions.append(_updated(spec, counts, result["updated"]))
         if pool_plan.sized is not None:
             result |= pool_size.status(pool_plan.sized)
-            conditions.append(pool_size.judged(pool, pool_plan.sized))
+            conditions.append(pool_size.judged(pool_plan.sized))
         conditions += _moving(observed)
     else:
         result |= pool_size.last(pool)
         conditions = [accepted]
-    return result | {"conditions": [c.to_wire() for c in conditions]}
+    return result | kube_objects.status(pool, conditions)
 
 
 def _reconciled(observed: pool_pods.Observed, problems: Sequence[Problem], found: Problem | None) -> Condition:
-    generation = kube_objects.generation(observed.pool)
-
-    def no(reason: str, message: str) -> Condition:
-        return condition("Reconciled", False, reason, message, generation=generation)
-
+    no = partial(condition, "Reconciled", False)
     if problems:
         return no(problems[0].reason, "; ".join(problem.message for problem in problems))
     if found is not None:
@@ -114,7 +110,7 @@ def _reconciled(observed: pool_pods.Observed, problems: Sequence[Problem], found
     for pod in sorted(observed.pods, key=kube_objects.sort_key):
         if bad := trouble(pod):
             return no(bad.reason, bad.message)
-    return condition("Reconciled", True, "Reconciled", "All objects match the spec.", generation=generation)
+    return condition("Reconciled", True, "Reconciled", "All objects match the spec.")
 
 
 def _selector(name: str, spec: FallbackPoolSpec) -> str:
@@ -124,11 +120,7 @@ def _selector(name: str, spec: FallbackPoolSpec) -> str:
 
 def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None) -> Condition:
     pool = observed.pool
-    generation = kube_objects.generation(pool)
-
-    def no(reason: str, message: str) -> Condition:
-        return condition("Ready", False, reason, message, generation=generation)
-
+    no = partial(condition, "Ready", False)
     if not any(pool_reader.serves(pool, workload) for workload in observed.workloads.values()):
         selector = selectors.as_text((pool.get("spec") or {}).get("workloadSelector") or {})
         return no(
@@ -138,7 +130,7 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
             f"RobotWorkload (on its own metadata, not on its template)",
         )
     if counts.ready >= counts.desired:
-        return condition("Ready", True, "Ready", f"{counts.ready} can take over now.", generation=generation)
+        return condition("Ready", True, "Ready", f"{counts.ready} can take over now.")
     if problem is not None:
         return no(
             "NotAccepted", f"{counts.ready} of {counts.desired} are ready, and no more pods are created: see Accepted."
@@ -165,8 +157,7 @@ def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Cou
         more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
         message = f"{message}; workloads that wait, in this order: {', '.join(found[:_MOST_NAMED])}{more}"
     free = counts.ready > len(found)
-    generation = kube_objects.generation(observed.pool)
-    return condition("Available", free, "Available" if free else "Dry", f"{message}.", generation=generation)
+    return condition("Available", free, "Available" if free else "Dry", f"{message}.")
 
 
 def _moving(observed: pool_pods.Observed) -> list[Condition]:
@@ -185,23 +176,22 @@ def _moving(observed: pool_pods.Observed) -> list[Condition]:
         f"({', '.join(places[:_MOST_NAMED])}{more}), and {'is' if len(found) == 1 else 'are'} deleted after replacements on "
         "other nodes are ready."
     )
-    return [condition(pool_pods.MOVING, True, "NodeLeaves", message, generation=kube_objects.generation(observed.pool))]
+    return [condition(pool_pods.MOVING, True, "NodeLeaves", message)]
 
 
-def _updated(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
+def _updated(spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
     """Return the condition Updated: the progress of a change of the template."""
-    generation = kube_objects.generation(observed.pool)
     old = counts.replicas - updated
     if not old:
         message = "Every unclaimed pod has the current template."
-        return condition("Updated", True, "Updated", message, generation=generation)
+        return condition("Updated", True, "Updated", message)
     are = "has an earlier template and stays" if old == 1 else "have earlier templates and stay"
     message = f"{old} of {counts.replicas} unclaimed pods {are}"
     if spec.update_strategy is not None and spec.update_strategy.type == "OnReplenish":
         message = f"{message} until they are claimed (spec.updateStrategy)."
-        return condition("Updated", True, "OnReplenish", message, generation=generation)
+        return condition("Updated", True, "OnReplenish", message)
     message = f"{message} until enough pods of the current template are ready."
-    return condition("Updated", False, "RollingOut", message, generation=generation)
+    return condition("Updated", False, "RollingOut", message)
 
 
 def _moment(seconds: float) -> str:

@@ -48,10 +48,9 @@ def protected(observed: Observed, workload_plan: WorkloadPlan) -> Condition:
 
     It reports whether the policy's first strategy could run at a failure now, and what is missing if not.
     """
-    generation = kube_objects.generation(observed.workload)
 
     def no(reason: str, message: str, outlook: str) -> Condition:
-        return condition("Protected", False, reason, f"{message.rstrip('.')}. {outlook}", generation=generation)
+        return condition("Protected", False, reason, f"{message.rstrip('.')}. {outlook}")
 
     unwatched = "If it failed now, nobody would notice"
     name = kube_objects.name(observed.workload)
@@ -79,7 +78,7 @@ def protected(observed: Observed, workload_plan: WorkloadPlan) -> Condition:
         return no(trouble.reason, trouble.message, outlook)
     if found and not found[0].availability.available:
         return no(found[0].availability.reason, found[0].availability.message, outlook)
-    return condition("Protected", True, "FirstStrategyReady", outlook, generation=generation)
+    return condition("Protected", True, "FirstStrategyReady", outlook)
 
 
 def reported_limits(observed: Observed) -> LimitsInForce:

@@ -64,15 +64,14 @@ def judge(
     failing = sorted(name for name, moment in until.items() if moment is not None)
     passing = [moment for moment in until.values() if moment is not None and moment != float("inf")]
     again = max(0.0, min(passing) - now) if passing else None
-    generation = kube_objects.generation(policy)
     if len(failing) < guard.workloads or 100 * len(failing) <= guard.percent * len(awake):
         text = f"At most {guard.percent} % of the workloads of this policy, or fewer than {guard.workloads} of them, fail at the same time."
-        return condition(CONDITION, False, "FewFail", text, generation=generation), again
+        return condition(CONDITION, False, "FewFail", text), again
     live = (policy.get("status") or {}).get("conditions") or []
     before = next((c for c in live if (c["type"], c["status"]) == (CONDITION, "True")), None)
     # The text from the start of the storm, because every monitor receives each change of it.
     text = before["message"] if before is not None else _words(failing, len(awake), guard)
-    return condition(CONDITION, True, "ManyFail", text, generation=generation), again
+    return condition(CONDITION, True, "ManyFail", text), again
 
 
 def _words(failing: Sequence[str], of: int, guard: StormGuard) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from understudy.advice import order_explanation
 from understudy.api.conditions import Condition, condition, merged
@@ -55,7 +56,7 @@ def status(
     """
     workload = observed.workload
     conditions = [
-        _accepted(observed, workload_plan, problems),
+        _accepted(workload_plan, problems),
         _reconciled(observed, workload_plan, problems),
         protection.protected(observed, workload_plan),
         *_chosen(observed, workload_plan),
@@ -65,11 +66,10 @@ def status(
         *node_drain.conditions(observed, workload_plan),
     ]
     return {
-        "observedGeneration": kube_objects.generation(workload),
         "standby": protection.standby(observed, workload_plan),
         **protection.stocked(observed, workload_plan),
         **_order(observed, workload_plan),
-        "conditions": [c.to_wire() for c in conditions],
+        **kube_objects.status(workload, conditions),
     }
 
 
@@ -97,21 +97,16 @@ def transitions(live: Object, desired: Object) -> list[Object]:
     return found
 
 
-def _accepted(observed: Observed, workload_plan: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
-    generation = kube_objects.generation(observed.workload)
+def _accepted(workload_plan: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
     taken = next((p for p in problems if p.reason in ("NameTaken", "TemplateInvalid")), None)
     found = workload_plan.problem or workload_plan.policy_problem or taken
     if found is not None:
-        return condition("Accepted", False, found.reason, found.message, generation=generation)
-    return condition("Accepted", True, "Accepted", "The spec and the policy are valid.", generation=generation)
+        return condition("Accepted", False, found.reason, found.message)
+    return condition("Accepted", True, "Accepted", "The spec and the policy are valid.")
 
 
 def _reconciled(observed: Observed, workload_plan: WorkloadPlan, problems: Sequence[Problem]) -> Condition:
-    generation = kube_objects.generation(observed.workload)
-
-    def no(reason: str, message: str) -> Condition:
-        return condition("Reconciled", False, reason, message, generation=generation)
-
+    no = partial(condition, "Reconciled", False)
     if workload_plan.problem is not None:
         return no("NotAccepted", "The spec is invalid: see Accepted. Existing objects stay unchanged.")
     if problems:
@@ -123,7 +118,7 @@ def _reconciled(observed: Observed, workload_plan: WorkloadPlan, problems: Seque
         return no(found.reason, f"{found.message} {kept}." if kept else found.message)
     if kept:
         return no("InProgress", f"{kept}.")
-    return condition("Reconciled", True, "Reconciled", "All objects match the spec.", generation=generation)
+    return condition("Reconciled", True, "Reconciled", "All objects match the spec.")
 
 
 def _order(observed: Observed, workload_plan: WorkloadPlan) -> Object:
@@ -163,7 +158,7 @@ def _chosen(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
         message += f" Until the recovery in progress ends, the order stays {present}."
     met = not order_explanation.unmet_requirements(order)
     why = "Chosen" if met else "RequirementsNotMet"
-    return [condition(CHOSEN, met, why, message, generation=kube_objects.generation(observed.workload))]
+    return [condition(CHOSEN, met, why, message)]
 
 
 def _situation(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:
@@ -180,5 +175,4 @@ def _situation(observed: Observed, workload_plan: WorkloadPlan) -> list[Conditio
     asked, in_force = situation_strategies.asked(observed.workload, policy), effective_policy.situation(observed)
     order, lacking = _order(observed, workload_plan)["strategies"], effective_policy.lacking(observed)
     reason, message = situation_strategies.description(asked, in_force, order, lacking)
-    generation = kube_objects.generation(observed.workload)
-    return [condition(situation_strategies.CONDITION, asked == in_force, reason, message, generation=generation)]
+    return [condition(situation_strategies.CONDITION, asked == in_force, reason, message)]
