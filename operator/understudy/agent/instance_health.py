@@ -29,11 +29,7 @@ if TYPE_CHECKING:
     from understudy.ros.runtime.graph_node import Graph
     from understudy.trees.core.health_tree import HealthTree, Verdict, WatchedTopic
     from understudy.trees.core.observations import (
-        NodePresence,
-        NodeState,
-        ParameterState,
         PodState,
-        Publishers,
         TopicRecord,
     )
 
@@ -117,15 +113,13 @@ class _OwnOutputs:
     def __init__(self, watching: TopicWatch, outputs: Sequence[Output], host: bytes) -> None:
         self._watching, self._host = watching, host
         self._topics = {output.topic for output in outputs if output.topic}
+        self.own, self.publishers, self.node = watching.own, watching.publishers, watching.node
+        self.lifecycle, self.parameter = watching.lifecycle, watching.parameter
 
     def topic(self, name: str) -> TopicRecord | None:
         if name not in self._topics:
             return self._watching.topic(name)
         return self._watching.records(name).get(self._host)
-
-    def own(self, name: str) -> TopicRecord | None:
-        """Return the record of this instance's own samples."""
-        return self._watching.own(name)
 
     def task(self, name: str) -> float | None:
         """Return since when this instance has a goal: only its own goals give it work."""
@@ -133,22 +127,6 @@ class _OwnOutputs:
 
         times = [since for gid, since in self._watching.active(name).items() if MIDDLEWARE.host_of(gid) == self._host]
         return min(times, default=None)
-
-    def publishers(self, name: str) -> Publishers | None:
-        """Return this instance's publishers."""
-        return self._watching.publishers(name)
-
-    def node(self, name: str) -> NodePresence | None:
-        """Return the presence of this instance's node."""
-        return self._watching.node(name)
-
-    def lifecycle(self, name: str) -> NodeState | None:
-        """Return the state of this instance's node."""
-        return self._watching.lifecycle(name)
-
-    def parameter(self, node: str, name: str) -> ParameterState | None:
-        """Return the state of a parameter of this instance."""
-        return self._watching.parameter(node, name)
 
     def pod(self) -> PodState | None:
         """Return None: the cluster's view of the pod is not visible from inside it."""

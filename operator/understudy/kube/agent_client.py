@@ -153,13 +153,6 @@ class AgentLink:
         """
         await self.request("start", {"environment": environment, "ros": ros, "profiles": profiles})
 
-    async def probe(self, host: str, port: int, interval: float, duration: float) -> None:
-        """Let the agent send gate probes for ``duration`` seconds: one every ``interval`` seconds, later less often.
-
-        Raises AgentRefused and AgentGone.
-        """
-        await self.request("probe", {"host": host, "port": port, "interval": interval, "duration": duration})
-
     async def procedure(
         self,
         tree: Mapping[str, Any],

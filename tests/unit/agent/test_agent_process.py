@@ -358,7 +358,7 @@ async def test_probes_are_sent_to_the_address_of_the_monitor(pod: Pod, links):
     first = await receiver.wait(UID, 0, 10)
     assert await receiver.wait(UID, first + 0.01, 10) - first > 0.7
     asked = time.time()
-    await link.probe("127.0.0.1", port, 0.002, 0.5)
+    await link.request("probe", {"host": "127.0.0.1", "port": port, "interval": 0.002, "duration": 0.5})
     await eventually(lambda: receiver.count_since(UID, asked) > 20, 60)
     assert time.time() - asked < 15, "at one a second it would take longer"
     receiver.close()

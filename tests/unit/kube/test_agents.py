@@ -202,7 +202,7 @@ async def test_an_error_is_an_answer_to_its_request(agent, link):
 
     agent.follow = answer
     await link.wait_connected(2)
-    asked, refused = await asyncio.gather(link.ask(), link.probe("127.0.0.1", 8149, 0.001, 1), return_exceptions=True)
+    asked, refused = await asyncio.gather(link.ask(), link.request("probe", {}), return_exceptions=True)
     assert asked == STATUS
     assert isinstance(refused, AgentRefused)
     assert "probe: no" in str(refused)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from understudy.agent.control_channel import Operation, Peer, Refused
@@ -42,73 +41,42 @@ def places_of(data: object) -> Mapping[str, str]:
     return {str(inner): str(place) for inner, place in data.items()}
 
 
-@dataclass
 class InstanceActions:
     """Implements :class:`understudy.trees.core.procedure_steps.Actions` for this pod's instance."""
 
-    caller: InstanceCaller
-    watched: InstanceHealth
-    restore: Restore
-    resend: Callable[[float], Awaitable[None]]
-    state: KeptState = field(default_factory=KeptState)
-    report: RestoreReport = field(default_factory=RestoreReport)
-    """The outcome of restoring the state so far."""
-
-    async def call(
-        self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
-    ) -> dict[str, Any]:
-        """Return the answer of a service."""
-        return await self.caller.call(service, type_name, request, within, repeat=repeat)
-
-    async def service_present(self, service: str) -> bool:
-        """Return whether the instance serves it."""
-        return await self.caller.service_present(service)
-
-    async def node_present(self, node: str) -> bool:
-        """Return whether the instance has the node."""
-        return await self.caller.node_present(node)
-
-    async def lifecycle_state(self, node: str, within: float) -> str:
-        """Return the state of a managed node."""
-        return await self.caller.lifecycle_state(node, within)
-
-    async def bring_to(self, node: str, state: str, within: float) -> None:
-        """Bring a managed node to a state."""
-        await self.caller.bring_to(node, state, within)
-
-    async def get_parameters(self, node: str, names: Sequence[str], within: float) -> dict[str, Any]:
-        """Return values of a node's parameters."""
-        return await self.caller.get_parameters(node, names, within)
-
-    async def set_parameters(self, node: str, values: Mapping[str, Any], within: float) -> None:
-        """Set a node's parameters."""
-        await self.caller.set_parameters(node, values, within)
-
-    async def publish(self, topic: str, type_name: str, message: Mapping[str, Any], within: float) -> None:
-        """Publish a message to the instance."""
-        await self.caller.publish(topic, type_name, message, within)
-
-    async def wait_sample(self, topic: str, type_name: str, within: float) -> object:
-        """Wait for a message."""
-        return await self.caller.wait_sample(topic, type_name, within)
+    def __init__(
+        self,
+        caller: InstanceCaller,
+        watched: InstanceHealth,
+        restore: Restore,
+        resend: Callable[[float], Awaitable[None]],
+        state: KeptState,
+    ) -> None:
+        self._watched, self._restore, self._resend, self._state = watched, restore, resend, state
+        self.report = RestoreReport()
+        """The outcome of restoring the state so far."""
+        self.call, self.publish, self.wait_sample = caller.call, caller.publish, caller.wait_sample
+        self.service_present, self.node_present = caller.service_present, caller.node_present
+        self.lifecycle_state, self.bring_to = caller.lifecycle_state, caller.bring_to
+        self.get_parameters, self.set_parameters = caller.get_parameters, caller.set_parameters
 
     async def restore_state(self, only: Sequence[str] | None, within: float) -> None:
         """Restore the kept state that came with the request.
 
         State that is too old or was never kept is reported, and is no failure.
         """
-        report = await self.restore(self.state, within=within, only=only or ())
+        report = await self._restore(self._state, within=within, only=only or ())
         self.report = self.report.merged(report)
         if report.problem:
             raise RuntimeError(report.problem)
 
     async def resend_goals(self, within: float) -> None:
         """Have unfinished goals sent to the instance."""
-        await self.resend(within)
+        await self._resend(within)
 
     def health(self, tree: HealthTree) -> Verdict:
         """Return a health tree's present verdict on the instance."""
-        return self.watched.verdict(tree)
+        return self._watched.verdict(tree)
 
 
 class ProcedureRunner:

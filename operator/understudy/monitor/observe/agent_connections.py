@@ -9,8 +9,6 @@ import time
 from collections.abc import Coroutine, Mapping, Sequence
 from typing import Any
 
-import aiohttp
-
 from understudy.api import names
 from understudy.api.base import seconds
 from understudy.api.protocol.agent_messages import RENEW_PERMIT, AgentStatus, ProtocolError
@@ -18,7 +16,7 @@ from understudy.api.protocol.kept_state import LARGEST, KeptState, RestoreReport
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
-from understudy.kube.client import SECRETS, ApiError, Client
+from understudy.kube.client import FAILURES, SECRETS, Client
 from understudy.monitor.crash_points import CrashPoints
 from understudy.monitor.observe.instance_roles import InstanceRoles
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -133,7 +131,7 @@ class AgentConnections:
             try:
                 item = await self._client.get(SECRETS, self._view.namespace, secret)
                 self._tokens[secret] = base64.b64decode(item["data"]["token"])
-            except (ApiError, aiohttp.ClientError, TimeoutError, OSError, KeyError, ValueError) as error:
+            except (*FAILURES, KeyError, ValueError) as error:
                 _logger.warning("Secret %s cannot be read: %r", secret, error)
                 return None
         return self._tokens[secret]
@@ -225,32 +223,25 @@ class AgentConnections:
 
     async def probe(self, instance: Instance, duration: float) -> None:
         """Have it send gate probes, a millisecond apart at first, for so many seconds; returns at once, and never fails."""
-        link = self._links.get(instance.uid)
-        if link is None or not link.connected:
-            return
-
-        async def probe() -> None:
-            try:
-                await link.probe(self._address, names.PROBE_PORT, PROBE_INTERVAL, duration)
-            except (AgentGone, AgentRefused) as error:
-                _logger.info("no probes from %s: %s", instance.name, error)
-
-        self._spawn(probe())
-        await asyncio.sleep(0)  # lets the request leave before the commit does
+        body = {"host": self._address, "port": names.PROBE_PORT, "interval": PROBE_INTERVAL, "duration": duration}
+        await self._request_soon(instance, "probe", body)
 
     async def give_way(self, instance: Instance) -> None:
         """Have a restarted container of it not be heard by the robot; returns at once, and never fails."""
+        await self._request_soon(instance, "give_way", {})
+
+    async def _request_soon(self, instance: Instance, op: str, body: Mapping[str, Any]) -> None:
         link = self._links.get(instance.uid)
         if link is None or not link.connected:
             return
 
-        async def give_way() -> None:
+        async def request() -> None:
             try:
-                await link.request("give_way", {})
+                await link.request(op, body)
             except (AgentGone, AgentRefused) as error:
-                _logger.info("%s does not give way: %s", instance.name, error)
+                _logger.info("%s: %s", instance.name, error)
 
-        self._spawn(give_way())
+        self._spawn(request())
         await asyncio.sleep(0)  # lets the request leave before the commit does
 
     def session(self, instance: Instance) -> tuple[int, int]:

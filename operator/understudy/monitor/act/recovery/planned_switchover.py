@@ -13,8 +13,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import aiohttp
-
 from understudy.api import names
 from understudy.api.conditions import now as moment
 from understudy.api.kinds.switchover_spec import ENDED, Drain, Kind, Phase, Request, SwitchoverStatus, parse
@@ -25,7 +23,7 @@ from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.strategies.base import Choice
 from understudy.failover.strategies.restart import Restart
 from understudy.failover.switchover import Preparation
-from understudy.kube.client import ApiError
+from understudy.kube.client import FAILURES
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.instances.state_keeping import StateKeeping
 from understudy.monitor.act.objects.cluster import Cluster
@@ -165,7 +163,7 @@ class PlannedSwitchovers:
                         await switchover.switch(prepared, means)
                     else:
                         await switchover.settle(progress, means)
-        except (NotAvailable, Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except (NotAvailable, Superseded, *FAILURES) as error:
             if progress.result == "Running":
                 reason = str(error) or f"the API server did not answer within {switchover.COMMIT_WITHIN:g} s"
                 _logger.warning("switchover %s given up: %s", progress.id, reason)
@@ -303,11 +301,7 @@ class PlannedSwitchovers:
         said = self._notices.status.switchover
         if new or (said is not None and said.phase != "Waiting") or now - self._reported_at >= REPORT_PERIOD:
             self._reported_at = now
-            self._report(
-                SwitchoverStatus(
-                    kind=wanted.kind, request=wanted.request, phase="Waiting", message=f"{reason}.", since=moment()
-                )
-            )
+            self._report(wanted.kind, wanted.request, "Waiting", f"{reason}.")
 
     def _abandon(self, reason: str) -> None:
         wanted, progress = self._wanted, self._progress
@@ -322,7 +316,7 @@ class PlannedSwitchovers:
         said = self._notices.status.switchover
         if said is not None and said.phase not in ENDED:
             message = "Nothing was changed: the request was withdrawn."
-            self._report(said.model_copy(update={"phase": "NotDone", "message": message, "since": moment()}))
+            self._report(said.kind, said.request, "NotDone", message, target=said.target, recovery=said.recovery)
 
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
         """An understudy that something was done to is not needed. A pod of the workload's own controller is that one's business."""
@@ -349,32 +343,29 @@ class PlannedSwitchovers:
         target = progress.target.name if progress.target is not None else ""
         kind = progress.switchover
         assert kind is not None, "it is a switchover"
-        self._report(
-            SwitchoverStatus(
-                kind=kind,
-                request=progress.request,
-                phase=phase,
-                message=message,
-                target=target,
-                recovery=recovery,
-                since=moment(),
-            )
-        )
+        self._report(kind, progress.request, phase, message, target=target, recovery=recovery)
 
     def _end(self, phase: Phase, message: str, wanted: Wanted) -> None:
         """End the request without a change of the gate."""
         _logger.info("switchover (%s): %s", wanted.kind, message)
         known = self._notices.status.switchover
-        self._report(
-            SwitchoverStatus(kind=wanted.kind, request=wanted.request, phase=phase, message=message, since=moment())
-        )
+        self._report(wanted.kind, wanted.request, phase, message)
         if known is None or known.message != message:
             kind, reason = ("Normal", "SwitchoverDone") if phase == "Done" else ("Warning", "SwitchoverNotDone")
             self._notices.event(kind, reason, message)
 
-    def _report(self, status: SwitchoverStatus) -> None:
+    def _report(
+        self, kind: Kind, request: str, phase: Phase, message: str, *, target: str = "", recovery: str = ""
+    ) -> None:
         before = self._notices.status.switchover
-        handled = status.request if status.request and status.phase in ENDED else before.handled if before else ""
-        if before is not None and before.phase == status.phase:
-            status = status.model_copy(update={"since": before.since})
-        self._notices.set_switchover(status.model_copy(update={"handled": handled}))
+        status = SwitchoverStatus(
+            kind=kind,
+            request=request,
+            handled=request if request and phase in ENDED else before.handled if before else "",
+            phase=phase,
+            message=message,
+            target=target,
+            recovery=recovery,
+            since=before.since if before is not None and before.phase == phase else moment(),
+        )
+        self._notices.set_switchover(status)
