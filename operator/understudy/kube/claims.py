@@ -8,11 +8,9 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-import aiohttp
-
 from understudy.api import names
 from understudy.api.base import API_VERSION
-from understudy.kube.client import JSON, PODS, ApiError, Client, Object
+from understudy.kube.client import FAILURES, JSON, PODS, ApiError, Client, Object
 
 RETRY_FIRST, RETRY_MOST = 0.05, 1.0  # seconds
 
@@ -44,7 +42,7 @@ async def claim(client: Client, pod: Object, *, workload: str, workload_uid: str
         whole = "resourceVersion" in pod["metadata"]
         try:
             return await (_write if whole else _test_and_write)(client, pod, workload, workload_uid, claim)
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             changed = isinstance(error, ApiError) and error.status == (409 if whole else 422)
             if not changed and not _unanswered(error):
                 raise
@@ -78,7 +76,7 @@ async def answered(ask: Callable[[], Awaitable[T]]) -> T:
     while True:
         try:
             return await ask()
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             if not _unanswered(error):
                 raise
             await asyncio.sleep(retry)

@@ -80,6 +80,13 @@ class ApiError(Exception):
         return found[1] if found else ""
 
 
+NO_ANSWER = (aiohttp.ClientError, TimeoutError, OSError)
+"""What a request raises if the API server does not answer. It may have carried the request out."""
+
+FAILURES = (ApiError, *NO_ANSWER)
+"""What a request raises."""
+
+
 class Expired(Exception):
     """The watch's resourceVersion is too old (410 Gone): list again."""
 

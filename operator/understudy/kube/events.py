@@ -16,9 +16,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Literal, TypeVar
 
-import aiohttp
-
-from understudy.kube.client import EVENTS, ApiError, Client, Object
+from understudy.kube.client import EVENTS, FAILURES, ApiError, Client, Object
 
 _logger = logging.getLogger(__name__)
 
@@ -110,7 +108,7 @@ class Recorder:
         last.written = now
         try:
             await self._write(last, about, kind, reason, message)
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             _logger.info("event %s about %s %s not written: %s", reason, subject[2], subject[3], error)
 
     def _too_many(self, common: tuple[str, ...], message: str, now: float) -> bool:

@@ -15,13 +15,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-import aiohttp
-
-from understudy.kube.client import LEASES, ApiError, Client, Object
+from understudy.kube.client import FAILURES, LEASES, ApiError, Client, Object
 
 _logger = logging.getLogger(__name__)
-
-_FAILURES = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
 class LeadershipLost(Exception):
@@ -82,7 +78,7 @@ class Lease:
                 if self._record is not None and self._record[0] != holder:
                     holder = self._record[0]
                     _logger.info("lease %s/%s: waiting, it is held by %s", self._namespace, self._name, holder)
-            except _FAILURES as error:
+            except FAILURES as error:
                 _logger.warning("lease %s/%s: %s", self._namespace, self._name, error)
             await asyncio.sleep(self._timing.every)
 
@@ -99,7 +95,7 @@ class Lease:
                 async with asyncio.timeout(max(left, 0)):
                     if not await self._attempt():
                         raise LeadershipLost(f"lease {self._namespace}/{self._name} was taken over")
-            except _FAILURES as error:
+            except FAILURES as error:
                 _logger.warning("lease %s/%s could not be renewed: %s", self._namespace, self._name, error)
             if not self.held:
                 raise LeadershipLost(
@@ -111,7 +107,7 @@ class Lease:
         if not self.held:
             return
         self._renewed = None
-        with contextlib.suppress(*_FAILURES):
+        with contextlib.suppress(*FAILURES):
             lease = await self._client.get(LEASES, self._namespace, self._name)
             if lease["spec"].get("holderIdentity") == self._identity:
                 await self._write(lease, holder="", lasts=1, transitions=lease["spec"].get("leaseTransitions") or 0)

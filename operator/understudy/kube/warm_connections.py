@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import asyncio
 
-import aiohttp
-
-from understudy.kube.client import ApiError, Client
+from understudy.kube.client import FAILURES, Client
 
 EVERY = 60.0
 """Seconds between two uses. Load balancers before an API server often wait for minutes, and hardly any for less than
@@ -30,5 +28,5 @@ async def keep_warm(client: Client, count: int = COUNT, *, every: float = EVERY)
 async def _use(client: Client) -> None:
     try:
         await client.read("/version")
-    except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
+    except FAILURES:
         return  # a refusal also keeps the connection; callers that need the API server report its absence

@@ -12,9 +12,7 @@ import logging
 from collections.abc import Awaitable, Callable, Iterable
 from typing import Protocol
 
-import aiohttp
-
-from understudy.kube.client import ApiError, Client, Expired, Object, Resource
+from understudy.kube.client import FAILURES, Client, Expired, Object, Resource
 
 _logger = logging.getLogger(__name__)
 
@@ -61,7 +59,7 @@ class Reflector:
                     version = await self._follow(version)
             except Expired:
                 continue
-            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            except FAILURES as error:
                 level = logging.DEBUG if retry == RETRY_FIRST else logging.WARNING
                 _logger.log(level, "watching %s in %s: %s", self._resource.plural, self._namespace, error)
                 await asyncio.sleep(retry)

@@ -15,12 +15,21 @@ from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-import aiohttp
-
 from understudy.api.base import API_VERSION, VERSION
 from understudy.api.schema.definitions import definitions
 from understudy.controller.runtime.process import LEASE
-from understudy.kube.client import CRDS, DEPLOYMENTS, LEASES, PODS, WORKLOADS, Access, ApiError, Client, Object
+from understudy.kube.client import (
+    CRDS,
+    DEPLOYMENTS,
+    FAILURES,
+    LEASES,
+    PODS,
+    WORKLOADS,
+    Access,
+    ApiError,
+    Client,
+    Object,
+)
 from understudy.kube.kubeconfig import default_access
 
 WITHIN = 60.0
@@ -170,7 +179,7 @@ async def verify(access: Access, place: Place) -> dict[str, str | None]:
 async def _problem(look: Look, client: Client, place: Place) -> str | None:
     try:
         return await look(client, place)
-    except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+    except FAILURES as error:
         return str(error) or type(error).__name__
 
 

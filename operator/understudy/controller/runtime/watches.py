@@ -12,20 +12,18 @@ import contextlib
 import logging
 from collections.abc import Sequence
 
-import aiohttp
-
 from understudy.controller.runtime.kopf_handlers import See
 from understudy.controller.runtime.resync import TREES
 from understudy.kube.client import (
     CONFIG_MAPS,
     DEPLOYMENTS,
     DISRUPTION_BUDGETS,
+    FAILURES,
     NODES,
     PODS,
     REPLICA_SETS,
     SERVICES,
     STATEFUL_SETS,
-    ApiError,
     Client,
     Expired,
     Object,
@@ -79,7 +77,7 @@ async def _keep(client: Client, see: See, resource: Resource, labels: str | None
                         version = item["metadata"]["resourceVersion"]
         except Expired:  # the next list finds what was deleted meanwhile
             version = BEGINNING
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             level = logging.DEBUG if retry < RETRY_MOST else logging.WARNING
             _logger.log(level, "watching %s: %s", resource.plural, error or type(error).__name__)
             await asyncio.sleep(retry)

@@ -7,8 +7,6 @@ import logging
 import time
 from collections.abc import Sequence
 
-import aiohttp
-
 from understudy.api import names
 from understudy.controller.observed import kube_objects
 from understudy.controller.reconcile import change_index, operator_metrics
@@ -18,7 +16,7 @@ from understudy.controller.reconcile.object_store import ObservedChange, Store
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.runtime import resync
 from understudy.controller.runtime.work_queue import Queue
-from understudy.kube.client import PODS, POLICIES, POOLS, SECRETS, WORKLOADS, ApiError, Client, Object, Resource
+from understudy.kube.client import FAILURES, PODS, POLICIES, POOLS, SECRETS, WORKLOADS, Client, Object, Resource
 from understudy.kube.leader_election import LeadershipLost
 
 _logger = logging.getLogger(__name__)
@@ -39,8 +37,6 @@ The next change, such as the opening of the gate, waits only for SOON. For the p
 the workload, it changes nothing. If many workloads claim at once, immediate reconciliations would delay the next
 claims.
 """
-
-_UNREACHABLE = (ApiError, aiohttp.ClientError, TimeoutError, OSError)
 
 
 class Operator:
@@ -96,7 +92,7 @@ class Operator:
                 await self._list(report=self.synced)
                 retry = 1.0
                 await asyncio.sleep(self._resync_every)
-            except _UNREACHABLE as error:
+            except FAILURES as error:
                 _logger.warning("listing failed, retry in %.0f s: %s", retry, error)
                 await asyncio.sleep(retry)
                 retry = min(retry * 2, self._resync_every)
@@ -139,7 +135,7 @@ class Operator:
             try:
                 await self._list(report=False)
                 break
-            except _UNREACHABLE as error:
+            except FAILURES as error:
                 _logger.warning("listing failed: %s", error)
                 await asyncio.sleep(1)
         for resource in (POLICIES, POOLS, WORKLOADS):
@@ -176,7 +172,7 @@ class Operator:
             result = "stale"
             delay = self.queue.retry(key)
             _logger.info("%s %s/%s: %s; retry in %.1f s", *key, stale, delay)
-        except _UNREACHABLE as error:
+        except FAILURES as error:
             result = "unreachable"
             delay = self.queue.retry(key)
             _logger.warning("%s %s/%s: %s; retry in %.1f s", *key, error or type(error).__name__, delay)

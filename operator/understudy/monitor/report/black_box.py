@@ -16,13 +16,11 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import aiohttp
-
 from understudy.api.base import seconds
 from understudy.api.kinds.recording_spec import BlackBox as Settings
 from understudy.api.kinds.recording_spec import Recording, Recordings
 from understudy.failover.progress import Progress, rfc3339
-from understudy.kube.client import EVENTS, ApiError, Object
+from understudy.kube.client import EVENTS, FAILURES, Object
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
@@ -215,7 +213,7 @@ class BlackBox:
             for kind, name in about:
                 fields = f"involvedObject.kind={kind},involvedObject.name={name}"
                 found += (await view.client.list(EVENTS, view.namespace, fields=fields))["items"]
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             return found, f"not all could be read: {error}"
         return found, ""
 

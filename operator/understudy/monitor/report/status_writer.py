@@ -9,10 +9,8 @@ import logging
 import time
 from collections.abc import Sequence
 
-import aiohttp
-
 from understudy.api.base import API_VERSION
-from understudy.kube.client import WORKLOADS, ApiError, Client, Object
+from understudy.kube.client import FAILURES, WORKLOADS, ApiError, Client, Object
 from understudy.kube.events import Recorder
 from understudy.kube.undeclared_fields import apply_declared, lacking
 from understudy.kube.watched_collection import version_of
@@ -130,7 +128,7 @@ class StatusWriter:
             self._urgent.clear()
             try:
                 await self.flush()
-            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            except FAILURES as error:
                 if isinstance(error, ApiError) and error.not_found:
                     _logger.info("RobotWorkload %s is gone", self._view.workload)
                 else:

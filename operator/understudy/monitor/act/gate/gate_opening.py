@@ -5,11 +5,9 @@ from __future__ import annotations
 import asyncio
 import logging
 
-import aiohttp
-
 from understudy.failover.abandoned import ended
 from understudy.failover.interfaces import Gate, Instance, Instances, Superseded
-from understudy.kube.client import ApiError
+from understudy.kube.client import FAILURES
 from understudy.monitor.notices import Notices
 
 _logger = logging.getLogger(__name__)
@@ -34,7 +32,7 @@ class GateOpening:
             left = ended(left).model_copy(update={"failed": failed})
         try:
             await self._gate.commit(first, left)
-        except (Superseded, ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except (Superseded, *FAILURES) as error:
             _logger.warning("opening the gate for %s: %s", first.name, error)
             await asyncio.sleep(1)
             return False
@@ -52,5 +50,5 @@ class GateOpening:
         try:
             async with asyncio.timeout(ASK_AGAIN):
                 await self._fleet.replace([])
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             _logger.warning("no pod runs, and requesting one failed: %r", error)

@@ -17,14 +17,12 @@ from datetime import UTC, datetime
 from functools import partial
 from typing import Any, Literal
 
-import aiohttp
-
 from understudy.api import names
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import Progress
 from understudy.kube.agent_client import AgentGone, AgentRefused
-from understudy.kube.client import PODS, ApiError, Object
+from understudy.kube.client import FAILURES, PODS, Object
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
@@ -164,7 +162,7 @@ class Permits:
         async def refresh() -> None:
             try:
                 self._pods = (await self._cluster.view.client.list(PODS, self._cluster.view.namespace))["items"]
-            except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+            except FAILURES as error:
                 _logger.debug("who could answer an instance that is cut off: %r", error)
                 self._refresh_at = time.monotonic() + PERIOD
                 return

@@ -14,11 +14,9 @@ from collections.abc import Callable, Coroutine, Sequence
 from functools import partial
 from typing import Any
 
-import aiohttp
-
 from understudy.failover.interfaces import Instance
 from understudy.failover.reflex import longest_gap, measured
-from understudy.kube.client import ApiError
+from understudy.kube.client import FAILURES
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
 from understudy.monitor.judge.reflex_takeover import ReflexTakeover
@@ -204,7 +202,7 @@ class ReflexGuard:
             self._write_after = time.monotonic() + WRITE_AGAIN
 
     async def _retire(self, instance: Instance) -> None:
-        with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+        with contextlib.suppress(*FAILURES):
             await self._fleet.retire(instance)
 
     def _start(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:

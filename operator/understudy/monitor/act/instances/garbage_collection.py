@@ -12,11 +12,9 @@ import contextlib
 import logging
 from collections.abc import Sequence
 
-import aiohttp
-
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity
-from understudy.kube.client import ApiError
+from understudy.kube.client import FAILURES
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.notices import Notices
@@ -83,7 +81,7 @@ class GarbageCollection:
 
     async def _delete(self, due: Sequence[Instance]) -> None:
         for instance in due:
-            with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+            with contextlib.suppress(*FAILURES):
                 # The last seen state of the gate may be old.
                 if await self._gate.lets_through(instance):
                     continue

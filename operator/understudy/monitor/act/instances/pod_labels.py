@@ -6,10 +6,8 @@ import asyncio
 import contextlib
 from collections.abc import Sequence
 
-import aiohttp
-
 from understudy.failover.interfaces import Instance
-from understudy.kube.client import ApiError
+from understudy.kube.client import FAILURES
 from understudy.monitor.act.objects.pod_control import PodControl
 
 
@@ -28,5 +26,5 @@ class PodLabels:
     async def _label(self, instances: Sequence[Instance]) -> None:
         for instance in instances:
             if not instance.terminating:
-                with contextlib.suppress(ApiError, aiohttp.ClientError, TimeoutError, OSError):
+                with contextlib.suppress(*FAILURES):
                     await self._fleet.label(instance)

@@ -13,8 +13,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import aiohttp
-
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.agent_messages import GAVE_WAY
@@ -22,7 +20,7 @@ from understudy.api.protocol.kept_state import KeptState
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotVerified
-from understudy.kube.client import ApiError
+from understudy.kube.client import FAILURES
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
@@ -179,7 +177,7 @@ class StandbyLifecycle:
     async def _replace(self, instance: Instance, care: _InstanceState) -> None:
         try:
             await self.fleet.retire(instance)
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             _logger.warning("standby %s not deleted: %s", instance.name, error)
             care.replaced, care.lost_at = False, None
 

@@ -7,7 +7,6 @@ import logging
 import math
 import time
 
-import aiohttp
 from pydantic import ValidationError
 
 from understudy.api import names
@@ -15,7 +14,7 @@ from understudy.failover.abandoned import AbandonedRecovery, ended
 from understudy.failover.interfaces import GateState, Instance, Superseded
 from understudy.failover.progress import Progress, beside
 from understudy.kube import claims
-from understudy.kube.client import ApiError, Client
+from understudy.kube.client import FAILURES, NO_ANSWER, ApiError, Client
 from understudy.kube.gates.base import GateRecord, Proof
 from understudy.monitor.act.objects.pod_control import PodControl
 from understudy.monitor.crash_points import CrashPoints
@@ -124,7 +123,7 @@ class GateControl:
                 _logger.warning("committing the gate: %s", error)
                 if waking:
                     await asyncio.sleep(RETRY_FIRST)
-            except (aiohttp.ClientError, TimeoutError, OSError) as error:
+            except NO_ANSWER as error:
                 _logger.warning("committing the gate: the API server does not answer: %r", error)
                 away = time.monotonic()
                 await asyncio.sleep(retry)
@@ -182,7 +181,7 @@ class GateControl:
                 admitted=name,
                 admitted_uid=uid,
             )
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             _logger.warning("admitting %s at the gate: %r", name or "no standby", error)
             return False
         self._view.gates.put(gate)
@@ -215,7 +214,7 @@ class GateControl:
                 over=over,
                 recovery=ended(found).model_dump_json(),
             )
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             _logger.warning("marking recovery %s as abandoned at the gate: %r", found.id, error)
             return
         _logger.info("marked recovery %s as abandoned at the gate", found.id)
@@ -225,7 +224,7 @@ class GateControl:
         """Read the gate after a refused or unanswered commit, which may have been carried out; None if it cannot be read."""
         try:
             gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
-        except (ApiError, aiohttp.ClientError, TimeoutError, OSError):
+        except FAILURES:
             return None
         record = GateRecord.of(gate)
         ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery

@@ -11,11 +11,9 @@ import asyncio
 import logging
 import time
 
-import aiohttp
-
 from understudy.api import names
 from understudy.api.quantities import amount
-from understudy.kube.client import POD_METRICS, ApiError, Client, Object
+from understudy.kube.client import NO_ANSWER, POD_METRICS, ApiError, Client, Object
 from understudy.trees.core.observations import PodUsage
 
 _logger = logging.getLogger(__name__)
@@ -87,7 +85,7 @@ class ResourceMeter:
             self._take(found)
         except ApiError as error:
             problem = _ABSENT if error.not_found else f"CPU and memory of pods are unknown: {error.message:.300}."
-        except (aiohttp.ClientError, TimeoutError, OSError) as error:
+        except NO_ANSWER as error:
             problem = f"CPU and memory of pods are unknown: {error!r:.300}."
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             problem = (
