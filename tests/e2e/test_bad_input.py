@@ -240,7 +240,12 @@ def test_the_robot_is_driven_although_nothing_that_its_policy_waits_for_arrives(
         "spec.monitor.image",
     )
     told(
-        kubectl, "robotworkload", name, "/nobody_talks: nobody publishes it", "state.keep[0]", "Correct the topic there"
+        kubectl,
+        "robotworkload",
+        name,
+        "/nobody_talks: nobody publishes it",
+        "state.keep[0]",
+        "Correct the topic's name",
     )
 
     # An initialization that never ends: the standby that waits is left alone, and the one beside it tells.

@@ -26,7 +26,7 @@ def test_nobody_drives_a_robot_that_was_fenced_until_somebody_resumes(executing:
     fenced = time.time()
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"gate closed at epoch 2 (fenced: {active})." in done.stdout
-    assert "It is paused by ann: fenced: it is in the wrong aisle." in done.stdout
+    assert "The workload is paused by ann: fenced: it is in the wrong aisle." in done.stdout
     executing.replace_monitor()
     time.sleep(5)
     late = [c for c in executing.log().commands if c.received > fenced + ENFORCED_WITHIN]

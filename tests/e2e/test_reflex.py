@@ -249,7 +249,7 @@ def test_a_standby_continues_after_a_network_cut_and_a_missing_monitor_holds_no_
     assert set(process_states(pods[standby], PROCESS)) == set(before), "as the same processes"
     assert wait_armed(apart) == active
     told = [event for event in apart.kubectl.list("events", "") if event["reason"] == "InstanceCutOff"]
-    assert any(standby in event["message"] and "it goes on" in event["message"] for event in told), told
+    assert any(standby in event["message"] and "it runs again" in event["message"] for event in told), told
     apart.replace_monitor()
     for _ in range(20):
         for name, uid in pods.items():

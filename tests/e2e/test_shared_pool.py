@@ -142,5 +142,5 @@ def test_a_workload_that_waited_for_waitfor_is_restarted(kubectl: Kubectl) -> No
     robot.fail(old, "killed")
     recovery = robot.wait_recovered(1, within=150)
     assert recovery.strategy == "Restart"
-    assert "it got none in 3 s" in recovery.attempts[0]["message"]
+    assert "no pod became free within 3 s" in recovery.attempts[0]["message"]
     assert_handed_over(robot, recovery)

@@ -84,7 +84,7 @@ def test_a_robot_that_stands_while_all_is_well_inside_is_seen_and_drives_again(
     assert detected > told, f"it stopped, turned and left the picture, and none of that is a failure: {recovery}"
     assert (recovery.strategy, recovery.old) == (expected, old), robot.describe()
     assert re.fullmatch(
-        r"the robot does not move as /cmd_vel_nav says by /tracker/robot/odometry: (forward|turning) it was seen at [^;]*",
+        r"the robot does not move as /cmd_vel_nav commands, according to /tracker/robot/odometry: (forward|turning) [^;]*",
         recovery.reason,
     ), f"nothing else was found wrong: {recovery}"
 

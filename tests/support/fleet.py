@@ -248,7 +248,7 @@ def unprotected() -> Object:
 
 def unwatched() -> Object:
     name = "robot-20-navigation"
-    words = "the monitor (Deployment robot-20-navigation-monitor) is not ready. If it failed now, nobody would notice until it is."
+    words = "the monitor (Deployment robot-20-navigation-monitor) is not ready. Until the monitor is ready, a failure is not detected."
     return workload(
         name, status=status(name, "t3f6w", 1, said("Protected", "False", "MonitorNotReady", words, since=9))
     )

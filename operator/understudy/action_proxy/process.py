@@ -31,7 +31,10 @@ def main(argv: list[str]) -> int:
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     workload = os.environ.get("UNDERSTUDY_WORKLOAD")
     if argv or not workload:
-        print("understudy tasks: set UNDERSTUDY_WORKLOAD, and give no arguments", file=sys.stderr)
+        print(
+            "understudy tasks: set the environment variable UNDERSTUDY_WORKLOAD; there are no arguments",
+            file=sys.stderr,
+        )
         return 2
     state = Path(os.environ.get("UNDERSTUDY_STATE", STATE)) / "tasks"
     state.mkdir(parents=True, exist_ok=True)

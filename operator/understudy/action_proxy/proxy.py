@@ -153,7 +153,7 @@ class Proxy:
     def invited(self, uid: str) -> None:
         """Record that the instance's recovery tree requests the unfinished goals."""
         count = self._ledger.invite(uid)
-        _logger.info("a recovery tree asks for %d goals", count)
+        _logger.info("a recovery tree requested the unfinished goals: %d", count)
         self._conclude()
 
     def troubled(self, uid: str, action: str, problem: str) -> None:
@@ -189,7 +189,7 @@ class Proxy:
         try:
             self._journal.save(self._ledger, self._rules)
         except OSError as error:
-            _logger.error("the goals would be lost at a restart: %s", error)
+            _logger.error("could not store the goals, so they are lost if the action proxy restarts: %s", error)
         for answer in answers:
             if (served := self._served.get(answer.action)) is not None:
                 self._answer(served, answer)

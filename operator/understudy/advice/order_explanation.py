@@ -57,9 +57,9 @@ def describe_choice(order: Order, judged: RatedStrategy) -> str:
         return _why_first(order)
     cost = f"{judged.cost:.2g} of a working instance's CPU"
     if judged in order.costly:
-        return f"would use {cost}, but {_payer(order.requirements)} allows {NEGLIGIBLE:g}"
+        return f"would use {cost}, but {_payer(order.requirements)} allows at most {NEGLIGIBLE:g} of it"
     if judged in order.spared:
-        return f"would use {cost}, but strategies after the first may use at most {NEGLIGIBLE:g}"
+        return f"would use {cost}, but strategies after the first may use at most {NEGLIGIBLE:g} of it"
     return "if the strategies before it fail"
 
 
@@ -80,9 +80,10 @@ def unmet_requirements(order: Order) -> list[str]:
     first = order.first
     if not order.is_fast_enough:
         found.append(
-            f"{_sooner(order.requirements)} requires {_time(required_time(order.requirements))}, but "
-            f"{strategy_name(first.candidate)}, the fastest that may go first, needs "
-            f"{_time(first.seconds.value)} ({first.seconds.source}): {_remedy(order)}"
+            f"{_sooner(order.requirements)} requires a recovery within "
+            f"{_time(required_time(order.requirements))}, but the fastest strategy "
+            f"that may be the first, {strategy_name(first.candidate)}, takes {_time(first.seconds.value)} ({first.seconds.source}): "
+            f"{_remedy(order)}"
         )
     if not order.is_safe_enough:
         wanted = " or ".join(name for name in reversed(LEVELS) if safety_gap(order.requirements, name) == 0)
@@ -130,8 +131,8 @@ def _remedy(order: Order) -> str:
         return f"{strategy_name(sooner[0].candidate)} would be fast enough with a higher resourceUsage"
     way = order.first.candidate.way
     if way != "Restart" and LEVELS[way].runs_in_full:
-        return "check in its recoveries what takes this long, or lower the requirement"
-    return "add a FallbackPool with a higher readiness that serves the workload, or lower the requirement"
+        return "check in its recoveries what takes this long, or choose a lower requirement, which allows more time"
+    return "add a FallbackPool with a higher readiness that serves the workload, or choose a lower requirement, which allows more time"
 
 
 def _time(seconds: float) -> str:

@@ -73,7 +73,7 @@ def fewest_fallbacks(measure: str, offered: float, risk: float, *, most: int = M
     while function(offered, high) > risk:
         high *= 2
         if high > most:
-            raise ValueError(f"{most} fallbacks are not enough for {offered:g} in use on average")
+            raise ValueError(f"a pool of {most} is not enough: on average, {offered:g} of its pods are in use")
     return bisect_left(range(high), True, key=lambda count: function(offered, count) <= risk)
 
 

@@ -84,12 +84,14 @@ class Agent:
             try:
                 self._health.configure(await asyncio.to_thread(HealthPlan.of, self._memory.configuration))
             except ValueError as error:
-                _logger.error("the health tree of an earlier agent is ignored: %s", error)
+                _logger.error("the health tree that an earlier agent stored is invalid and is ignored: %s", error)
                 self._memory.configuration = None
         try:
             self._expect(self._memory.standby)
         except Refused as error:
-            _logger.error("what an earlier agent expected of a standby is ignored: %s", error)
+            _logger.error(
+                "the readiness check of a standby that an earlier agent stored is invalid and is ignored: %s", error
+            )
             self._memory.standby = None
         if self._memory.workload and self._identity.held:
             self._holds.start(self._memory.variables(self._identity.held))
@@ -225,7 +227,7 @@ class Agent:
         Raises Refused.
         """
         if not self._identity.held:
-            raise Refused(f"pod {self._identity.pod} is not held: its containers started with it")
+            raise Refused(f"the containers of pod {self._identity.pod} are not held: they started with the pod")
         if not self._memory.workload:
             self._memory = self._bound(body, peer)
             _logger.info("claimed by %s (%s)", peer.workload, peer.claim)
@@ -255,13 +257,13 @@ class Agent:
             try:
                 file = prepare.write(profiles, self._identity.directory, self._identity.pod)
             except OSError as error:
-                raise Refused(f"writing the profiles: {error}") from error
+                raise Refused(f"cannot write the profiles: {error}") from error
             ros = {**ros, MIDDLEWARE.settings_variable: str(file)}
         if names.STRENGTH_VARIABLE in profiles:
             try:
                 self.isolation.build(self._identity.held)
             except OSError as error:
-                raise Refused(f"cannot create the FIFOs: {error}") from error
+                raise Refused(f"cannot create the FIFOs that freeze the application: {error}") from error
         bound = dataclasses.replace(
             self._memory,
             workload=peer.workload,
@@ -310,7 +312,7 @@ class Agent:
 
     def _actions(self, state: KeptState) -> InstanceActions:
         if self.held:
-            raise Refused(f"pod {self._identity.pod} is held: nothing runs in it yet")
+            raise Refused(f"the containers of pod {self._identity.pod} are held: no workload has claimed it yet")
         return InstanceActions(self.caller, self._health, self._restorer.restore, self._goals.resend, state)
 
     def _expect(self, standby: object) -> None:
@@ -364,7 +366,11 @@ class Agent:
         try:
             self._memory.save(self._identity.directory)
         except OSError as error:
-            _logger.error("%s: the agent's memory would be lost at a restart: %s", self._identity.directory, error)
+            _logger.error(
+                "could not write the agent's state to %s, so it is lost if the agent restarts: %s",
+                self._identity.directory,
+                error,
+            )
 
     def _notify(self) -> None:
         self._version += 1

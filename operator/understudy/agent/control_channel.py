@@ -242,7 +242,7 @@ class ControlChannel:
             return "the agent's token is empty"
         right = wire.mac(token, nonce, peer.workload, peer.claim)
         if not hmac.compare_digest(right.encode(), proof.encode()):
-            return "wrong mac: the tokens differ"
+            return "authentication failed: the monitor and the agent have different tokens"
         return self._served.refuses(peer.workload, peer.claim)
 
     async def _follow(self, session: _Session) -> None:

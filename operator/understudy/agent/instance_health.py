@@ -362,7 +362,7 @@ def _join(node_name: str) -> tuple[Graph, TopicWatch, bytes]:
                     host = MIDDLEWARE.host_of(endpoint.gid)
                     return graph, TopicWatch(graph, host), host
             time.sleep(0.01)
-        raise TimeoutError(f"the node does not see its own publisher within {OWN_GID:g} s")
+        raise TimeoutError(f"the agent's ROS node did not discover its own publisher within {OWN_GID:g} s")
     except BaseException:
         graph.close()
         raise

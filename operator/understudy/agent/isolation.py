@@ -118,11 +118,11 @@ class Isolation:
         since = datetime.fromtimestamp(self.since, UTC).strftime("%H:%M:%S UTC")
         match self.permit.state:
             case "Isolated":
-                return f"frozen: isolated since {since}, nobody answers"
+                return f"frozen since {since}, because nobody answers the agent"
             case "Replaced":
-                return f"frozen: it was isolated at {since} and has been replaced"
+                return f"frozen since {since}, because nobody answered the agent; another instance has replaced it"
             case _:
-                return f"frozen: it was isolated at {since} and waits for the monitor's decision"
+                return f"frozen since {since}, because nobody answered the agent; it waits for the monitor's decision"
 
     @property
     def unfenced(self) -> str:
@@ -130,7 +130,7 @@ class Isolation:
         if self._unfenced:
             return f"container {', '.join(self._unfenced)} has no command in the template"
         if self.containers and self.permit.state == "Idle":
-            return "nobody has answered its agent yet"
+            return "neither the monitor nor another pod has answered the agent yet"
         return ""
 
     def build(self, containers: Sequence[str]) -> None:
@@ -227,7 +227,7 @@ class Isolation:
             try:
                 self._mark(self.permit.frozen)
             except OSError as error:
-                _logger.error("%s: the application cannot be frozen or continued: %s", self._marker, error)
+                _logger.error("%s: could not freeze the application or let it continue: %s", self._marker, error)
         if state != before:
             if before != "Idle":
                 _logger.warning("%s", self.reason or "the application continues")
@@ -243,7 +243,9 @@ class Isolation:
         for container in self.containers:
             if not wake_fifo(self._directory / freeze_script.fence_name(container)):
                 _logger.warning(
-                    "container %s is not there: it cannot be %s", container, "frozen" if frozen else "continued"
+                    "nothing in container %s reads its FIFO, so it was not %s",
+                    container,
+                    "frozen" if frozen else "continued",
                 )
 
     def _ask(self, now: float, *addresses: Address | None) -> None:

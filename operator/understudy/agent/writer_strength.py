@@ -75,7 +75,11 @@ class WriterStrengths:
         except FileNotFoundError:
             return False
         except OSError as error:
-            _logger.error("%s: a restarted process would be as strong as this one: %s", path, error)
+            _logger.error(
+                "%s: could not store the DDS ownership strength, so a restarted process would have the same strength as this one: %s",
+                path,
+                error,
+            )
         return self.range != before
 
     def give_way(self) -> None:

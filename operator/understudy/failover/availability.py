@@ -105,8 +105,8 @@ def fallback(name: str, there: Resources) -> Availability:
         return Availability(False, NO_POOL, text)
     if not pool.serves:
         text = (
-            f"FallbackPool {name} does not serve it: its workloadSelector does not match the labels of this RobotWorkload. "
-            "Put them on its metadata, or correct the selector"
+            f"FallbackPool {name} does not serve this RobotWorkload: the pool's workloadSelector does not match the workload's "
+            "labels. Add the selector's labels to metadata.labels of the RobotWorkload, or correct the selector"
         )
         return Availability(False, POOL_DOES_NOT_SERVE, text)
     if has_standbys(pool.readiness):
@@ -130,7 +130,9 @@ def _standby(name: str, pool: Pool, there: Resources) -> Availability:
         return Availability(False, POOL_NOT_ACCEPTED, text)
     if pool.pod_problem is not None:
         return Availability.missing(pool.pod_problem)
-    return Availability(False, STANDBY_NOT_READY, f"no standby of FallbackPool {name} is ready (see BroughtUp)")
+    return Availability(
+        False, STANDBY_NOT_READY, f"no standby of FallbackPool {name} is ready (see the condition BroughtUp)"
+    )
 
 
 def _shared(name: str, pool: Pool, there: Resources) -> Availability:
@@ -141,12 +143,13 @@ def _shared(name: str, pool: Pool, there: Resources) -> Availability:
         return Availability(True, message=pool.uses)
     if pool.ready > pool.reserved:
         others = ", ".join(pool.ahead[:NAMED])
-        text = f"FallbackPool {name} has {pool.ready - pool.reserved} ready, for which others wait: {others}"
+        free = pool.ready - pool.reserved
+        text = f"other workloads are first in the queue for the ready pods ({free}) of FallbackPool {name}: {others}"
         return Availability(False, PODS_AWAITED, text)
     if pool.ready:
         text = (
-            f"FallbackPool {name} keeps its last {pool.reserved} for workloads with a higher spec.poolPriority (spec.reserve), "
-            "and has no more ready"
+            f"FallbackPool {name} reserves its last ready pods ({pool.reserved}, by its spec.reserve) for workloads with a higher "
+            "spec.poolPriority, and no other pod is ready"
         )
         return Availability(False, PODS_RESERVED, text)
     if pool.wanted == 0:

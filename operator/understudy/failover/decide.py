@@ -220,8 +220,8 @@ LIMITS: tuple[LimitRow, ...] = (
         FAILURES | PLANNED | {Trigger.INITIAL_ACTIVATION},
         Defer,
         _PAUSED,
-        "nothing is done while the workload is {words}",
-        outlook="nothing would be done",
+        "the monitor does nothing while the workload is {words}",
+        outlook="the monitor would do nothing",
         protected=False,
     ),
     LimitRow(
@@ -229,7 +229,7 @@ LIMITS: tuple[LimitRow, ...] = (
         frozenset({Trigger.HELD_RECOVERY}),
         Hold,
         _PAUSED,
-        "nothing is done while the workload is {words}",
+        "the monitor does nothing while the workload is {words}",
     ),
     LimitRow(
         _UNMET, frozenset({Trigger.INITIAL_ACTIVATION}), Wait, "NoPodRunning", "no pod of the workload is running"
@@ -242,7 +242,7 @@ LIMITS: tuple[LimitRow, ...] = (
         Defer,
         _WAITING,
         "the next attempt is in {left} s",
-        outlook="nothing would be done for another {left} s",
+        outlook="the monitor would do nothing for another {left} s",
     ),
     LimitRow(Limit.WAIT_AFTER_RECOVERY, PLANNED, Defer, _WAITING, _AFTER),
     LimitRow(
@@ -250,7 +250,7 @@ LIMITS: tuple[LimitRow, ...] = (
         frozenset({Trigger.DEGRADED}),
         Defer,
         "BudgetSpent",
-        "limits.budget of the policy is spent (see the condition WithinBudget)",
+        "limits.budget of the policy allows no further recovery for now (see the condition WithinBudget)",
     ),
     LimitRow(
         Limit.STORM,
@@ -258,7 +258,7 @@ LIMITS: tuple[LimitRow, ...] = (
         Defer,
         "Storm",
         "limits.stormGuard defers it because other workloads fail too: {words}",
-        outlook="only a standby that is ready could take over",
+        outlook="the monitor would use only a standby that is ready already",
     ),
     LimitRow(_UNMET, frozenset({Trigger.DEGRADED}), Defer, "FirstStrategyUnavailable", "{words}"),
     LimitRow(
@@ -266,7 +266,8 @@ LIMITS: tuple[LimitRow, ...] = (
         FAILURES | {Trigger.DEGRADED},
         Defer,
         "CrashLooping",
-        "the instance of every strategy failed as soon as it was active; the first strategy is tried again in {left} s",
+        "every strategy was tried, and each new instance failed as soon as it was active; the monitor tries the first strategy "
+        "again in {left} s",
     ),
     LimitRow(
         Limit.BUDGET,
@@ -274,7 +275,7 @@ LIMITS: tuple[LimitRow, ...] = (
         Hold,
         "BudgetSpent",
         "limits.budget of the policy is spent: {words}",
-        outlook="the failed instance would be fenced, and nothing else would be done",
+        outlook="the monitor would fence the failed instance and not replace it",
         protected=False,
     ),
 )

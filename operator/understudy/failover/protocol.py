@@ -76,7 +76,7 @@ async def _attempt(
     except NotVerified as reason:
         return "NotVerified", str(reason)
     except TimeoutError:
-        return "NotVerified", f"not verified within {choice.verify_within:g} s: {_missing(progress)}"
+        return "NotVerified", f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
     progress.epoch = means.gate.state.epoch
     return "Verified", ""
 
@@ -132,7 +132,7 @@ async def _loss(progress: Progress, means: Means, *, crashing_counts: bool) -> s
             return f"pod {name} is being deleted"
         if found is not None and found.running:
             if crashing_counts and found.crashing and not means.agents.is_ready(found)[0]:
-                return f"a container of pod {name} ends again and again"
+                return f"a container of pod {name} is crash-looping"
             missing = None
             continue
         missing = missing if missing is not None else means.clock()
@@ -143,14 +143,14 @@ async def _loss(progress: Progress, means: Means, *, crashing_counts: bool) -> s
 def _missing(progress: Progress) -> str:
     for moment, message in (
         ("first_output", "outputs of another instance still arrived"),
-        ("routed", "no output of the understudy reached the gated readers"),
+        ("routed", "no output of the new instance arrived through the gate"),
         ("ready", "the gate could not be opened"),
-        ("started", "the understudy's outputs did not become healthy"),
-        ("claimed", "the understudy's processes did not come up"),
+        ("started", "the outputs of the new instance did not become healthy"),
+        ("claimed", "the processes of the new instance did not start"),
     ):
         if moment in progress.moments:
             return message
-    return "no instance was running" if progress.target is None else "the understudy's processes did not come up"
+    return "no instance was running" if progress.target is None else "the processes of the new instance did not start"
 
 
 async def _verify(target: Instance, progress: Progress, means: Means) -> None:
@@ -171,7 +171,11 @@ async def alone(target: Instance, progress: Progress, means: Means) -> None:
     fenced = progress.moments.get("fenced", since)
     last, pod = means.outputs.last_from_others(target)
     if last > fenced + IN_FLIGHT:
-        _logger.warning("outputs of %s still arrived %.0f ms after it was fenced", pod, (last - fenced) * 1000)
+        _logger.warning(
+            "outputs of %s still arrived %.0f ms after the gate was closed to it: waiting until they end",
+            pod,
+            (last - fenced) * 1000,
+        )
         progress.moments["fenced"] = last
         await retire(progress, means)
         while means.clock() - last < QUIET:
@@ -179,7 +183,7 @@ async def alone(target: Instance, progress: Progress, means: Means) -> None:
             last, pod = means.outputs.last_from_others(target)
             progress.moments["fenced"] = max(progress.moments["fenced"], last)
     if means.gate.state.active_uid != target.uid:
-        raise Superseded(f"the gate names {means.gate.state.active or 'no pod'}, not {target.name}")
+        raise Superseded(f"the gate admits {means.gate.state.active or 'no pod'}, not {target.name}")
     progress.moments["verified"] = means.clock()
 
 

@@ -88,8 +88,8 @@ def measured(arrivals: Sequence[float], now: float) -> bool:
 def begin(taken: ReflexSwitch, active: PodIdentity, deadline: float) -> Progress:
     """The recovery that the reflex has all but carried out."""
     progress = Progress.begin(
-        f"{active.name} was silent for more than the deadline of {deadline * 1000:.0f} ms and {taken.standby.name} took over "
-        f"by the reflex",
+        f"{active.name} sent nothing for more than {deadline * 1000:.0f} ms (spec.gate.reflex.deadline), so the robot's readers "
+        f"switched to {taken.standby.name}",
         last_healthy=taken.last,
         detected=taken.first,
         failed=[active],
@@ -133,7 +133,7 @@ class ReflexFallback(Strategy):
         if _standing(progress, means) is None:
             return Availability(False, INSTANCE_GONE, f"{progress.taken_over.name}, which took over, is gone")
         if means.gate.state.active_uid != progress.taken_over.uid:
-            words = f"the gate names {means.gate.state.active or 'no pod'} and not {progress.taken_over.name}"
+            words = f"the gate admits {means.gate.state.active or 'no pod'}, not {progress.taken_over.name}"
             return Availability(False, INSTANCE_GONE, words)
         return Availability(True)
 

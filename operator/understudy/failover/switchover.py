@@ -79,7 +79,7 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
         except NotVerified as error:
             reason = str(error)
         except TimeoutError:
-            reason = f"its understudy could not drive within {choice.verify_within:g} s"
+            reason = f"no new instance was ready within {choice.verify_within:g} s"
         pod = progress.target.name if progress.target else ""
         attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=reason))
         _logger.info("%s prepares nothing: %s", choice.strategy.name, reason)
@@ -168,10 +168,10 @@ async def _give_back(target: Instance | None, progress: Progress, means: Means) 
     uid = progress.former.uid if progress.former is not None else ""
     former = next((i for i in means.instances.of_workload() if i.uid == uid), None)
     pod = progress.target.name if progress.target is not None else ""
-    words = "is gone" if target is None else f"was not seen to drive within {SEEN_WITHIN:g} s"
+    words = f"{pod} is gone" if target is None else f"no output of {pod} arrived within {SEEN_WITHIN:g} s"
     strategy, progress.strategy, progress.result = progress.strategy, "", "Failed"
     gone = former is None or not former.usable
-    message = f"{pod} {words}{', and the former instance is gone' if gone else ''}"
+    message = f"{words}{', and the former instance is gone' if gone else ''}"
     progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="NotVerified", message=message))
     if former is None or gone:  # whoever watches sees a failure of the next one
         means.save(progress)
@@ -188,4 +188,6 @@ def _still_ours(progress: Progress, means: Means) -> None:
     """Raise Superseded where somebody else has committed to the gate since."""
     if not committed(progress, means):
         state = means.gate.state
-        raise Superseded(f"the gate names {state.active or 'no pod'} at epoch {state.epoch}, by another writer")
+        raise Superseded(
+            f"another process changed the gate, which now admits {state.active or 'no pod'} (epoch {state.epoch})"
+        )

@@ -192,7 +192,7 @@ class Discrepancy:
         unit = "rad/s" if self.component == "turning" else "m/s"
         low, high = f"{self.low:.2f}", f"{self.high:.2f}"
         commanded = low if low == high else f"{low} to {high}"
-        return f"{self.component} it was seen at {self.seen:.2f} {unit}, commanded at {commanded} {unit}"
+        return f"{self.component} {self.seen:.2f} {unit} observed, {commanded} {unit} commanded"
 
 
 class CommandFollowing:

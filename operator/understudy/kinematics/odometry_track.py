@@ -184,7 +184,7 @@ class Track:
             *values, length = _PACKED.unpack_from(data)
             frame, child = data[_PACKED.size : _PACKED.size + length].decode().split(_FRAMES)
         except (struct.error, ValueError) as error:
-            raise ValueError(f"{len(data)} bytes are no track: {error}") from error
+            raise ValueError(f"{len(data)} bytes are not an odometry track: {error}") from error
         pose = Pose.of(values[:7])
         stamp, received, writer, driven, turned, blind = values[7:13]
         track._points.append((Point(pose, stamp, received, frame, child, writer), Moment(pose, driven, turned, blind)))

@@ -40,7 +40,7 @@ def stamp_of(data: bytes) -> int:
     try:
         seconds, rest = struct.unpack_from(f"{order}iI", data, _HEADER)
     except struct.error as error:
-        raise ValueError(f"{len(data)} bytes are no message with a header") from error
+        raise ValueError(f"{len(data)} bytes are not a message with a header") from error
     return int(seconds) * 1_000_000_000 + int(rest)
 
 
@@ -58,7 +58,7 @@ def read(type_name: str, data: bytes) -> Reading:
         place += (_HEADER - place) % 8
         values = struct.unpack_from(f"{order}7d", data, place)
     except (struct.error, UnicodeDecodeError) as error:
-        raise ValueError(f"its {len(data)} bytes are no {type_name}: {error}") from error
+        raise ValueError(f"its {len(data)} bytes are not a {type_name}: {error}") from error
     return Reading(stamp_of(data), frame, child, Pose.of(values))
 
 

@@ -37,10 +37,12 @@ class Pose(NamedTuple):
     def of(cls, values: Sequence[float]) -> Pose:
         """From place and quaternion, which is made a unit one. Raises ValueError if they are no pose."""
         if len(values) != 7 or not all(map(math.isfinite, values)):
-            raise ValueError(f"{list(values)} is no pose: seven finite numbers are, a place and a quaternion")
+            raise ValueError(
+                f"{list(values)} is not a pose: a pose has seven finite numbers (position x, y, z and quaternion x, y, z, w)"
+            )
         length = math.hypot(*values[3:])
         if abs(length - 1.0) > _UNIT:
-            raise ValueError(f"the quaternion {list(values[3:])} is no rotation: its length is {length:.3g} and not 1")
+            raise ValueError(f"the quaternion {list(values[3:])} is not a rotation: its length is {length:.3g}, not 1")
         return cls(*values[:3], *(value / length for value in values[3:]))
 
     @property

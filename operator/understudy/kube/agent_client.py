@@ -253,7 +253,9 @@ class AgentLink:
         """Prove the token and return the first message after that, which is a status or a refusal."""
         greeting = wire.decode(await _line(reader))
         if greeting.get("version") != wire.PROTOCOL or not isinstance(greeting.get("nonce"), str):
-            raise ProtocolError(f"expected a greeting of version {wire.PROTOCOL}, got {greeting!r:.200}")
+            raise ProtocolError(
+                f"the agent does not greet with protocol version {wire.PROTOCOL}, which this monitor needs: {greeting!r:.200}"
+            )
         proof = wire.mac(self.token, greeting["nonce"], self.workload, self.claim)
         writer.write(wire.encode({"workload": self.workload, "claim": self.claim, "mac": proof}))
         first = wire.decode(await _line(reader))

@@ -15,7 +15,7 @@ def series(registry: CollectorRegistry) -> tuple[Counter, Gauge]:
     )
     heard = Gauge(
         "understudy_watch_last_event_timestamp_seconds",
-        "When watches of a resource last brought something, a bookmark at least, of which there is one a minute (Unix time).",
+        "When watches of a resource last received an event (Unix time in seconds). The API server sends a bookmark about once a minute.",
         ["resource"],
         registry=registry,
     )

@@ -29,5 +29,5 @@ class CrashPoints:
             self._file.write_text(str(left - 1))
             return
         self._file.unlink()
-        _logger.critical("killed at step %r, as asked by %s", name, self._file)
+        _logger.critical("the test file %s makes this process kill itself at step %r", self._file, name)
         os._exit(137)  # as SIGKILL would end it, which the first process of a container does not get from itself

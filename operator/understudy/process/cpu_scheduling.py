@@ -46,5 +46,8 @@ def ask_for_short_slices() -> bool:
 def _refused() -> bool:
     # For example, a seccomp profile forbids sched_setattr. Everything works, only later on a node without a free
     # processor.
-    _logger.info("no short time slices here: errno %d", ctypes.get_errno())
+    _logger.info(
+        "the kernel refuses short scheduler time slices (errno %d): on a busy node, this process may react later",
+        ctypes.get_errno(),
+    )
     return False

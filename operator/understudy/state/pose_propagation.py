@@ -27,7 +27,8 @@ PATIENCE = 1.0
 
 _SECOND = 1e-9
 _MOMENT = struct.Struct("<q10d")
-_NOTHING = "nothing has come on it"
+_NOTHING = "no message has arrived on that topic"
+_UNREADABLE = "its message cannot be read"
 
 
 @dataclass
@@ -99,7 +100,7 @@ class Carrier:
         try:
             said = read(type_name, data)
         except ValueError as error:
-            odometry.problem = f"it cannot be read: {error}"
+            odometry.problem = f"{_UNREADABLE}: {error}"
             return
         odometry.problem = ""
         point = Point(said.pose, said.stamp, round(received_at / _SECOND), said.frame, said.child, writer)
@@ -122,7 +123,7 @@ class Carrier:
         for topic, odometry in self._odometry.items():
             if topic in problems:
                 odometry.problem = problems[topic]
-            elif odometry.track.last is not None and not odometry.problem.startswith("it cannot be read"):
+            elif odometry.track.last is not None and not odometry.problem.startswith(_UNREADABLE):
                 odometry.problem = ""
 
     def settle(self, now: float) -> None:
@@ -178,12 +179,12 @@ class Carrier:
             missing = odometry.problem or _NOTHING
         elif moment is None:
             missing = (
-                f"odometry began again since: {odometry.begun}"
+                f"the odometry started again after the pose: {odometry.begun}"
                 if odometry.begun
-                else "it is not known at the time of the pose"
+                else "no odometry is known for the time of the pose"
             )
         if missing or last is None or present is None or moment is None:
-            return Motion(by.topic, by.type, by.required, f"it cannot be propagated by {by.topic}: {missing}")
+            return Motion(by.topic, by.type, by.required, f"the pose cannot be propagated by {by.topic}: {missing}")
         unseen = now - last.received * _SECOND
         return Motion(
             topic=by.topic,

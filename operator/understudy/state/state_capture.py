@@ -341,13 +341,14 @@ class Keeper:
     def _why_none(self, key: Key, item: _Item) -> str:
         if item.versions:
             return (
-                f"all that is kept of it is from within the margin ({self._state.margin}) before the failure, or later"
+                f"everything that was captured is from after the failure, or from the time before it that state.margin excludes "
+                f"({self._state.margin})"
             )
         if key in self._notes:
             return self._notes[key][1].removeprefix(f"{key.label}: ")
         if key.kind == "Topic":
-            return "no message came from the instance in control, or from the robot, while it was healthy"
-        return "the instance in control has not answered while it was healthy"
+            return "no message came from the active instance or from the robot while the instance was healthy"
+        return "the active instance did not answer while it was healthy"
 
     def _why_old(self, key: Key, age: float) -> str:
         most = self._topics[key.name].max_age

@@ -124,8 +124,8 @@ def _opened(device: Device, size: tuple[int, int]) -> Iterator[tuple[cv2.VideoCa
     try:
         if not capture.isOpened():
             raise Unusable(
-                f"camera.device.path: {device.path} gives no images: another program has it, or it is no camera (V4L2 video "
-                f"capture), as all but one of the devices that a camera may have{_cameras()}"
+                f"camera.device.path: {device.path} delivers no images: another program uses it, or it is not the video capture device "
+                f"(V4L2) of a camera, which may have several devices{_cameras()}"
                 if camera
                 else f"camera.device.path: {device.path} is neither a camera nor a video that OpenCV can read"
             )
@@ -162,7 +162,7 @@ def refused(path: str, error: OSError) -> str:
     said = f"camera.device.path: {path} cannot be opened: {error.strerror}"
     match error.errno:
         case errno.ENOENT | errno.ENXIO | errno.ENODEV:
-            return f"{said}: is the camera connected, and in a container, its device there?{_cameras()}"
+            return f"{said}. Check that the camera is connected, and that a container has its device{_cameras()}"
         case errno.EACCES:
             return f"{said}: user {os.getuid()} may not; add the group that the device belongs to (in a pod, supplementalGroups)"
         case errno.EPERM:

@@ -172,11 +172,13 @@ class Camera(_Part):
     @model_validator(mode="after")
     def _one_of(self) -> Camera:
         if (self.image is None) == (self.device is None):
-            raise ValueError("give either image, the topic of its images, or device, a camera of this machine")
+            raise ValueError("set either 'image' (the topic of the images) or 'device' (a camera of this machine)")
         if self.device is not None and (self.info is not None or self.reliable):
-            raise ValueError("info and reliable are for images on a topic; a device has its calibration in a file")
+            raise ValueError("'info' and 'reliable' are for images on a topic; a device has its calibration in a file")
         if (self.pose is None) == (not self.references):
-            raise ValueError("give either pose, where the camera is, or references, markers on the floor that tell it")
+            raise ValueError(
+                "set either 'pose' (where the camera is) or 'references' (markers on the floor from which that is calculated)"
+            )
         return self
 
 

@@ -119,15 +119,16 @@ def place(corners: Corners, marker: Marker, calibration: Calibration, view: View
     down = marker.height - view.place[2]
     if not (directions[:, 2] * down > 0).all():
         raise Misfit(
-            f"the marker {marker.name} is seen in a direction without floor: camera.pose or its height of {marker.height:g} m is wrong"
+            f"the line of sight to marker {marker.name} does not meet its plane: camera.pose or the marker's height of "
+            f"{marker.height:g} m is wrong"
         )
     points = (view.place + directions * (down / directions[:, 2:]))[:, :2].reshape(9, 4, 2)
     poses = np.array([_pose(square_, marker) for square_ in points])
     edges = np.linalg.norm(points[0] - np.roll(points[0], -1, axis=0), axis=1)
     if abs(edges.mean() / marker.size - 1) > MISFIT or edges.max() > edges.min() * (1 + 2 * MISFIT):
         raise Misfit(
-            f"the marker {marker.name} looks {edges.mean():.3f} m large and not {marker.size:g} m: "
-            "its size or its height is wrong, or it is another one"
+            f"the marker {marker.name} appears to be {edges.mean():.3f} m wide, not {marker.size:g} m: its size or its height is wrong, or "
+            "another marker has its id"
         )
     if _cross(points[0][1] - points[0][0], points[0][3] - points[0][0]) > 0:
         raise Misfit(f"the marker {marker.name} is seen from behind")

@@ -38,11 +38,11 @@ def gray(message: Any) -> Gray:
     if not 0 < width * height <= MOST_PIXELS:
         raise Unusable(f"it has {width} x {height} pixels")
     if step < width * depth:
-        raise Unusable(f"its step of {step} bytes is less than a row of {width} pixels has in {message.encoding}")
+        raise Unusable(f"its step of {step} bytes is too small for {width} pixels in {message.encoding}")
     data: NDArray[np.uint8] = np.frombuffer(message.data, np.uint8)
     # The last row may lack its padding.
     if data.size < step * (height - 1) + width * depth:
-        raise Unusable(f"it has {data.size} bytes of the {step * height} that its size says")
+        raise Unusable(f"it has {data.size} bytes, but its size requires {step * height}")
     shape, strides = (height, width, depth), (step, depth, 1)
     pixels = np.lib.stride_tricks.as_strided(data, shape, strides, writeable=False)
     if conversion is None:
@@ -92,5 +92,5 @@ def calibration(message: Any) -> Calibration:
         raise Unusable(f"its distortion_model is {model!r}; {', '.join(filter(None, MODELS))} can be used")
     if distortion.size not in MODELS[model] or not np.isfinite(distortion).all():
         counts = " or ".join(str(count) for count in MODELS[model])
-        raise Unusable(f"its d has {distortion.size} finite numbers; {model or 'no model'} has {counts}")
+        raise Unusable(f"its d has {distortion.size} numbers; {model or 'no model'} needs {counts}, all of them finite")
     return Calibration(matrix, distortion, model in ("equidistant", "fisheye"), int(message.width), int(message.height))

@@ -123,12 +123,10 @@ class Tracker:
         _logger.info("calibration of %d x %d pixels from %s", message.width, message.height, self._camera.calibration)
 
     def _no_images(self) -> str:
-        text = f"calibrations come on {self._camera.calibration}, and no image on {self._camera.source}: "
+        text = f"calibrations arrive on {self._camera.calibration}, but no image on {self._camera.source}: "
         if self._camera.reliable:
-            return (
-                f"{text}nobody publishes there, or what is published cannot be asked for: set camera.reliable to false"
-            )
-        return f"{text}nobody publishes there, or images are lost on the way, as large ones may be: set camera.reliable to true"
+            return f"{text}nobody publishes there, or only with reliability best effort, for which camera.reliable must be false"
+        return f"{text}nobody publishes there, or large images are lost on the way, for which camera.reliable can be set to true"
 
     def on_image(self, message: Any) -> None:
         """Find the markers in an image (sensor_msgs/msg/Image), and publish the poses of the robots."""

@@ -71,5 +71,5 @@ def test_a_risk_is_a_chance_between_none_and_certainty(risk):
 
 
 def test_a_size_beyond_the_limit_is_reported():
-    with pytest.raises(ValueError, match="1000000 fallbacks are not enough"):
+    with pytest.raises(ValueError, match="a pool of 1000000 is not enough"):
         fewest_fallbacks("loss", 3e6, 0.01)

@@ -173,7 +173,7 @@ async def test_the_application_is_held_while_nobody_answers_and_continues_with_t
     monkeypatch.setattr(names, "PROBE_PORT", port)
     peer = Peer("w", "", host)
     await isolation.renew({"witnesses": []}, peer)
-    assert "nobody has answered" in isolation.unfenced
+    assert "has answered the agent yet" in isolation.unfenced
     task = running(isolation)
     await application.goes_on()
     assert isolation.since is None, "nobody has ever answered: silence says nothing"
@@ -190,7 +190,7 @@ async def test_the_application_is_held_while_nobody_answers_and_continues_with_t
         await isolation.renew({"witnesses": []}, peer)
         await eventually(lambda: isolation.since is not None, 25)
         await application.is_held()
-        assert "isolated since" in isolation.reason
+        assert "frozen since" in isolation.reason
         assert not session.aborted
         again = Isolation(application.folder, ["drive"])
         assert again.since is not None, "an agent that is restarted meanwhile knows"
@@ -201,7 +201,7 @@ async def test_the_application_is_held_while_nobody_answers_and_continues_with_t
         assert session.aborted == 1, "for a fresh session"
         await application.is_held()
         await isolation.renew({"witnesses": [], "word": "Stay"}, peer)
-        assert "has been replaced" in isolation.reason
+        assert "another instance has replaced it" in isolation.reason
         await application.is_held()
         await isolation.renew({"witnesses": [], "word": "Go"}, peer)
         assert (isolation.reason, isolation.since) == ("", None)
@@ -276,7 +276,7 @@ async def test_a_claimed_pod_of_a_robot_with_ownership_strength_can_be_held(pod:
     await eventually(lambda: (pod.folder / "output").exists(), 25)
     assert (pod.volume / script.fence_name("app")).is_fifo()
     status = await link.wait_for(lambda s: s.phase != "Held", 25)
-    assert status.unfenced == "nobody has answered its agent yet"
+    assert status.unfenced == "neither the monitor nor another pod has answered the agent yet"
     assert isolation.built(pod.volume, ["app", "lamp"]) == ("app",), "and an agent that is restarted knows"
 
 
@@ -288,7 +288,7 @@ async def test_an_agent_reports_that_its_application_is_held(pod: Pod, links) ->
     links.append(link := pod.link())
     status = await link.wait_for(lambda s: s.cut_off is not None, 25)
     assert not status.ready
-    assert "frozen: " in status.reason
+    assert "frozen since" in status.reason
     await link.request("lease", {"witnesses": [], "word": "Go"})
     status = await link.wait_for(lambda s: s.cut_off is None, 25)
     assert not (pod.volume / script.HELD_NAME).exists()

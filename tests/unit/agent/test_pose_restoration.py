@@ -171,7 +171,7 @@ async def test_a_pose_is_restored_as_kept_if_odometry_is_silent(
 async def test_a_pose_is_restored_as_kept_if_the_monitor_requests_it(
     localizer: Callable[[], None], caller: InstanceCaller, wheels: Wheels
 ) -> None:
-    missing = Motion("/odom", ODOMETRY, missing="it cannot be propagated by /odom: nobody publishes it")
+    missing = Motion("/odom", ODOMETRY, missing="the pose cannot be propagated by /odom: nobody publishes it")
     report, got = await given(caller, localizer, kept(missing))
     assert_golden("agent", report.restored[0].note, "/odom", "nobody publishes")
     assert got.pose.pose.position.y == 5.0
@@ -222,7 +222,7 @@ def test_a_pose_of_another_body_is_not_propagated() -> None:
     message = Odometry(child_frame_id="arm")
     message.pose.pose.orientation.w = 1.0
     sample = KeptSample("/global", ODOMETRY, 1.0, serialize_message(message), to="/global")
-    with pytest.raises(ValueError, match="it is of base_link, and /global of arm"):
+    with pytest.raises(ValueError, match="that odometry is of frame base_link, but /global is of frame arm"):
         composed(sample, planar(1.0), now(), driven=1.0, turned=0.0)
     composed(sample, planar(1.0), now(""), driven=1.0, turned=0.0)
 
@@ -238,5 +238,5 @@ def test_a_kept_message_without_an_orientation_is_not_a_pose() -> None:
     message = PoseStamped()
     message.pose.orientation.w = 0.0
     sample = KeptSample("/pose", "geometry_msgs/msg/PoseStamped", 1.0, serialize_message(message), to="/pose")
-    with pytest.raises(ValueError, match="is no rotation"):
+    with pytest.raises(ValueError, match="is not a rotation"):
         composed(sample, planar(1.0), now(), driven=1.0, turned=0.0)

@@ -179,7 +179,7 @@ async def test_a_held_pod_refuses_procedures(pod: Pod, links):
     pod.start_agent()
     links.append(link := pod.link())
     await link.wait_connected(WITHIN)
-    with pytest.raises(AgentRefused, match="pod pool-abcde is held: nothing runs in it yet"):
+    with pytest.raises(AgentRefused, match="the containers of pod pool-abcde are held: no workload has claimed it yet"):
         await link.procedure(ACTIVATE, 3.0, name="bringUp")
 
 

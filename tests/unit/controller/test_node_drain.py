@@ -135,7 +135,7 @@ def test_evictions_do_not_wait_for_ever() -> None:
     found = condition(made)
     assert found is not None
     assert (found["status"], found["reason"]) == ("False", "HoldEnded")
-    assert "no understudy on another node took over within 5m" in found["message"]
+    assert "no instance on another node took over within 5m" in found["message"]
     assert told(made) is not None, "the monitor goes on trying until the pod goes"
 
 

@@ -197,7 +197,7 @@ class TestWhatIsSaid:
 
     def test_a_fleet_that_has_not_failed_yet(self) -> None:
         found = condition(observed(sized(), robot("w", age=HOUR)), "Sized")
-        assert_golden("operator", found["message"], "1 robot ", "1 robot hour", "0.5 per")
+        assert_golden("operator", found["message"], "1 robot ", "1 robot hour", "0.5 requests per")
 
     def test_a_maximum_that_is_not_enough_with_the_way_out(self) -> None:
         fleet = [robot(f"w{n}", age=0) for n in range(300)]

@@ -74,12 +74,12 @@ def test_after_a_failover_the_replacement_is_the_standby() -> None:
 @pytest.mark.parametrize(
     ("type_", "status", "reason", "outlook"),
     [
-        ("Paused", "True", "Paused", "If it failed now, nothing would be done."),
+        ("Paused", "True", "Paused", "If it failed now, the monitor would do nothing."),
         (
             "WithinBudget",
             "False",
             "BudgetSpent",
-            "If it failed now, the failed instance would be fenced, and nothing else would be done.",
+            "If it failed now, the monitor would fence the failed instance and not replace it.",
         ),
     ],
 )
@@ -104,7 +104,7 @@ def test_nobody_would_notice_without_a_monitor() -> None:
     found.monitors = [pod("w-monitor-1", ready=False)]
     protected = found.condition("Protected")
     assert (protected["status"], protected["reason"]) == ("False", "MonitorNotReady")
-    assert "nobody would notice" in protected["message"]
+    assert "a failure is not detected" in protected["message"]
 
 
 def test_a_monitor_whose_image_is_missing_is_named() -> None:
@@ -192,7 +192,12 @@ def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: in
     if not priority:
         assert protected["reason"] == "PodsReserved"
         assert_golden(
-            "operator", protected["message"], "FallbackPool spare", "last 1", "spec.poolPriority", "spec.reserve"
+            "operator",
+            protected["message"],
+            "FallbackPool spare",
+            "last ready pods (1",
+            "spec.poolPriority",
+            "spec.reserve",
         )
 
 

@@ -37,7 +37,7 @@ def test_one_topic_is_safe() -> None:
 
 def test_several_topics_must_be_accepted_by_name() -> None:
     words = problem(spec([CMD_VEL, LAMP]))
-    assert "each topic (/cmd_vel, /lamp) switches by itself" in words
+    assert "each of the topics (/cmd_vel, /lamp) switches independently" in words
     assert "(missing: /cmd_vel, /lamp)" in words
     assert "(missing: /lamp)" in problem(spec([CMD_VEL, LAMP], accept=["/cmd_vel"]))
     assert problem(spec([CMD_VEL, LAMP], accept=["/lamp", "/cmd_vel"])) == ""

@@ -78,7 +78,7 @@ async def test_a_crash_looping_understudy_is_given_up_early() -> None:
     strategies = [Choice(UninitializedFallback("spare"), LONG), Choice(Restart(), VERIFY_WITHIN)]
     done = await recover(failure(world), strategies, world.means())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
-    assert done.attempts[0].message == "a container of pod w-2 ends again and again"
+    assert done.attempts[0].message == "a container of pod w-2 is crash-looping"
     assert world.clock() - begun < LONG / 3
 
 

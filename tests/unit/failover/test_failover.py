@@ -89,7 +89,7 @@ async def test_a_standby_that_does_not_verify_is_followed_by_the_next_strategy_a
     done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert done.attempts[0].result == "NotVerified"
-    assert_golden("failover", done.attempts[0].message, "gated readers")
+    assert_golden("failover", done.attempts[0].message, "through the gate")
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 

@@ -120,7 +120,7 @@ async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is
     assert found.passing
     assert "Fallback/Executing: w-2: no /cmd_vel for 500 ms" in found.reason
     assert_golden("failover", found.reason, "Fallback/Uninitialized", "FallbackPool spare")
-    assert "Restart: its own controller runs one pod" in found.reason
+    assert "Restart: the workload's own controller runs one pod" in found.reason
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
 
 
@@ -135,7 +135,7 @@ async def test_an_understudy_that_does_not_get_ready_in_its_time_is_deleted_and_
     assert found.target is not None
     assert found.target.name == "w-3"
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], ["w-2"])
-    assert "could not drive within 0.3 s" in found.attempts[0].message
+    assert "was ready within 0.3 s" in found.attempts[0].message
 
 
 async def test_a_procedure_that_fails_is_told_and_nothing_is_changed() -> None:
@@ -170,7 +170,7 @@ async def test_where_the_robot_is_not_seen_to_be_driven_the_gate_is_given_back(m
     assert store.deleted == ["w-2"], "the former one drives on; that one is of no use"
     recovery = done.to_recovery(1)
     assert (recovery.result, recovery.from_pod, recovery.strategy) == ("Failed", "w-1", "")
-    assert recovery.attempts[-1].message == "w-2 was not seen to drive within 0.1 s"
+    assert recovery.attempts[-1].message == "no output of w-2 arrived within 0.1 s"
     assert [pod.name for pod in done.replaced] == ["w-2"], "the former one isn't one that was replaced"
 
 

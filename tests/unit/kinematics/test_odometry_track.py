@@ -175,7 +175,7 @@ def test_an_empty_track_stays_empty_after_a_restart() -> None:
 
 @pytest.mark.parametrize("data", [b"x", b"\xff" * 200, b"\0" * 150])
 def test_damaged_data_is_refused(data: bytes) -> None:
-    with pytest.raises(ValueError, match="bytes are no track"):
+    with pytest.raises(ValueError, match="bytes are not an odometry track"):
         Track.unpack(data)
 
 

@@ -134,7 +134,7 @@ def test_many_steps_stay_a_rotation() -> None:
     ],
 )
 def test_an_invalid_pose_is_refused(values: list[float]) -> None:
-    with pytest.raises(ValueError, match=r"is no (pose|rotation)"):
+    with pytest.raises(ValueError, match=r"is not a (pose|rotation)"):
         Pose.of(values)
 
 

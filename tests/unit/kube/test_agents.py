@@ -238,7 +238,7 @@ async def test_an_answer_without_a_request_is_ignored(agent, link):
 
 async def test_another_protocol_version_is_reported(agent, link):
     agent.greeting = {"nonce": "n", "version": 9}
-    with pytest.raises(AgentGone, match="expected a greeting of version 1"):
+    with pytest.raises(AgentGone, match="the agent does not greet with protocol version 1"):
         await link.wait_connected(0.5)
 
 

@@ -70,7 +70,7 @@ def test_a_robot_that_stands_while_it_is_commanded_is_found_and_one_that_is_not_
         (leaf,) = judged.tree.root.iterate()
         return str(leaf.reason("Healthy"))
 
-    eventually(lambda: judged.now().state == "Healthy" and reason() == "the robot moves as /cmd_vel says")
+    eventually(lambda: judged.now().state == "Healthy" and reason() == "the robot moves as /cmd_vel commands")
     driving.seen = 0.0
     eventually(lambda: judged.now().state == "Failed")
     assert_golden("ros", judged.now().reason, "/cmd_vel", "/seen", "0.00 m/s", "0.30 m/s")

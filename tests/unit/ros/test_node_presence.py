@@ -51,7 +51,7 @@ def test_a_node_that_is_gone_fails_whoever_else_comes_and_goes(watching, join, e
     eventually(gone)
     assert states == {"Healthy"}
     controller.close()
-    assert judged.until_failed().reason == "node /controller has not been there for 300 ms"
+    assert judged.until_failed().reason == "node /controller has been missing for 300 ms"
     join("controller")
     eventually(lambda: judged.now().state == "Healthy")
 

@@ -43,6 +43,8 @@ def test_readers_of_the_robot_are_told_by_where_they_listen(processes, monkeypat
         monitor = processes.node(json.dumps(given), inside=lan.host(MONITOR), script="reading.py", **profile)
         told("NobodyReads")
         processes.node("obey", "/chat", "{}", inside=lan.host(ROBOT), **profile)
-        assert told("AtGatedPorts") == f"Read at gated ports: /chat by /robot at {ROBOT}:7950."
+        assert (
+            told("AtGatedPorts") == f"The robot reads at ports that the gate controls: /chat by /robot at {ROBOT}:7950."
+        )
         processes.node("obey", "/chat", "{}", inside=lan.host(COMPANION))
         assert f"/chat by /robot at {COMPANION}:" in told("ReaderWithoutProfile")

@@ -120,7 +120,7 @@ def test_what_is_not_carried_is_left_alone(carrier: Carrier) -> None:
 
 def test_without_odometry_it_says_so(carrier: Carrier) -> None:
     carrier.kept("/amcl_pose", pose(START), taken_at=START)
-    assert_golden("kept_state", motion(carrier, 0.0, 5.0).missing, "/odom", "nothing has come")
+    assert_golden("kept_state", motion(carrier, 0.0, 5.0).missing, "/odom", "no message has arrived")
     carrier.note({"/odom": "nobody publishes it"})
     assert_golden("kept_state", motion(carrier, 0.0, 5.0).missing, "/odom", "nobody publishes")
     reasons = carrier.reasons(KeptState((kept(START),)), START + 5)
@@ -130,7 +130,7 @@ def test_without_odometry_it_says_so(carrier: Carrier) -> None:
 
 def test_odometry_that_is_none_is_told(carrier: Carrier) -> None:
     carrier.moved("/odom", ODOMETRY, b"\0\1\0\0", received_at=START, writer=ROBOT)
-    assert "it cannot be read: " in motion(carrier, 0.0, 1.0).missing
+    assert "its message cannot be read: " in motion(carrier, 0.0, 1.0).missing
 
 
 @pytest.mark.parametrize(
@@ -156,7 +156,7 @@ def test_what_must_be_carried_and_can_not_be_is_left_out() -> None:
     state = carrier.carry(KeptState((kept(START),)), START + 1)
     assert state.samples == ()
     assert [entry.name for entry in state.left_out] == ["/amcl_pose"]
-    assert_golden("kept_state", state.left_out[0].reason, "/odom", "nothing has come")
+    assert_golden("kept_state", state.left_out[0].reason, "/odom", "no message has arrived")
     assert state.left_out[0].failed, "a tree that restores it must not go on"
 
 

@@ -66,7 +66,7 @@ def test_what_stands_when_the_instance_is_first_healthy_counts_from_then_on() ->
     keeper.judge("Starting", START + 0.1)
     keeper.judge("Starting", START + 2)
     keeper.judge("Healthy", START + 3)
-    assert "within the margin" in reason(keeper, START + 3.4)
+    assert "state.margin" in reason(keeper, START + 3.4)
     (sample,) = keeper.select(START + 3.5).samples
     assert (sample.data, sample.taken_at) == (b"latched", START), "its age is that of the message"
 

@@ -143,7 +143,9 @@ def test_a_camera_that_disconnects_is_opened_again(
 ):
     there = tmp_path / "video0"
     found = footage(there)
-    missing = f"camera.device.path: {there} cannot be opened: No such file or directory: is the camera connected"
+    missing = (
+        f"camera.device.path: {there} cannot be opened: No such file or directory. Check that the camera is connected"
+    )
     for _ in range(2):
         assert trouble_of(found).startswith(missing), "and so each time"
     os.link(filmed[0], there)
@@ -177,7 +179,10 @@ def test_a_file_that_is_not_a_video_is_reported(tmp_path: Path, footage: Callabl
         (errno.EACCES, "Permission denied: user .* may not; add the group that the device belongs to"),
         (errno.EPERM, "Operation not permitted: this container may not use devices; have a device plugin give it"),
         (errno.EBUSY, "Device or resource busy: another program has it"),
-        (errno.ENXIO, "No such device or address: is the camera connected, and in a container, its device there"),
+        (
+            errno.ENXIO,
+            "No such device or address. Check that the camera is connected, and that a container has its device",
+        ),
         (errno.EIO, "Input/output error$"),
     ],
 )
@@ -189,8 +194,8 @@ def test_a_camera_that_cannot_be_opened_is_reported_with_a_solution(number: int,
 @pytest.mark.parametrize(
     ("camera", "expected"),
     [
-        ("{}", "camera: give either image, the topic of its images, or device, a camera of this machine"),
-        ("{image: /i, device: {path: /dev/video0, calibration: c.yaml}}", "camera: give either image"),
+        ("{}", "camera: set either 'image' (the topic of the images) or 'device' (a camera of this machine)"),
+        ("{image: /i, device: {path: /dev/video0, calibration: c.yaml}}", "camera: set either"),
         ("{device: {path: /dev/video0}}", "camera.device.calibration: missing"),
         ("{device: {path: '', calibration: c.yaml}}", "camera.device.path: found ''; give a path, such as /dev/video0"),
         (
@@ -201,7 +206,7 @@ def test_a_camera_that_cannot_be_opened_is_reported_with_a_solution(number: int,
         ("{device: {path: /dev/video0, calibration: c, format: jpeg}}", "camera.device.format: found 'jpeg'; "),
         (
             "{device: {path: /dev/video0, calibration: c}, reliable: true}",
-            "camera: info and reliable are for images on",
+            "camera: 'info' and 'reliable' are for images on",
         ),
     ],
 )

@@ -59,7 +59,7 @@ def test_omitted_fields_have_defaults():
         (with_("markers.0.hieght", "1"), "markers[0].hieght: unknown field, did you mean 'height'"),
         (with_("camera.pose.z", "high"), "camera.pose.z: found 'high'; .*number"),
         (with_("camera.pose.z", ".nan"), "camera.pose.z: found nan; .*"),
-        (with_("camera.pose", ""), "camera: give either pose, .* or references"),
+        (with_("camera.pose", ""), "camera: set either 'pose' .* or 'references'"),
         (with_("window", "500"), "window: found 500; write it with ms or s, such as 500ms"),
         (with_("window", "1h"), "window: found '1h'; give more than 0 and at most 10s"),
         (with_("dictionary", "ARUCO"), "dictionary: found 'ARUCO'; .*DICT_4X4_50"),

@@ -121,7 +121,7 @@ def test_only_the_camera_detects_a_robot_that_stands_due_to_a_wrong_remapping(
     eventually(lambda: judged.now().state == "Failed", "the robot is seen to stand")
     verdict = judged.now()
     assert re.fullmatch(
-        r"the robot does not move as /cmd_vel_nav says by /tracker/robot/odometry: (forward|turning) it was seen at .*",
+        r"the robot does not move as /cmd_vel_nav commands, according to /tracker/robot/odometry: (forward|turning) .*",
         verdict.reason,
     ), "what is inside is well"
     end = log().motions[-1]

@@ -86,9 +86,9 @@ def test_a_camera_that_looks_down_with_yaw_zero_shows_x_at_the_top():
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"size": 0.3}, r"looks 0\.200 m large and not 0\.3 m: its size or its height is wrong"),
+        ({"size": 0.3}, r"appears to be 0\.200 m wide, not 0\.3 m: its size or its height is wrong"),
         ({"height": 1.5}, "its size or its height is wrong"),
-        ({"height": 3.5}, r"is seen in a direction without floor: camera\.pose or its height of 3\.5 m is wrong"),
+        ({"height": 3.5}, r"does not meet its plane: camera\.pose or the marker's height of 3\.5 m is wrong"),
     ],
 )
 def test_inconsistent_corners_are_refused_with_the_likely_cause(changes: dict[str, Any], expected: str):

@@ -31,7 +31,7 @@ KNOWN = (
         ),
         (
             f'<Topic topic="/a" gap="1s">{SCAN_XML}</Topic>',
-            "<Topic>: has a node in it; a leaf has none: put them beside it",
+            "<Topic>: has a node in it, but a leaf cannot have nodes in it: put them next to it",
         ),
         (
             f"<Inverter>not{SCAN_XML}</Inverter>",
@@ -52,7 +52,7 @@ KNOWN = (
             '<Topic topic="/scan" gap="500"/>',
             "<Topic> gap: '500' is not a duration: write a number with ms, s, m or h, such as 500ms or 1m30s",
         ),
-        ('<Topic topic="/scan" rate="> 0 Hz"/>', "<Topic> rate: '> 0 Hz' bounds nothing: a bound is above 0 Hz"),
+        ('<Topic topic="/scan" rate="> 0 Hz"/>', "<Topic> rate: '> 0 Hz' sets no limit: a bound must be above 0 Hz"),
         (
             '<Topic topic="/scan" rate="> 8 Hz" window="100ms"/>',
             "<Topic> window: 100 ms is too short to tell whether a rate is > 8 Hz: a window counts whole messages; "
@@ -81,7 +81,7 @@ KNOWN = (
         ),
         (
             '<Topic topic="{scan}" gap="1s"/>',
-            "<Topic> topic: there is no blackboard entry 'scan': only attributes of a <SubTree> make some, in its tree",
+            "<Topic> topic: there is no blackboard entry 'scan': only the attributes of a <SubTree> create entries, inside that subtree",
         ),
         (
             '<Topic topic="/scan" gap="{gap}ms"/>',
@@ -89,8 +89,8 @@ KNOWN = (
         ),
         (
             f'<Parallel success_count="2">{SCAN_XML}{BOTH}</Parallel>',
-            "<Parallel>: success_count=2 and failure_count=1 of 3: leave both out where all must hold, or write <Fallback> "
-            "where one is enough; a health tree knows nothing between",
+            "<Parallel>: success_count=2 and failure_count=1 of 3: remove both if all must hold, or write <Fallback> "
+            "if one is enough; a health tree supports no other numbers",
         ),
         (
             f'<Parallel success_count="3">{BOTH}</Parallel>',
@@ -102,21 +102,21 @@ KNOWN = (
         ),
         (
             f'<ParallelAll max_failures="2">{BOTH}</ParallelAll>',
-            "<ParallelAll>: max_failures=2 of 2: a health tree fails by its first failure; leave max_failures out where all "
-            "must hold, or write <Fallback> where one is enough",
+            "<ParallelAll>: max_failures=2 of 2: a health tree fails at its first failure; remove max_failures if all "
+            "must hold, or write <Fallback> if one is enough",
         ),
         ("<SubTree/>", "<SubTree> ID: missing; give the name of a <BehaviorTree>"),
         ('<SubTree ID="Man"/>', "<SubTree ID=\"Man\">: there is no tree 'Man', did you mean 'Main'?"),
         (
             '<SubTree ID="Main"/>',
-            '<SubTree ID="Main">: the tree would be in itself (Main -> Main); leave one of them out',
+            '<SubTree ID="Main">: the tree would contain itself (Main -> Main); remove one of the <SubTree> nodes',
         ),
         ("<Main/>", '<Main>: it is a tree; write <SubTree ID="Main"/>'),
         ('<Action ID="Topic" topic="/scan" gap="1s"/>', '<Action ID="Topic">: Topic is a Condition; write <Topic>'),
         ("<Condition/>", "<Condition> ID: missing; say which node it is"),
         (
             f'<RetryUntilSuccessful num_attempts="3">{LEAF}</RetryUntilSuccessful>',
-            "<RetryUntilSuccessful>: is not for health trees: a health tree is evaluated continuously; leave it out, and "
+            "<RetryUntilSuccessful>: is not for health trees: a health tree is evaluated continuously; remove it, and "
             "give the leaf in it a longer gap or window",
         ),
         (
@@ -126,16 +126,16 @@ KNOWN = (
         ),
         (
             f'<Delay delay_msec="100">{LEAF}</Delay>',
-            "<Delay>: is not for health trees: gap, window and settle, and debounce of the policy, say how long something "
-            "may be missing; leave it out",
+            "<Delay>: is not for health trees: gap, window, settle and the policy's debounce set how long something "
+            "may be missing; remove it",
         ),
         (
             f"<ForceSuccess>{LEAF}</ForceSuccess>",
-            "<ForceSuccess>: is not for health trees: a constant result says nothing about the robot; leave it out",
+            "<ForceSuccess>: is not for health trees: a constant result says nothing about the robot; remove it",
         ),
         (
             f"<SequenceWithMemory>{LEAF}</SequenceWithMemory>",
-            "<SequenceWithMemory>: is not for health trees: a health tree is evaluated again each time and remembers "
+            "<SequenceWithMemory>: is not for health trees: a health tree is evaluated again at each tick and remembers "
             "nothing; write <Sequence>",
         ),
         (
@@ -167,7 +167,7 @@ def test_a_mistake_in_a_node_is_reported_with_its_place_and_the_valid_values(nod
         ("\ud800", "line 1, column 1: this is not XML: it has a lone surrogate"),
         (
             '<?xml version="1.0"?>\n  <!DOCTYPE root [<!ENTITY a SYSTEM "file:///etc/passwd">]>\n<root>&a;</root>',
-            "line 2, column 3: a document type can have entities and name files to read; leave it out",
+            "line 2, column 3: a document type can have entities and name files to read; remove it",
         ),
         ("<Root/>", 'line 1, column 1: <Root>: the outermost element is <root BTCPP_format="4">'),
         (
@@ -216,7 +216,7 @@ def test_a_mistake_in_a_node_is_reported_with_its_place_and_the_valid_values(nod
         ),
         (
             files('<SubTree ID="A"/>', A='<SubTree ID="B"/>', B='<Inverter><SubTree ID="A"/></Inverter>'),
-            'line 4, column 32: <SubTree ID="A">: the tree would be in itself (A -> B -> A); leave one of them out',
+            'line 4, column 32: <SubTree ID="A">: the tree would contain itself (A -> B -> A); remove one of the <SubTree> nodes',
         ),
         (
             files('<SubTree ID="A" scan="scan"/>', A='<Topic topic="{scan}" gap="1s"/>'),

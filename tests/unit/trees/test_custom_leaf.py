@@ -207,7 +207,7 @@ def test_a_topic_is_required_and_an_example_says_what_else(install: Install) -> 
         def judge(self, message: Battery) -> None: ...
 
     install(Field)
-    with pytest.raises(TreeError, match=r"acme_leaf is a mapping such as \{topic: /scan, field: ...\}"):
+    with pytest.raises(TreeError, match=r"'acme_leaf' must be a mapping such as \{topic: /scan, field: ...\}"):
         load({"acme_leaf": []})
     with pytest.raises(TreeError, match=r"topic: missing; give the topic's fully qualified name, such as /scan"):
         load({"acme_leaf": {"field": "ranges"}})

@@ -74,7 +74,7 @@ def test_rate_is_starting_until_a_window_has_passed_since_the_first_sample():
 
 def test_rate_that_has_never_held_has_the_grace_to_reach_the_band():
     world = World(rate("/scan"), grace=10).arrive("/scan", *steady(5, 0, 10))
-    assert world.at(6) == Verdict("Starting", "/scan has not been at > 8 Hz for 2 s yet", "scan", None)
+    assert world.at(6) == Verdict("Starting", "/scan has not had a rate of > 8 Hz for 2 s yet", "scan", None)
     assert world.deadline(6) == 10
     assert world.at(10).state == "Failed"
 
@@ -141,7 +141,7 @@ def test_inverter_fails_while_the_topic_is_received():
     assert world.at(1).state == "Starting"
     assert world.at(2).state == "Healthy"
     world.arrive("/e_stop", 3.0)
-    assert world.at(3.5) == Verdict("Failed", "/e_stop is received, which must not be", "e_stop", None)
+    assert world.at(3.5) == Verdict("Failed", "/e_stop is received, but the tree requires the opposite", "e_stop", None)
     assert world.at(4.0).state == "Healthy"
 
 

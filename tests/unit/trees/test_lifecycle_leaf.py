@@ -100,7 +100,7 @@ def test_its_transitions_are_watched():
 @pytest.mark.parametrize(
     ("found", "place", "expected"),
     [
-        (AMCL, "", "found '/amcl'; lifecycle is a mapping such as {node: /controller_server}"),
+        (AMCL, "", "found '/amcl'; 'lifecycle' must be a mapping such as {node: /controller_server}"),
         ({}, ".node", "missing; give the node's fully qualified name, such as /controller_server"),
         ({"node": "amcl"}, ".node", "found 'amcl'; did you mean '/amcl'?"),
         ({"node": AMCL, "state": "activ"}, ".state", "found 'activ', did you mean 'active'?"),

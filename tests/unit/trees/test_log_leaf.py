@@ -178,7 +178,7 @@ def test_a_pattern_takes_no_longer_for_a_text_made_to_delay_it():
 @pytest.mark.parametrize(
     ("found", "place", "expected"),
     [
-        ("x", "", "found 'x'; log is a mapping such as {level: ERROR, node: /controller_server}"),
+        ("x", "", "found 'x'; 'log' must be a mapping such as {level: ERROR, node: /controller_server}"),
         (
             {},
             "",
@@ -199,7 +199,7 @@ def test_a_pattern_takes_no_longer_for_a_text_made_to_delay_it():
         (
             {"level": "ERROR", "window": "3s"},
             ".window",
-            "a window is only for a count above 1; give count, or leave window out",
+            "a window is only for a count above 1; give count, or remove window",
         ),
         (
             {"level": "ERROR", "quiet": 3},

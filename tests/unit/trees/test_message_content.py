@@ -131,7 +131,7 @@ def test_a_topic_that_cannot_be_watched_is_left_out():
 
 def test_an_inverter_over_a_value():
     world = World({"inverter": value("charging")}).hear("/battery", 1.0, Battery(charging=True))
-    assert world.at(1.0).reason == "charging of /battery holds, which must not be"
+    assert world.at(1.0).reason == "charging of /battery holds, but the tree requires the opposite"
 
 
 # -- for a task -------------------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ def test_what_the_leaves_need_of_their_topics():
         (
             {"value": "percentage > 1"},
             ".value",
-            "found 'percentage > 1'; value is a mapping such as {topic: /battery_state, type: "
+            "found 'percentage > 1'; 'value' must be a mapping such as {topic: /battery_state, type: "
             'sensor_msgs/msg/BatteryState, holds: "percentage > 0.15"}',
         ),
         (

@@ -19,8 +19,8 @@ from understudy.trees.languages.short.procedure_loader import load_procedure
 
 ODOMETRY, COMMANDS = "/tracker/robot/odometry", "/cmd_vel"
 FAILED = (
-    "the robot does not move as /cmd_vel says by /tracker/robot/odometry: "
-    "forward it was seen at 0.00 m/s, commanded at 0.30 m/s"
+    "the robot does not move as /cmd_vel commands, according to /tracker/robot/odometry: "
+    "forward 0.00 m/s observed, 0.30 m/s commanded"
 )
 
 
@@ -114,7 +114,7 @@ def test_it_says_in_the_tree_why_it_cannot_be_told():
     (node,) = world.tree.root.iterate() if world.tree.root is not None else ()
     assert_golden("health_tree", node.reason("Healthy"), "/cmd_vel", "/tracker/robot/odometry")
     drive(world, 1.0, 3.0, 0.3)
-    assert node.reason("Healthy") == "the robot moves as /cmd_vel says"
+    assert node.reason("Healthy") == "the robot moves as /cmd_vel commands"
     world.hear(COMMANDS, 3.0, "it is no Twist").at(3.0)
     assert_golden("health_tree", node.reason("Healthy"), "/cmd_vel")
     world.hear(ODOMETRY, 3.1, odometry(math.nan)).at(3.1)
@@ -194,7 +194,7 @@ def test_no_procedure_waits_for_it():
         (
             COMMANDS,
             "",
-            "found '/cmd_vel'; motion is a mapping such as {topic: /tracker/robot/odometry, commands: /cmd_vel}",
+            "found '/cmd_vel'; 'motion' must be a mapping such as {topic: /tracker/robot/odometry, commands: /cmd_vel}",
         ),
         (
             {"commands": COMMANDS},

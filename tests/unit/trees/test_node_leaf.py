@@ -37,7 +37,7 @@ def test_it_fails_exactly_when_it_has_not_been_there_for_so_long():
     for step in range(11, 30):
         assert world.find(CONTROLLER, step / 10, there=False).at(step / 10).state == "Healthy"
         assert world.deadline(step / 10) == 3.1
-    assert world.at(3.1).reason == "node /controller has not been there for 2 s"
+    assert world.at(3.1).reason == "node /controller has been missing for 2 s"
 
 
 def test_other_nodes_neither_keep_it_alive_nor_do_it_harm():
@@ -99,7 +99,7 @@ def test_nothing_is_subscribed_to_for_it_though_a_topic_has_its_name():
 @pytest.mark.parametrize(
     ("found", "place", "expected"),
     [
-        (CONTROLLER, "", "found '/controller'; node is a mapping such as {name: /controller_server}"),
+        (CONTROLLER, "", "found '/controller'; 'node' must be a mapping such as {name: /controller_server}"),
         ({}, ".name", "missing; give the node's fully qualified name, such as /controller_server"),
         ({"name": "controller"}, ".name", "found 'controller'; did you mean '/controller'?"),
         ({"name": 3}, ".name", "found 3; give a fully qualified node name such as /controller_server"),

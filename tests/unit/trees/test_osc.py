@@ -127,9 +127,9 @@ def test_the_policies_of_the_examples_are_the_same_in_openscenario(policy: dict[
         (" " * (LONGEST_TEXT + 1), f"the text has {LONGEST_TEXT + 1} characters; it may have {LONGEST_TEXT}"),
         ("a " * 32_000, f"the text has more than {tokens.MOST} words and signs"),
         (scenario("topic(" + "(" * 9_000), f"more than {tokens.DEEPEST_BRACKETS} nested brackets"),
-        (scenario("topic(a: f" + "()" * 9_000 + ")"), "'(' is not for health trees: nothing is calculated; write the value"),
-        (scenario("topic(a: a" + ".a" * 9_000 + ")"), "there are no actors in a health tree, and nothing has fields; "
-                                                      "leave out the dot and what is before it"),
+        (scenario("topic(a: f" + "()" * 9_000 + ")"), "'(' is not for health trees: calculations are not supported; write the value"),
+        (scenario("topic(a: a" + ".a" * 9_000 + ")"), "a health tree has no actors and no fields; "
+                                                      "remove the dot and what is before it"),
         (f"import osc{'.a' * 9_900}\n", "the nesting is too deep"),
         (
             scenario(*(f"{'  ' * level}serial:" for level in range(40))),

@@ -40,7 +40,7 @@ FRONT = 'topic("/a", gap: '
         (
             f"{LEAF} with:\n            retry(3)",
             13,
-            "retry(): is not for health trees: a health tree is evaluated continuously; leave it out, and give the leaf in it "
+            "retry(): is not for health trees: a health tree is evaluated continuously; remove it, and give the leaf in it "
             "a longer gap or window",
         ),
         (
@@ -61,7 +61,7 @@ FRONT = 'topic("/a", gap: '
             "topic(): neither gap nor a rate is given; give gap, such as 500ms, or rate_above, such as 8Hz",
         ),
         ('topic("/a", gab: 1s)', 13, "topic() gab: unknown argument, did you mean 'gap'?"),
-        ('topic("/a", gap: 1s, gap: 2s)', 22, "topic() gap: is given twice; leave one of them out"),
+        ('topic("/a", gap: 1s, gap: 2s)', 22, "topic() gap: is given twice; remove one of them"),
         (
             'topic("/a", type: "b/msg/C")',
             13,
@@ -71,7 +71,7 @@ FRONT = 'topic("/a", gap: '
         (
             f'{FRONT}"1s")',
             18,
-            'topic() gap: found "1s", which is a text; leave out the quotes; give a time, such as 500ms or 2s',
+            'topic() gap: found "1s", which is a text; remove the quotes; give a time, such as 500ms or 2s',
         ),
         (f"{FRONT}1m)", 18, "topic() gap: found 1m, and m is the metre in OpenSCENARIO; write min for minutes"),
         (f"{FRONT}1sek)", 18, "topic() gap: found 1sek, and sek is no unit of time, did you mean 'sec'?"),
@@ -82,7 +82,7 @@ FRONT = 'topic("/a", gap: '
             18,
             "topic() gap: there is no parameter 'longest'; the scenario has none; give it, or a time, such as 500ms or 2s",
         ),
-        (f"{FRONT}1s + 1s)", 21, "'+' is not for health trees: nothing is calculated; write the value"),
+        (f"{FRONT}1s + 1s)", 21, "'+' is not for health trees: calculations are not supported; write the value"),
         (
             'topic("/a", rate_min: 1Hz, rate_below: 5Hz)',
             40,
@@ -91,12 +91,12 @@ FRONT = 'topic("/a", gap: '
         (
             'topic("/a", rate_min: 11Hz, rate_max: 9Hz)',
             39,
-            "topic() rate_max: '11 Hz to 9 Hz' holds no rate: the lower bound comes first, such as '9 to 11 Hz'",
+            "topic() rate_max: no rate is within '11 Hz to 9 Hz': write the lower bound first, such as '9 to 11 Hz'",
         ),
         (
             'topic("/a", gap: 1s, window: 2s)',
             30,
-            "topic() window: a window is only for a rate; give rate_above or another bound, or leave window out",
+            "topic() window: a window is only for a rate; give rate_above or another bound, or remove window",
         ),
         ("diagnostics(worst: WARN)", 20, "diagnostics() worst: found WARN; did you mean level!WARN?"),
         ("diagnostics(worst: level!WARM)", 20, "diagnostics() worst: found level!WARM, did you mean 'WARN'?"),
@@ -108,13 +108,13 @@ FRONT = 'topic("/a", gap: '
         (
             "wait elapsed(3s)",
             1,
-            "'wait' is not for health trees: a health tree takes no action, and neither waits nor sends events; leave it "
-            "out. Use gap for how long something may be missing",
+            "'wait' is not for health trees: a health tree takes no action, and neither waits nor sends events; remove it. "
+            "Use gap for how long something may be missing",
         ),
         (
             "robot.topic()",
             6,
-            "there are no actors in a health tree, and nothing has fields; leave out the dot and what is before it",
+            "a health tree has no actors and no fields; remove the dot and what is before it",
         ),
         (
             f"|a b|: {LEAF}",
@@ -130,8 +130,8 @@ FRONT = 'topic("/a", gap: '
         ('topic("/a)', 7, "this is not OpenSCENARIO 2: "
                           "the string that begins here is not closed on its line; close the quotes, and write \\ before quotes in it"),
         ('topic(gap = 1s)', 11, "this is not OpenSCENARIO 2: found '='; write ':' between the name of an argument and its value"),
-        ("topic() $", 9, "this is not OpenSCENARIO 2: found '$', which nothing in the language begins with; leave it out"),
-        ("topic())", 8, "closes a bracket that is not open; leave it out"),
+        ("topic() $", 9, "this is not OpenSCENARIO 2: found '$', with which no word of the language begins; remove it"),
+        ("topic())", 8, "closes a bracket that is not open; remove it"),
         ("serial", 7, "this is not OpenSCENARIO 2: found the end of the line; there should be ':' or '('"),
         ("serial:", 8, "this is not OpenSCENARIO 2: found the end of the line; there should be an indented line"),
         ('topic("a\\x")', 7, "topic() topic_name: found '\\\\x' in a text; known are \\\\, \\\", \\', \\n and \\t"),
@@ -165,8 +165,8 @@ HEAD = "import osc.understudy\n"
         ),
         (
             f"import osc.helpers\nscenario a:\n    do {LEAF}\n",
-            "line 1, column 8: import osc.helpers: has behaviours that a health tree cannot have; import osc.understudy, "
-            "which has what it can",
+            "line 1, column 8: import osc.helpers: has behaviours that a health tree cannot have; import osc.understudy "
+            "instead",
         ),
         (
             f"import osc.understudi\nscenario a:\n    do {LEAF}\n",
@@ -207,12 +207,12 @@ HEAD = "import osc.understudy\n"
         ),
         (
             f"{HEAD}action reboot:\n    now: bool\n",
-            "line 2, column 1: 'action' is not for health trees: a policy declares nothing but one scenario and its parameters; "
-            "what there is comes with import osc.understudy",
+            "line 2, column 1: 'action' is not for health trees: a policy can declare only one scenario and its parameters; "
+            "all other names come with import osc.understudy",
         ),
         (
             f"{HEAD}scenario a:\n    def f() -> string is external os.system()\n    do {LEAF}\n",
-            "line 3, column 5: 'def' is not for health trees: a health tree takes no action and calls no functions; leave it out",
+            "line 3, column 5: 'def' is not for health trees: a health tree takes no action and calls no functions; remove it",
         ),
         (
             "  import osc.understudy\n",
@@ -232,7 +232,7 @@ HEAD = "import osc.understudy\n"
         ),
         (
             scenario("serial(3):", f"    {LEAF}"),
-            "line 4, column 16: serial:: takes no arguments; leave out the brackets",
+            "line 4, column 16: serial:: takes no arguments; remove the brackets",
         ),
     ],
 )  # fmt: skip

@@ -129,7 +129,7 @@ def test_the_events_are_watched_once_for_all_parameters():
         (
             NODE,
             "",
-            "found '/controller'; parameter is a mapping such as {node: /controller_server, name: max_vel_x, "
+            "found '/controller'; 'parameter' must be a mapping such as {node: /controller_server, name: max_vel_x, "
             "equals: 0.26}",
         ),
         (

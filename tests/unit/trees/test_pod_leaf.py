@@ -258,7 +258,7 @@ def test_nothing_is_subscribed_to_for_it_and_a_procedure_cannot_have_it():
 @pytest.mark.parametrize(
     ("found", "place", "expected"),
     [
-        ("Ready", "", "found 'Ready'; pod is a mapping such as {condition: Ready, for: 10s}"),
+        ("Ready", "", "found 'Ready'; 'pod' must be a mapping such as {condition: Ready, for: 10s}"),
         ({}, "", "found none of condition, restarts, cpu and memory; give one of them, such as condition: Ready"),
         (
             {"condition": "Ready", "restarts": 1},
@@ -272,13 +272,13 @@ def test_nothing_is_subscribed_to_for_it_and_a_procedure_cannot_have_it():
         ),
         ({"condition": "Ready", "status": "yes"}, ".status", "found 'yes'; known are True, False, Unknown"),
         ({"condition": "Ready", "status": 1}, ".status", "found 1; known are True, False, Unknown"),
-        ({"condition": "Ready", "window": "1s"}, ".window", "window is only for restarts; leave it out"),
+        ({"condition": "Ready", "window": "1s"}, ".window", "window is only for restarts; remove it"),
         (
             {"restarts": 1, "window": "1m", "for": "1s"},
             ".for",
-            "for is only for condition, cpu or memory; leave it out",
+            "for is only for condition, cpu or memory; remove it",
         ),
-        ({"restarts": 1, "window": "1m", "status": "True"}, ".status", "status is only for condition; leave it out"),
+        ({"restarts": 1, "window": "1m", "status": "True"}, ".status", "status is only for condition; remove it"),
         ({"restarts": 1}, ".window", "missing; give the time within which there may be so many restarts, such as 10m"),
         ({"restarts": -1, "window": "1m"}, ".restarts", "found -1; give a whole number from 0 to 1000"),
         ({"restarts": True, "window": "1m"}, ".restarts", "found True; give a whole number from 0 to 1000"),
@@ -293,7 +293,7 @@ def test_nothing_is_subscribed_to_for_it_and_a_procedure_cannot_have_it():
             "found '< 200 MB'; write <, <=, > or >= and a quantity, such as '< 200Mi'",
         ),
         ({"memory": 200}, ".memory", "found 200; write <, <=, > or >= and a quantity, such as '< 200Mi'"),
-        ({"cpu": "< 1", "window": "1m"}, ".window", "window is only for restarts; leave it out"),
+        ({"cpu": "< 1", "window": "1m"}, ".window", "window is only for restarts; remove it"),
     ],
 )
 def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place, expected):

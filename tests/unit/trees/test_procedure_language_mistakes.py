@@ -55,20 +55,20 @@ from understudy.trees.source.problems import TreeError
         (f"<Timeout>{ACTIVE_XML}</Timeout>", "<Timeout> msec: missing; timeout has within and do"),
         (
             f'<RetryUntilSuccessful num_attempts="-1">{ACTIVE_XML}</RetryUntilSuccessful>',
-            "<RetryUntilSuccessful> num_attempts: found -1; give how often it is tried, from 1 to 1000",
+            "<RetryUntilSuccessful> num_attempts: found -1; give the number of attempts, from 1 to 1000",
         ),
         (
             f'<RetryUntilSuccessful num_attempts="often">{ACTIVE_XML}</RetryUntilSuccessful>',
-            "<RetryUntilSuccessful> num_attempts: found 'often'; give how often it is tried, from 1 to 1000",
+            "<RetryUntilSuccessful> num_attempts: found 'often'; give the number of attempts, from 1 to 1000",
         ),
         (
             f'<Parallel success_count="1">{ACTIVE_XML}{ACTIVE_XML}</Parallel>',
-            "<Parallel>: success_count=1 and failure_count=1 of 2: leave both out: the first failure ends it. Where one is "
+            "<Parallel>: success_count=1 and failure_count=1 of 2: remove both: the first failure ends it. If one is "
             "enough, write <Fallback>, which tries one after the other",
         ),
         (
             f"<ReactiveSequence>{ACTIVE_XML}</ReactiveSequence>",
-            "<ReactiveSequence>: is not for procedures: a procedure does each node once, in order; write <Sequence>",
+            "<ReactiveSequence>: is not for procedures: a procedure runs each node once, in order; write <Sequence>",
         ),
         (
             f"<ForceSuccess>{ACTIVE_XML}</ForceSuccess>",
@@ -76,11 +76,11 @@ from understudy.trees.source.problems import TreeError
         ),
         (
             f'<Delay delay_msec="100">{ACTIVE_XML}</Delay>',
-            "<Delay>: is not for procedures: <WaitFor>, or a condition such as <Topic>, says what to wait for; leave it out",
+            "<Delay>: is not for procedures: <WaitFor>, or a condition such as <Topic>, says what to wait for; remove it",
         ),
         (
             '<Motion topic="/a"/>',
-            "<Motion>: is not for procedures: it judges the active instance only, and this one is not active yet; leave it out",
+            "<Motion>: is not for procedures: it judges the active instance only, and this one is not active yet; remove it",
         ),
         (
             '<SetLifecycle node="/amcl" state="active" _skipIf="idle"/>',
@@ -88,7 +88,7 @@ from understudy.trees.source.problems import TreeError
         ),
         (
             f"<SetLifecycle>{ACTIVE_XML}</SetLifecycle>",
-            "<SetLifecycle>: has a node in it; a leaf has none: put them beside it",
+            "<SetLifecycle>: has a node in it, but a leaf cannot have nodes in it: put them next to it",
         ),
     ],
 )  # fmt: skip
@@ -111,7 +111,7 @@ def test_a_mistake_in_xml_is_reported_with_its_place_and_the_valid_values(node: 
         (
             'call_service("/a", "b/srv/C", expect: "{x: 1, x: 2}")',
             39,
-            "call_service() expect: 'x' is given twice; leave one of them out",
+            "call_service() expect: 'x' is given twice; remove one of them",
         ),
         ('wait_for("/a", "b/msg/C", within: 5)', 35, "wait_for() within: found 5, which has no unit; give a time, such as 500ms or 2s"),
         ('restore_state(only: "/a")', 15, "'only' is a word of OpenSCENARIO and no argument; write names"),
@@ -119,7 +119,7 @@ def test_a_mistake_in_xml_is_reported_with_its_place_and_the_valid_values(node: 
         (
             "motion()",
             1,
-            "motion(): is not for procedures: it judges the active instance only, and this one is not active yet; leave it out",
+            "motion(): is not for procedures: it judges the active instance only, and this one is not active yet; remove it",
         ),
         (
             'run_process("reboot")',
@@ -130,8 +130,8 @@ def test_a_mistake_in_xml_is_reported_with_its_place_and_the_valid_values(node: 
         (
             "wait elapsed(3s)",
             1,
-            "'wait' is not for procedures: wait_for() says what to wait for, and timeout() in the with: of a node for how "
-            "long; leave it out",
+            "'wait' is not for procedures: use wait_for() to wait, and timeout() in the with: of a node to limit the time; "
+            "remove it",
         ),
     ],
 )  # fmt: skip

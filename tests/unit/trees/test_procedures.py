@@ -241,7 +241,9 @@ async def test_an_inverter_needs_its_node_to_fail() -> None:
     tree = load_check({"inverter": {"lifecycle_is": {"node": "/amcl", "state": "finalized"}}}, path="check")
     await tree.run(instance, LONG)
     instance.states["/amcl"] = "finalized"
-    with pytest.raises(ProcedureFailed, match=r"check\.inverter\.lifecycle_is: it holds, which must not be"):
+    with pytest.raises(
+        ProcedureFailed, match=r"check\.inverter\.lifecycle_is: the condition is true, but must be false"
+    ):
         await tree.run(instance, LONG)
 
 
@@ -272,8 +274,8 @@ async def test_a_parameter_is_compared() -> None:
             "p.set_lifecycle.state: found 'on'; give one of unconfigured",
         ),
         ({"set_lifecycle": {"node": "/amcl"}}, "p.set_lifecycle.state: found nothing"),
-        ({"node": "/a"}, "p.node: found '/a'; node is a mapping such as {name: /controller_server}"),
-        ({"set_lifecycle": []}, "p.set_lifecycle: found a list; set_lifecycle is a mapping of node and state"),
+        ({"node": "/a"}, "p.node: found '/a'; 'node' must be a mapping such as {name: /controller_server}"),
+        ({"set_lifecycle": []}, "p.set_lifecycle: found a list; 'set_lifecycle' must be a mapping of node and state"),
         (
             {"call_service": {"service": "/x", "typ": "a"}},
             "p.call_service.typ: unknown key 'typ', did you mean 'type'?",
@@ -283,7 +285,7 @@ async def test_a_parameter_is_compared() -> None:
         ({"wait_for": {"topic": "/x", "node": "/y"}}, "p.wait_for: found topic and node of topic, service and node"),
         ({"wait_for": {"topic": "/x"}}, "p.wait_for.type: missing; give package/msg/Name"),
         ({"wait_for": {"node": "/x", "within": 5}}, "p.wait_for.within: found 5, which has no unit"),
-        ({"retry": {"times": 0, "do": {"resend_goals": {}}}}, "p.retry.times: found 0; give how often"),
+        ({"retry": {"times": 0, "do": {"resend_goals": {}}}}, "p.retry.times: found 0; give the number of attempts"),
         ({"retry": {"times": 3}}, "p.retry.do: missing"),
         ({"timeout": {"do": {"resend_goals": {}}}}, "p.timeout.within: missing"),
         ({"restore_state": {"only": []}}, "p.restore_state.only: found a list; give a list of kept topics"),

@@ -191,7 +191,7 @@ def test_the_status_and_the_feedback_are_watched_and_without_either_it_is_left_o
 @pytest.mark.parametrize(
     ("found", "place", "expected"),
     [
-        ("/go", "", "found '/go'; progress is a mapping such as {action: /navigate_to_pose, gap: 5s}"),
+        ("/go", "", "found '/go'; 'progress' must be a mapping such as {action: /navigate_to_pose, gap: 5s}"),
         ({"gap": "1s"}, ".action", "missing; give the action's fully qualified name, such as /navigate_to_pose"),
         ({"action": "go", "gap": "1s"}, ".action", "found 'go'; did you mean '/go'?"),
         (
@@ -203,7 +203,7 @@ def test_the_status_and_the_feedback_are_watched_and_without_either_it_is_left_o
         (
             {"action": "/go", "gap": "1s", "by": 1},
             ".by",
-            "it is only for falls or grows; give one of these, or leave it out",
+            "it is only for falls or grows; give one of these, or remove it",
         ),
         (
             {"action": "/go", **FALLS, "grows": "x"},

@@ -145,7 +145,11 @@ def test_an_output_whose_publishers_alone_are_looked_at_says_nothing_of_when_mes
 @pytest.mark.parametrize(
     ("found", "place", "expected"),
     [
-        (CMD, "", "found '/cmd_vel'; publisher is a mapping such as {topic: /cmd_vel, node: /controller_server}"),
+        (
+            CMD,
+            "",
+            "found '/cmd_vel'; 'publisher' must be a mapping such as {topic: /cmd_vel, node: /controller_server}",
+        ),
         ({}, ".topic", "missing; give the topic's fully qualified name, such as /cmd_vel"),
         ({"topic": "cmd_vel"}, ".topic", "found 'cmd_vel'; did you mean '/cmd_vel'?"),
         ({"topic": CMD, "node": "controller"}, ".node", "found 'controller'; did you mean '/controller'?"),

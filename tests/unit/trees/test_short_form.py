@@ -61,12 +61,12 @@ LEAF = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
         ({}, "", f"the node is empty; give one of {KINDS}"),
         ({"paralel": [SCAN]}, ".paralel", "unknown key 'paralel', did you mean 'parallel'?"),
         ({"parallel": []}, ".parallel", "the list is empty; parallel needs at least one node"),
-        ({"parallel": SCAN}, ".parallel", "found a mapping; parallel has a list of nodes"),
+        ({"parallel": SCAN}, ".parallel", "found a mapping; 'parallel' must have a list of nodes"),
         ({"parallel": [None]}, ".parallel[0]", f"found nothing; a node is a mapping with one of {KINDS}"),
         ({"parallel": [SCAN], **CMD_VEL}, "", "found parallel and topic in one node; give each a node of its own"),
         ({**SCAN, "gap": "1s"}, ".gap", "unknown key; gap belongs inside topic, transform or progress"),
         ({**SCAN, "name": "a/b"}, ".name", "found 'a/b'; a node's name is 1 to 63 letters, digits, '_', '-' and '.'"),
-        ({"topic": "/scan"}, ".topic", "found '/scan'; topic is a mapping such as {name: /cmd_vel, gap: 500ms}"),
+        ({"topic": "/scan"}, ".topic", "found '/scan'; 'topic' must be a mapping such as {name: /cmd_vel, gap: 500ms}"),
         ({"topic": {"gap": "1s"}}, ".topic.name", "missing; give the topic's fully qualified name, such as /cmd_vel"),
         ({"topic": {"name": "scan", "gap": "1s"}}, ".topic.name", "found 'scan'; did you mean '/scan'?"),
         (
@@ -99,24 +99,24 @@ LEAF = {"topic": {"name": "/cmd_vel", "gap": "500ms"}}
         (
             {"topic": {"name": "/scan", "gap": "1s", "window": "2s"}},
             ".topic.window",
-            "a window is only for a rate; give rate, or leave window out",
+            "a window is only for a rate; give rate, or remove window",
         ),
         ({"topic": {"name": "/scan", "rate": "> 8"}}, ".topic.rate", f"'> 8' is not a rate: write {RATES}"),
         ({"topic": {"name": "/scan", "rate": 8}}, ".topic.rate", f"found 8; write {RATES}"),
         (
             {"topic": {"name": "/scan", "rate": "11 to 9 Hz"}},
             ".topic.rate",
-            "'11 to 9 Hz' holds no rate: the lower bound comes first, such as '9 to 11 Hz'",
+            "no rate is within '11 to 9 Hz': write the lower bound first, such as '9 to 11 Hz'",
         ),
         (
             {"topic": {"name": "/scan", "rate": "> 0 Hz"}},
             ".topic.rate",
-            "'> 0 Hz' bounds nothing: a bound is above 0 Hz",
+            "'> 0 Hz' sets no limit: a bound must be above 0 Hz",
         ),
         (
             {"topic": {"name": "/scan", "rate": "> 1000000 Hz"}},
             ".topic.rate",
-            "'> 1000000 Hz' is too fast to be watched: a bound is at most 10000 Hz",
+            "'> 1000000 Hz' is too fast to be watched: a bound must be at most 10000 Hz",
         ),
         (
             {"topic": {"name": "/scan", "rate": "> 8 Hz", "window": "100ms"}},
@@ -208,7 +208,10 @@ def test_tree_too_large_is_refused_once():
     ("tree", "message"),
     [
         ({"while": {"task_active": {"action": "/go"}}}, "spec.monitoring.yaml.do: missing; give the node"),
-        ({"while": {}, "do": LEAF}, "spec.monitoring.yaml.while: found a mapping; while is a mapping with task_active"),
+        (
+            {"while": {}, "do": LEAF},
+            "spec.monitoring.yaml.while: found a mapping; 'while' must be a mapping with 'task_active'",
+        ),
         (
             {"while": {"task_active": {"action": "go"}}, "do": LEAF},
             "spec.monitoring.yaml.while.task_active.action: found 'go'; did you mean '/go'?",

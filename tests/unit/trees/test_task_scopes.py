@@ -97,7 +97,9 @@ def test_a_rate_for_a_task_is_counted_from_its_start():
 @pytest.mark.parametrize("inner", [gap("/a"), {"inverter": gap("/a")}])
 def test_an_inverter_around_fails_without_a_task_and_says_so(inner):
     world = TaskWorld({"inverter": during(inner)}, grace=0).arrive("/a", 100.0)
-    assert world.at(100.1) == Verdict("Failed", "no goal of /go is active, which must not be", "a", None)
+    assert world.at(100.1) == Verdict(
+        "Failed", "no goal of /go is active, but the tree requires the opposite", "a", None
+    )
 
 
 def test_an_inverter_inside_counts_only_while_the_task_is_active():

@@ -165,9 +165,9 @@ def test_what_it_needs_of_its_topic_and_how_it_is_called():
         (
             "base_link",
             "",
-            "found 'base_link'; transform is a mapping such as {parent: odom, child: base_link, gap: 500ms}",
+            "found 'base_link'; 'transform' must be a mapping such as {parent: odom, child: base_link, gap: 500ms}",
         ),
-        ({"gap": "1s"}, ".child", "missing; give the frame that the transform leads to, such as base_link"),
+        ({"gap": "1s"}, ".child", "missing; give the child frame of the transform, such as base_link"),
         ({"child": "b"}, ".gap", "missing; give how long it may be missing, such as 500ms"),
         (
             {"child": "/b", "gap": "1s"},
@@ -183,7 +183,7 @@ def test_what_it_needs_of_its_topic_and_how_it_is_called():
         (
             {"child": "b", "parent": "b", "gap": "1s"},
             ".parent",
-            "found 'b', which is the child too; give the frame above it, such as odom",
+            "found 'b', which is also the child; give its parent frame, such as odom",
         ),
         (
             {"child": "b", "gap": 1},
@@ -193,7 +193,7 @@ def test_what_it_needs_of_its_topic_and_how_it_is_called():
         (
             {"child": "b", "gap": "1s", "for": "1s"},
             ".for",
-            "it is only for at_most; give at_most, or leave for out: how long the transform may be missing is the gap",
+            "it is allowed only with at_most; give at_most, or remove 'for'. The key gap sets how long the transform may be missing",
         ),
         (
             {"child": "b", "gap": "1s", "topic": "/robot/tf_static"},

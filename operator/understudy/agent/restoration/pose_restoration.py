@@ -66,16 +66,14 @@ class PosePublication:
             try:
                 data, metres = self._carried(motion, came)
             except ValueError as error:
-                missing = f"it cannot be propagated by {motion.topic}: {error}"
+                missing = f"the pose cannot be propagated by {motion.topic}: {error}"
             else:
-                note = (
-                    f"{motion.topic} was not watched for {motion.blind:.1f} s of the time over which it was propagated"
-                )
+                note = f"no {motion.topic} was received for {motion.blind:.1f} s of the time over which the pose was propagated"
                 self.outcome = PoseOutcome(metres, note if motion.blind > TOLD_FROM else "")
                 return data
         if motion.required:
             raise CallFailed(missing)
-        self.outcome = PoseOutcome(None, f"{missing}; it was restored as it was kept")
+        self.outcome = PoseOutcome(None, f"{missing}; the pose was restored as it was kept")
         return stamped(self._sample)
 
     def _carried(self, motion: Motion, came: Sample) -> tuple[bytes, float]:
@@ -89,7 +87,7 @@ class PosePublication:
         track = Track()
         track.add(before)
         if reason := track.add(Point(said.pose, said.stamp, received, said.frame, said.child, came.gid)):
-            raise ValueError(f"odometry began again since: {reason}")
+            raise ValueError(f"the odometry started again after the pose: {reason}")
         driven = motion.driven + motion.last.distance(said.pose)
         turned = motion.turned + motion.last.to(said.pose).angle
         return composed(self._sample, motion.then, said, driven=driven, turned=turned), driven
@@ -110,7 +108,7 @@ def composed(sample: KeptSample, then: Pose, now: Reading, *, driven: float, tur
     message = deserialized(sample)
     child = message.child_frame_id if sample.type == ODOMETRY else ""
     if child and now.child and child != now.child:
-        raise ValueError(f"it is of {now.child}, and {sample.topic} of {child}")
+        raise ValueError(f"that odometry is of frame {now.child}, but {sample.topic} is of frame {child}")
     holder = message.pose if hasattr(message.pose, "covariance") else None
     pose = holder.pose if holder is not None else message.pose
     kept = _pose(pose)
@@ -151,7 +149,7 @@ async def present(caller: InstanceCaller, sample: KeptSample, within: float) -> 
             listener = await stack.enter_async_context(caller.listening(motion.topic, motion.type, within))
             waited = min(ODOMETRY_WITHIN, within / 2)
             if await listener.first(waited) is None:
-                missing = f"it cannot be propagated by {motion.topic}: nothing came on it within {waited:.3g} s"
+                missing = f"the pose cannot be propagated by {motion.topic}: nothing came on it within {waited:.3g} s"
         except CallFailed as error:
-            missing = f"it cannot be propagated by {motion.topic}: {error}"
+            missing = f"the pose cannot be propagated by {motion.topic}: {error}"
         yield PosePublication(sample, listener, missing)

@@ -153,7 +153,9 @@ class StateRestorer:
             rest = max(0.0, end - time.monotonic())
             await caller.wait_sample(sample.confirm, type_name, rest, since=since, own=True)
         except CallFailed as error:
-            raise CallFailed(f"it was published on {sample.to}, but not confirmed: {error}") from error
+            raise CallFailed(
+                f"the kept message was published on {sample.to}, but {sample.confirm} did not confirm it: {error}"
+            ) from error
 
     async def _on_restore(self, body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:
         try:

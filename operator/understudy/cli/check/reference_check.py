@@ -138,8 +138,9 @@ def _never_idle(workload: Manifest, policy: Manifest) -> Iterator[Finding]:
     for index, action in enumerate(items(policy.data, "spec", "degraded", "actions")):
         if isinstance(found := at(action, "reschedule"), Mapping) and not found.get("idle"):
             message = (
-                f"FailurePolicy {policy.name} reschedules at an idle time, but nothing defines when this workload is idle, so it never "
-                f"does: set spec.tasks, or in the policy spec.degraded.actions[{index}].reschedule.idle"
+                f"FailurePolicy {policy.name} replaces a degraded instance only while the robot is idle (reschedule), but nothing "
+                f"defines when this workload is idle, so it never does: set spec.tasks, or in the policy "
+                f"spec.degraded.actions[{index}].reschedule.idle"
             )
             yield workload.finding("spec.tasks", message, warning=True)
 
@@ -152,8 +153,8 @@ def _outputs_not_watched(workload: Manifest, policy: Manifest) -> Iterator[Findi
     watched = [topic.name for topic in tree.topics]
     if outputs and all(leaf.hears for leaf in tree.leaves) and not set(outputs) & set(watched):
         message = (
-            f"watches {_some(watched)} but no output of RobotWorkload {workload.name} ({_some(outputs)}), so a silent output is "
-            f"not detected; watch one of them, or correct the names"
+            f"watches {_some(watched)}, but none of the outputs of RobotWorkload {workload.name} ({_some(outputs)}), so the failure of an "
+            "output is not detected; watch one of them, or correct the names"
         )
         yield policy.finding("spec.monitoring", message, warning=True)
 

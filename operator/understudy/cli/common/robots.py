@@ -51,7 +51,7 @@ _ABOUT = {
     "StrategiesChosen": "requirements not met",
     "SituationCovered": "situation not covered",
     "Available": "no pod available",
-    "Sized": "too small for the risk",
+    "Sized": "too small for spec.sizing.risk",
     "Updated": "not updated",
     "Reflex": "reflex not active",
     "StateKept": "state not kept",

@@ -42,7 +42,8 @@ def main(arguments: list[str]) -> int:
     kubectl = Kubectl(given)
     item = kubectl.get(WORKLOADS, given.name)
     confirmation.confirm(
-        f"{given.name} drives a robot, which receives no commands once the gate is closed. Close it?", yes=given.yes
+        f"{given.name} controls a robot. When the gate is closed, the robot receives no commands. Close the gate?",
+        yes=given.yes,
     )
     return _fence(kubectl, item, pause)
 
@@ -53,18 +54,18 @@ def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
     kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | {"until": None}}})
     fenced, epoch = _close(kubectl, name, kind)
     where = f"{item['metadata']['namespace']}/{name}"
-    _say(f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was in control'}).")
+    _say(f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was active'}).")
     heard = robot(item).health == UNWATCHED or _heard(kubectl, name, kind)
     _close(kubectl, name, kind)
     _say(
-        f"It is {pause.words}. No safe command is sent to the robot: make sure that it stands. understudy resume {name} opens the gate for "
-        "an instance, which drives the robot at once."
+        f"The workload is {pause.words}. WARNING: no safe command is sent to the robot. Make sure that the robot stands still. After "
+        f"understudy resume {name}, the gate opens for an instance, and the robot can move at once."
     )
     if heard:
         return FENCED
     print(
-        f"understudy fence: its monitor did not report the pause within {HEARD_WITHIN:g} s, and may open the gate again when a recovery "
-        f"under way ends: see understudy explain {name}, and fence it again",
+        f"understudy fence: the gate is closed, but the monitor did not confirm the pause within {HEARD_WITHIN:g} s. If a recovery is in "
+        f"progress, the monitor may open the gate again. Run understudy explain {name}, and then understudy fence {name} again",
         file=sys.stderr,
     )
     return UNSURE
@@ -93,7 +94,9 @@ def _close(kubectl: Kubectl, name: str, kind: GateKind) -> tuple[tuple[str, ...]
                 raise
             continue  # another writer was first
         return let_in, record.epoch + 1
-    raise CommandError(f"others write {what} all the time: delete the pod in control")
+    raise CommandError(
+        f"other processes keep changing {what}, so it could not be closed. To stop the active instance, delete its pod"
+    )
 
 
 def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:

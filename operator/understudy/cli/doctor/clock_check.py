@@ -123,7 +123,7 @@ def judge(nodes: Mapping[str, Clock], api_server: Clock | None) -> Finding:
     known = {**nodes, **({"the API server": api_server} if api_server is not None else {})}
     if len(known) < 2:
         return Finding(
-            CHECK, "WARN", "there is only one clock to look at", "run it where pods may be made on two nodes"
+            CHECK, "WARN", "only one clock could be read", "run the check where pods can be created on two nodes"
         )
     # Compares the differences that are certain, so that two inaccurate clocks count less than two accurate ones.
     first = min(known, key=lambda name: known[name].ahead + known[name].give)
@@ -139,9 +139,9 @@ def judge(nodes: Mapping[str, Clock], api_server: Clock | None) -> Finding:
     return Finding(
         CHECK,
         "FAIL" if apart - give > WRONG else "WARN",
-        f"that of {last} is {rough(apart)} ahead of that of {first}, give or take {rough(give)} ({among})",
-        f"keep the clocks of all machines in step (chrony or another NTP client): what is more than {rough(NOTICED)} apart makes ages of "
-        "messages and state wrong, and the order of failures of workloads that depend on each other",
+        f"the clock of {last} is {rough(apart)} ahead of the clock of {first}, with an uncertainty of {rough(give)} ({among})",
+        f"synchronize the clocks of all machines (chrony or another NTP client): if they differ by more than {rough(NOTICED)}, ages of "
+        "messages and state are wrong, and so is the order of failures of workloads that depend on each other",
     )
 
 

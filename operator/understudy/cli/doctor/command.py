@@ -45,7 +45,7 @@ def main(arguments: list[str]) -> int:
     parser = _parser()
     given = parser.parse_args(arguments)
     option_rules.reject_unless(
-        parser, given, not given.no_pods, "--image", "says what the pods are made of: leave out --no-pods"
+        parser, given, not given.no_pods, "--image", "sets the image of the test pods: remove --no-pods"
     )
     out = sys.stdout
     try:
@@ -61,7 +61,7 @@ def main(arguments: list[str]) -> int:
             print(structured(document | examination.measured, given.output))
         return WELL if findings.is_well(found) else NOT_WELL
     except KeyboardInterrupt:
-        print("understudy doctor: ended before it was through; what it had made is taken away", file=sys.stderr)
+        print("understudy doctor: interrupted; the objects that it had created are deleted", file=sys.stderr)
         return ERROR
 
 
@@ -91,7 +91,7 @@ class _Examination:
         operator = installation_check.find(self._api)
         self.found.append(installation_check.operator(operator))
         self.found += installation_check.definitions_served(self._api)
-        self._progress("asking for rights")
+        self._progress("checking your permissions")
         self.found.append(rights_check.of_this_user(self._api, namespace))
         if operator is not None:
             self.found.append(rights_check.of_the_operator(self._api, namespace, operator))
@@ -106,7 +106,7 @@ class _Examination:
                     self._images(operator), [one for one in workloads if discovery_check.check(one) not in failed]
                 )
             except CommandError as error:
-                cure = "choose with -n a namespace in which you may make pods, or leave them out with --no-pods"
+                cure = "name with -n a namespace in which you may create pods, or skip them with --no-pods"
                 self.found.append(Finding("pods", "FAIL", str(error), cure))
 
     def _workloads(self, namespace: str) -> Sequence[Object]:
@@ -152,9 +152,12 @@ def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
     for workload in workloads:
         name, status = kube_objects.name(workload), workload.get("status") or {}
         if status.get("health") and (version := (status.get("monitor") or {}).get("version")) != __version__:
-            found = f"it is of version {version}" if version else "it is of a version before 0.2.0"
-            cure = "an image of your own is built again on that of each version (docs/how-to/custom-messages.md); else its turn comes yet"
-            yield Finding(f"monitor of {name}", "WARN", f"{found}, and this command of {__version__}", cure)
+            found = f"it has version {version}" if version else "its version is earlier than 0.2.0"
+            cure = (
+                "the operator replaces the monitors one after the other, so wait. If the monitor has an image of your own, build it again "
+                "from this version (docs/how-to/custom-messages.md)"
+            )
+            yield Finding(f"monitor of {name}", "WARN", f"{found}, but this command has version {__version__}", cure)
         for said in status.get("conditions") or []:
             message = said["message"]
             if (said["type"], said["status"]) == (_ENFORCED, "False"):

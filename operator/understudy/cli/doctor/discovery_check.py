@@ -48,7 +48,8 @@ def servers(api: Api, namespace: str, workloads: Sequence[Object]) -> Iterator[F
             check(workload),
             "FAIL",
             f"its server does not run{f': {why}' if why else ''}",
-            f"kubectl describe deployment -n {namespace} {names.discovery(name)}; what knows each other goes on, nobody new joins",
+            "processes that know each other continue, but new ones cannot join: see kubectl describe deployment -n "
+            f"{namespace} {names.discovery(name)}",
         )
 
 
@@ -61,11 +62,11 @@ def joined(pods: Pods, workloads: Sequence[Object], progress: Callable[[str], No
         for number, workload in enumerate(workloads):
             if silent >= SILENT or time.monotonic() > end:
                 yield Finding(
-                    "discovery of others",
+                    "discovery of other workloads",
                     "WARN",
-                    f"{counted(len(workloads) - number, 'graph was', 'graphs were')} not joined, after "
-                    f"{f'{silent} without anybody' if silent >= SILENT else f'{ALTOGETHER:g} s'}",
-                    "name the robots to look at: understudy doctor NAME",
+                    f"{counted(len(workloads) - number, 'graph was', 'graphs were')} not joined, because "
+                    f"{f'{silent} graphs had no node' if silent >= SILENT else f'the time of {ALTOGETHER:g} s was over'}",
+                    "name the workloads to check: understudy doctor NAME",
                 )
                 return
             progress(f"joining the ROS graph of {kube_objects.name(workload)}")
@@ -91,7 +92,7 @@ def judge(workload: Object, environment: Mapping[str, str], nodes: Sequence[str]
         others = f", such as {nodes[0]}" if len(nodes) > 1 else f": {nodes[0]}"
         return Finding(check(workload), "OK", f"{counted(len(nodes), 'node')} found {by}{others}")
     name = kube_objects.name(workload)
-    found = f"nobody is found {by} within {WITHIN:g} s, not even the monitor"
+    found = f"no node is found {by} within {WITHIN:g} s, not even the monitor"
     if _is_managed(workload):
         cure = (
             f"check whether the Service {names.discovery(name)} has endpoints (kubectl get endpointslices), whether a "

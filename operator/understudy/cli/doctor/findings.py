@@ -45,7 +45,7 @@ def summary(findings: Sequence[Finding]) -> str:
     """Return how many findings there are of each state."""
     fail, warn = (sum(finding.level == level for finding in findings) for level in ("FAIL", "WARN"))
     problems = listed((f"{fail} failed" if fail else "", counted(warn, "warning") if warn else ""))
-    return f"{counted(len(findings), 'check')}: {problems or 'all is well'}"
+    return f"{counted(len(findings), 'check')}: {problems or 'no problem found'}"
 
 
 def to_wire(findings: Sequence[Finding]) -> dict[str, Any]:

@@ -142,7 +142,10 @@ def definition(check: str, wanted: Object, live: Object) -> Finding:
     others += list(differences(expected.get("subresources"), version.get("subresources"), "subresources"))
     if others:
         more = f", and {len(others) - 1} more" if len(others) > 1 else ""
-        cure = f"what is not in it is dropped by the API server: {_UPGRADE}. CRDs are upgraded with the chart unless crds.install is false"
+        cure = (
+            f"the API server drops the fields that the CRD does not have: {_UPGRADE}. CRDs are upgraded with "
+            "the chart unless crds.install is false"
+        )
         return Finding(check, "FAIL", f"it is not that of version {__version__}: {others[0]}{more}", cure)
     return Finding(check, "OK", f"{VERSION} of version {__version__}")
 

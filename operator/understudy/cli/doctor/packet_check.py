@@ -75,7 +75,7 @@ def measure(pods: Pods, progress: Callable[[str], None]) -> GateTest:
     nodes = (pods.sender["spec"]["nodeName"], pods.receiver["spec"]["nodeName"])
     with pods.talking(pods.sender) as sender, pods.talking(pods.receiver) as receiver:
         seen = GateTest(nodes)
-        progress("asking their nodes for the time")
+        progress("reading the clocks of their nodes")
         seen.clocks = {nodes[0]: of_session(sender), nodes[1]: of_session(receiver)}
         _Measurement(pods, sender, receiver, seen, progress).run()
         return seen
@@ -113,7 +113,7 @@ class _Measurement:
         seen.opened = self._begins(self._asking(self._pods.open_gate), names.PROBE_PORT, self._uid)
         self._progress("closing it again")
         seen.closed = self._ends(self._asking(self._pods.close_gate))
-        self._progress("taking the policies away")
+        self._progress("deleting the test policies")
         seen.lifted = self._begins(self._asking(self._pods.lift), names.PROBE_PORT, self._uid)
 
     def _asking(self, write: Callable[[], Answer]) -> float:
@@ -194,7 +194,7 @@ def _ways(seen: GateTest) -> Iterator[Finding]:
             CHECK,
             "WARN",
             f"an established flow still gets through {rough(WITHIN)} after the gate was closed; new flows do not",
-            "the network keeps established flows open. A failed pod then reaches the robot until it is deleted, which "
+            "the network keeps established flows open, so a failed pod can command the robot until the pod is deleted, which "
             f"Understudy does right after the switch: {_POLICIES}",
         )
 
@@ -206,14 +206,17 @@ def _times(seen: GateTest, where: str) -> Iterator[Finding]:
                 CHECK,
                 "FAIL",
                 f"packets did not come through within {rough(WITHIN)} after the gate was {word}",
-                f"look at the logs of the network plugin on {seen.nodes[0]} and {seen.nodes[1]}: an understudy would never drive",
+                (
+                    "the outputs of a new instance would never reach the robot: see the logs of the network plugin "
+                    f"on {seen.nodes[0]} and {seen.nodes[1]}"
+                ),
             )
     if seen.established is not None and seen.closed is None:
         yield Finding(
             CHECK,
             "WARN",
             f"packets still came {rough(WITHIN)} after an open gate was closed",
-            f"the network keeps established flows open, and a failed pod drives the robot until it is deleted: {_POLICIES}",
+            f"the network keeps established flows open, so a failed pod can command the robot until the pod is deleted: {_POLICIES}",
         )
     moments = {"closed": seen.established, "opened": seen.opened, "closed again": seen.closed, "lifted": seen.lifted}
     known = {word: took for word, took in moments.items() if took is not None}
@@ -224,7 +227,7 @@ def _times(seen: GateTest, where: str) -> Iterator[Finding]:
     yield Finding(
         CHECK,
         "WARN" if slow else "OK",
-        f"gates are enforced for UDP ({where}); after the request to the API server: {words}",
+        f"gates are enforced for UDP ({where}); time after the request to the API server: {words}",
         f"they are a part of every recovery. Give the network plugin's agents more CPU, or use another one: {_POLICIES}"
         if slow
         else "",

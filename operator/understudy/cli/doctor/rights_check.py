@@ -114,7 +114,7 @@ def of_this_user(api: Api, namespace: str) -> Finding:
         "WARN",
         f"you lack rights in {namespace}: {listed}",
         "if you need these verbs, ask an administrator for the ClusterRole edit (the chart's *-edit adds to it) in this namespace; "
-        "pods/ephemeralcontainers is not in it and needs a Role",
+        "that ClusterRole does not contain pods/ephemeralcontainers, which needs a Role",
     )
 
 
@@ -135,8 +135,8 @@ def of_the_operator(api: Api, namespace: str, found: Installed) -> Finding:
         check,
         "FAIL",
         f"{found.account} lacks rights in {namespace}: {', '.join(right.words for right in missing)}",
-        "helm upgrade the chart with rbac.create=true, or give the account what the chart's ClusterRole has; an "
-        "operator for some namespaces only needs it in this one too",
+        "helm upgrade the chart with rbac.create=true, or give the account the permissions of the chart's ClusterRole. "
+        "An operator that is limited to some namespaces (watchNamespaces) needs them in this namespace",
     )
 
 

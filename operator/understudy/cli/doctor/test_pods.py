@@ -123,14 +123,14 @@ def pair(kubectl: Kubectl, api: Api, images: Images, progress: Callable[[str], N
     try:
         # SIGTERM and a closed terminal end it like Ctrl-C, so that the pods are deleted.
         with _handling(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP):
-            progress("making two pods")
+            progress("creating two test pods")
             path = PODS.path(kubectl.namespace)
             for role in ("sender", "receiver"):
                 api.request("POST", path, pod(run, role, images))
             yield Pods(api, kubectl, run, *_started(api, kubectl.namespace, run))
     finally:
         with _handling(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            progress("clearing up")
+            progress("deleting the test pods")
             _clear(kubectl, run)
 
 

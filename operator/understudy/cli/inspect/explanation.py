@@ -237,8 +237,8 @@ def _state(known: Facts) -> Iterator[_Entry]:
     """Explain the present state, and name the active instance."""
     status, observed = known.status, known.observed
     if not known.is_watched:
-        said = f"; the last that was said is {status.health}" if status.health else ""
-        yield _Entry(f"Nobody watches it, so its health is unknown{said}.")
+        said = f"; the last reported health is {status.health}" if status.health else ""
+        yield _Entry(f"No monitor watches the workload, so its health is unknown{said}.")
     elif known.health != "Healthy":
         recovering = known.said.recovering
         reason = recovering.message if recovering else why(known.health, known.said.active, status.conditions or [])
@@ -262,7 +262,7 @@ def _state(known: Facts) -> Iterator[_Entry]:
         yield _Entry(found.message, "Failed")
     yield from _situation(known)
     if admitted := kube_objects.notes(observed.gate).get(names.ADMITTED, "") if observed.gate is not None else "":
-        yield _Entry(f"Let through beside it, for the reflex: {admitted}.")
+        yield _Entry(f"The gate also admits standby {admitted} (spec.gate.reflex).")
 
 
 def _situation(known: Facts) -> Iterator[_Entry]:
@@ -289,13 +289,15 @@ def _failing(known: Facts) -> Iterator[_Entry]:
     considered = known.considered
     if not known.is_watched:
         yield _Entry(
-            "Nobody would notice, and nothing would be done, until its monitor runs (see Missing). It would do this:",
+            "Until the monitor runs (see Missing), a failure is neither detected nor recovered. Then it would do this:",
             "Failed",
         )
     elif not considered:
         yield _Entry(known.protected.message, "Failed")
         if known.status.strategy:
-            yield _Entry(f"Its monitor goes by what was accepted last, and would use {known.status.strategy}.")
+            yield _Entry(
+                f"Its monitor still uses the last accepted policy, and its next strategy is {known.status.strategy}."
+            )
     yield from _limits(known)
     before: Strategy | None = None
     for number, one in enumerate(considered, 1):
@@ -316,8 +318,8 @@ def _failing(known: Facts) -> Iterator[_Entry]:
         yield _Entry("No strategy of its policy could run: the robot would be left without commands.", "Failed")
     elif before is not None:
         yield _Entry(
-            f"If the last is not verified within {before.verify_within} either, all are tried again after a pause. What is not "
-            "available in that moment is passed over at once."
+            f"If the last one is not verified within {before.verify_within} either, the monitor waits and then tries all of them again. "
+            "It skips a strategy that is not available."
         )
     if before is not None and known.left_out:
         yield _Entry(f"Left out: {listed(known.left_out)}, which has standbys only while the robot is degraded.")
@@ -379,19 +381,19 @@ def _otherwise(known: Facts, considered: Sequence[StrategyOutlook]) -> Iterator[
 # -- dependencies -----------------------------------------------------------------------------------------------------
 
 _AFTERWARDS = {
-    "Nothing": "nothing is done here",
-    "Reinitialize": "bringUp is run again here",
-    "Restart": "the pod in control here is replaced",
-    "Procedure": "its own procedure is run here",
+    "Nothing": "the monitor does nothing here",
+    "Reinitialize": "the monitor runs bringUp again here",
+    "Restart": "the monitor replaces the active pod here",
+    "Procedure": "the monitor runs a procedure here",
 }
 
 
 def _dependencies(known: Facts) -> Iterator[_Entry]:
     """List its dependencies with their health, and the workloads that depend on it."""
     for one in known.spec.depends_on if known.spec is not None else ():
-        after = f"once it was recovered, {_AFTERWARDS[one.on_recovery]}"
+        after = f"after it is recovered, {_AFTERWARDS[one.on_recovery]}"
         if one.name not in known.workloads:
-            yield _Entry(f"on {one.name}, which is not there; {after}", "Failed")
+            yield _Entry(f"on {one.name}, which does not exist; {after}", "Failed")
             continue
         status, gate = status_of(known.workloads[one.name]), known.gates.get(names.gate(one.name))
         recovering = under_way(status, gate, known.observed.now) is not None
@@ -400,7 +402,10 @@ def _dependencies(known: Facts) -> Iterator[_Entry]:
         yield _Entry(f"on {one.name} ({health}); {after}", state)
     found = [name for name, one in known.workloads.items() if known.said.name in dependency_graph.named(one)]
     if found:
-        line = f"On this one: {listed(sorted(found))}. While it is not healthy, a failure of theirs that may follow from that is held."
+        line = (
+            f"These depend on this one: {listed(sorted(found))}. While this one is not healthy, a failure of "
+            "theirs that it may cause waits."
+        )
         yield _Entry(line)
 
 
@@ -424,7 +429,7 @@ def _shared(name: str, item: Object, observed: Observed) -> Iterator[_Entry]:
     held = observed.unclaimed.get(name, ())
     ready = pools.claimable_now(held, observed.held_policies.get(name))
     want, claimed = pool_size.size(item), pool(item).claimed
-    taken = f"; {claimed} of its pods {'drives a robot' if claimed == 1 else 'drive robots'}" if claimed else ""
+    taken = f"; {claimed} of its pods {'controls a robot' if claimed == 1 else 'control robots'}" if claimed else ""
     yield _Entry(f"{name} ({pool_reader.readiness(item)}, shared): {len(ready)} of {want} ready{taken}")
     conditions = (item.get("status") or {}).get("conditions") or []
     yield from (_Entry(one["message"], depth=1) for one in conditions if one["type"] in _TOLD)
@@ -506,14 +511,18 @@ def _not_covered(known: Facts) -> Iterator[_Entry]:
         return  # it is reported above
     unwatched = [output.topic for output in spec.outputs if output.topic and output.topic not in watched]
     if unwatched:
-        yield _Entry(f"The health tree does not watch {listed(unwatched)}: nobody notices where it falls silent.")
+        yield _Entry(
+            f"The health tree does not watch {listed(unwatched)}: if nothing arrives there, no failure is detected."
+        )
     if not (policy.state.keep or policy.state.parameters or policy.state.lifecycle):
-        yield _Entry("The policy keeps no state: whatever takes over begins without what the failed instance knew.")
+        yield _Entry(
+            "The policy keeps no state: an instance that takes over starts without the state of the failed one."
+        )
     if len(known.considered) + len(known.left_out) == 1:
-        yield _Entry("The policy has one strategy: where it is not verified, there is nothing else to be tried.")
+        yield _Entry("The policy has one strategy: if it is not verified, there is no other one to try.")
     if policy.safety is None:
         yield _Entry(
-            "The policy has no safety commands: until an instance is in control again, the robot receives no commands."
+            "The policy has no safety commands: until an instance is active again, the robot receives no commands."
         )
 
 

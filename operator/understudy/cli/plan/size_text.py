@@ -49,7 +49,8 @@ def size_text(size: Size) -> str:
             right=(1, 2),
         ),
         "",
-        f"cost       {outcome.cpu:+.2%} CPU ({count} x {question.cpu:g} of an instance, for {counted(question.robots, 'robot')})",
+        f"cost       {outcome.cpu:+.2%} CPU (each of {count} fallbacks uses {question.cpu:g} of the CPU of an instance; "
+        f"{counted(question.robots, 'robot')})",
         f"downtime   {outcome.down:.3g} s per failure, {question.restart:g} s with restarts only: "
         f"{size.gained:.3g} s less per robot and hour",
         *_papers(size),
@@ -99,8 +100,8 @@ def _papers(size: Size) -> list[str]:
         why = f"{paper.expected:.2g} failures in {INTERVAL} s are covered by {count}"
         return [f"paper      the estimate does not apply here: {why}"]
     return [
-        f"paper      {paper.expected:.2g} failures in {INTERVAL} s, {counted(paper.remaining, 'of them', 'of them')} not covered, all in "
-        f"one window in {paper.together} of {paper.ways} ways: {percent(paper.chance)}",
+        f"paper      {paper.expected:.2g} failures in {INTERVAL} s, of which the fallbacks do not cover {paper.remaining}; these fall into "
+        f"one window in {paper.together} of {paper.ways} arrangements: {percent(paper.chance)}",
         f"           simulated: an interval of {INTERVAL} s has a window with more than {count} in {_estimated(size.trial.interval)} of "
         "all cases (why: docs/sizing.md)",
     ]

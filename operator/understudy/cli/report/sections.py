@@ -209,10 +209,10 @@ def over_time(findings: Findings) -> Iterator[Markup]:
 
 def gaps(findings: Findings) -> Iterator[Markup]:
     """Build the chart of command gaps."""
-    yield element("h2", "The robot's gap")
+    yield element("h2", "Interruption of the robot's commands")
     groups = [group for group in findings.groups if group.gaps]
     if not groups:
-        yield element("p", "No gap was recorded in this period.", class_="card")
+        yield element("p", "No interruption was recorded in this period.", class_="card")
         return
     yield element(
         "figure",

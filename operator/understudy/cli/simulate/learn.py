@@ -97,7 +97,7 @@ def _text(bag: Bag, learned: list[Learned], factor: float, margin: float) -> Ite
         if bounds.band is not None:
             yield f"  # over {duration(bounds.window)}: {hertz(bounds.slowest)} to {hertz(bounds.fastest)}"
         else:
-            yield f"  # over {duration(bounds.window)} the rate varies too much for bounds, or the recording is shorter"
+            yield f"  # no bounds over {duration(bounds.window)}: the rate varies too much, or the recording is shorter"
         fields = ", ".join(f"{key}: {value}" for key, value in leaf.items())
         yield f"  - topic: {{{fields}}}"
 

@@ -81,16 +81,20 @@ class Report:
         for one in evaluation.failures:
             if one.detected is None:
                 ended = one.recovered if one.recovered is not None else self._bag.end
-                why = "the policy's debounce" if one.recovered is not None else "the debounce when the bag ended"
+                why = (
+                    "the policy's debounce"
+                    if one.recovered is not None
+                    else "the policy's debounce before the bag ended"
+                )
                 yield (
                     f"Not detected: failed at {self._at(one.failed)} for {_length(ended - one.failed)}, less than {why}: "
                     f"{one.leaf}: {one.reason}"
                 )
         for onset in onsets:
             result = f"detected {_length(onset.delay)} later" if onset.delay is not None else "NOT DETECTED"
-            yield f"Onset at {self._at(onset.at)}: {result}"
+            yield f"Given failure at {self._at(onset.at)}: {result}"
         if onsets:
-            yield from (f"Detected at {self._at(one.detected)}: matches no given onset" for one in others)
+            yield from (f"Detected at {self._at(one.detected)}: matches no given failure" for one in others)
         yield ""
 
     def _leaves(self) -> Iterator[str]:

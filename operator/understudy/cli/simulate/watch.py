@@ -50,7 +50,7 @@ def _end(evaluation: Evaluation) -> int:
     last = evaluation.spans[""][-1] if evaluation.spans else None
     if evaluation.healthy is None:
         why = f": {plain(last.reason)}" if last is not None and last.reason else ""
-        print(f"understudy watch: no failure was detected, but the tree was never healthy{why}", file=sys.stderr)
+        print(f"understudy watch: no failure was detected, but the tree was never healthy either{why}", file=sys.stderr)
     else:
         print("understudy watch: no failure was detected", file=sys.stderr)
     return HEALTHY

@@ -36,13 +36,13 @@ def problem(workload: str, spec: RobotWorkloadSpec, template: Mapping[str, Any])
     if spec.tasks and spec.workload_ref is not None:
         return (
             f"spec.tasks: the pods of {spec.workload_ref.kind} {spec.workload_ref.name} serve {_actions(spec)} "
-            f"directly, so no proxy keeps goals over a failover. Use spec.template instead of workloadRef"
+            f"directly, so the action proxy cannot keep goals during a failover. Use spec.template instead of spec.workloadRef"
         )
     if proxied(spec) and (own := instance_pod.own_profiles(template)):
         return (
-            f"spec.template: container {', '.join(own)} sets {MIDDLEWARE.settings_variable} itself, so clients reach "
-            f"{_actions(spec)} without the proxy, and their goals end with the instance. Remove the variable, or put the "
-            f"profiles of ConfigMap {names.instance_profiles(workload)} into its own file"
+            f"spec.template: container {', '.join(own)} sets the environment variable {MIDDLEWARE.settings_variable} itself, so "
+            f"clients reach {_actions(spec)} without the action proxy, and their goals end with the instance. Remove the variable, or "
+            f"add the profiles of ConfigMap {names.instance_profiles(workload)} to the file that it names"
         )
     return ""
 

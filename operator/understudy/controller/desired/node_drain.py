@@ -66,13 +66,13 @@ def hold(observed: Observed, workload_plan: WorkloadPlan) -> Hold:
         # With two budgets, Kubernetes refuses every eviction permanently.
         return Hold(
             "OtherBudget",
-            f"PodDisruptionBudget {other}, which Understudy does not manage, selects the instance and decides alone",
+            f"PodDisruptionBudget {other}, which Understudy does not manage, selects this pod, and a pod can have only one",
         )
     if (drain := seen(observed)) is None:
         return Hold("Held", "", holds=True)
     until = drain.since + length
     if observed.now >= until:
-        words = f"no understudy on another node took over within {asked.hold_for}; see status.switchover for the reason"
+        words = f"no instance on another node took over within {asked.hold_for}; see status.switchover for the reason"
         return Hold("HoldEnded", words)
     return Hold("Held", "", holds=True, until=until)
 
@@ -103,8 +103,11 @@ def conditions(observed: Observed, workload_plan: WorkloadPlan) -> list[Conditio
     found = hold(observed, workload_plan)
     message = f"Node {drain.node}, where the active instance {kube_objects.name(active)} runs, is cordoned."
     if not found.holds:
-        then = f"Evictions of this instance are not delayed: {found.message}."
+        then = f"Understudy does not delay evictions of this pod: {found.message}."
         return [condition(CONDITION, False, found.reason, f"{message} {then}")]
     clock = datetime.fromtimestamp(found.until or 0.0, UTC).strftime("%H:%M:%S UTC")
-    then = f"Evictions of this instance are refused until an understudy on another node takes over, at the latest until {clock}."
+    then = (
+        "A PodDisruptionBudget refuses evictions of this pod until an instance on another node has taken "
+        f"over, at the latest until {clock}."
+    )
     return [condition(CONDITION, True, found.reason, f"{message} {then}")]

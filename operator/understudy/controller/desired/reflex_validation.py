@@ -17,18 +17,21 @@ def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
         return None
     if spec.workload_ref is not None:
         return (
-            f"spec.gate.reflex: the pods of {spec.workload_ref.kind} {spec.workload_ref.name} are left as they are, so their "
-            "writers have no strength and a robot's reader with exclusive ownership would receive none of them. Give the pods "
-            "as spec.template instead of workloadRef, or leave reflex out"
+            f"spec.gate.reflex: Understudy does not change the pods of {spec.workload_ref.kind} {spec.workload_ref.name}, so their DDS "
+            "writers have no ownership strength, and a robot's reader with exclusive ownership would receive nothing from them. Use "
+            "spec.template instead of spec.workloadRef, or remove spec.gate.reflex"
         )
     if own := instance_pod.own_profiles(template):
         return (
-            f"spec.gate.reflex: container {', '.join(own)} of spec.template sets {MIDDLEWARE.settings_variable} itself, so its "
-            "writers have no strength and the robot would receive none of them. Remove the variable, or remove reflex"
+            f"spec.gate.reflex: container {', '.join(own)} of spec.template sets the environment variable "
+            f"{MIDDLEWARE.settings_variable} itself, so its DDS writers have no ownership strength, and the robot would receive nothing "
+            "from them. Remove the variable, or remove spec.gate.reflex"
         )
     topics = [output.name for output in spec.outputs if output.topic]
     if not topics:
-        return "spec.gate.reflex: outputs has no topic, and services and actions have no reflex. Remove reflex"
+        return (
+            "spec.gate.reflex: spec.outputs has no topic, and the reflex works only for topics. Remove spec.gate.reflex"
+        )
     others = [output.name for output in spec.outputs if not output.topic]
     if len(topics) == 1 and not others:
         return None
@@ -38,7 +41,7 @@ def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
     why = []
     if len(topics) > 1:
         why.append(
-            f"each topic ({', '.join(topics)}) switches by itself, so the robot may follow different instances on "
+            f"each of the topics ({', '.join(topics)}) switches independently, so the robot may follow different instances on "
             "different topics"
         )
     if others:
@@ -47,6 +50,6 @@ def problem(spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str | None:
             "active instance does"
         )
     return (
-        f"spec.gate.reflex is unsafe with these outputs: {'; and '.join(why)}. Remove reflex, or accept that by naming all "
-        f"of them in spec.gate.reflex.accept (missing: {', '.join(missing)})"
+        f"spec.gate.reflex is unsafe with these outputs: {'; and '.join(why)}. Remove spec.gate.reflex, or accept this risk: "
+        f"list all these outputs in spec.gate.reflex.accept (missing: {', '.join(missing)})"
     )

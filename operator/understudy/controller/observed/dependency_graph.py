@@ -111,7 +111,7 @@ def problem(known: Graph, name: str, namespace: str) -> Problem | None:
         return Problem(
             "DependencyNotFound",
             f'spec.dependsOn: no RobotWorkload "{missing[0]}" in namespace {namespace} ({kube_objects.hint(missing[0], others)}). '
-            f"Create it or correct the name; until then {name} is protected as if it did not depend on it",
+            f"Create it or correct the name; until then, Understudy ignores this dependency of {name}",
         )
     return None
 
@@ -125,5 +125,5 @@ def resolved(known: Graph, workload: Object) -> list[Condition]:
     if found is not None:
         return [condition(RESOLVED, False, found.reason, f"{found.message}.")]
     order = ", ".join(one.name for one in upstream(known, name))
-    message = f"It depends on {order}. The procedures after a recovery of these workloads run in this order."
+    message = f"This workload depends on {order}. If several of these are recovered, its onRecovery procedures run in this order."
     return [condition(RESOLVED, True, "Resolved", message)]

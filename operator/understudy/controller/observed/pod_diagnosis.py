@@ -13,7 +13,9 @@ _ADVICE = {
     "ErrImageNeverPull": "The image is not on the node and imagePullPolicy is Never: load the image or allow pulling",
     "InvalidImageName": "Correct the image's name",
     "CrashLoopBackOff": "Find the cause: kubectl logs --previous -n {namespace} {pod} -c {container}",
-    "CreateContainerConfigError": "A referenced object is missing, such as a ConfigMap or Secret",
+    "CreateContainerConfigError": (
+        "A referenced object, such as a ConfigMap or Secret, is missing: see kubectl describe pod -n {namespace} {pod}"
+    ),
     "CreateContainerError": "See kubectl describe pod -n {namespace} {pod}",
     "RunContainerError": "See kubectl describe pod -n {namespace} {pod}",
     "StartError": "Check that the command exists in the image",

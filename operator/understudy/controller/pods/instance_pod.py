@@ -106,18 +106,18 @@ def problem(template: Mapping[str, Any], *, held: bool, path: str, gate: GateKin
     for index, container in enumerate(containers):
         at = f"{path}.spec.containers[{index}]"
         if (taken := container.get("name")) in (names.AGENT_CONTAINER, names.INIT_CONTAINER):
-            return f"{at}.name is {taken}, which the sidecar uses. Choose another name"
+            return f"{at}.name is {taken}, which Understudy's sidecar uses. Choose another name"
         for port in container.get("ports") or []:
             if port.get("containerPort") in (names.AGENT_PORT, names.AGENT_HEALTH_PORT):
-                return f"{at} uses port {port['containerPort']}, which the sidecar uses. Choose another port"
+                return f"{at} uses port {port['containerPort']}, which Understudy's sidecar uses. Choose another port"
         if held and not container.get("command"):
             return (
-                f"{at} ({container.get('name')}) has no command. The container is held until a claim and then started, so the "
-                f"command must be in the template (the entry point of the image is not known here)"
+                f"{at} ({container.get('name')}) has no command. The container starts only when a workload claims the pod, so Understudy "
+                "must know its command. Set command in the template (the entry point of the image cannot be used)"
             )
     for volume in spec.get("volumes") or []:
         if volume.get("name") in (names.AGENT_VOLUME, _TOKEN_VOLUME, names.INSTANCE_PROFILES_VOLUME):
-            return f"{path}.spec.volumes has {volume['name']}, which the sidecar uses. Choose another name"
+            return f"{path}.spec.volumes has {volume['name']}, which Understudy's sidecar uses. Choose another name"
     return None
 
 

@@ -189,7 +189,10 @@ def judged(found: Sized) -> Condition:
     """Return the condition with the number of pods and its reasons."""
     decision, spec = found.decision, found.spec
     if found.short:
-        message = f"{_reason(found)} That takes {_pods(decision.needed)}, and spec.sizing.max is {spec.max}: raise it, or the risk."
+        message = (
+            f"{_reason(found)} This needs {_pods(decision.needed)}, but spec.sizing.max is {spec.max}: "
+            "increase it, or allow a higher spec.sizing.risk."
+        )
         return condition(CONDITION, False, SHORT, message)
     return condition(CONDITION, True, CONDITION, f"{_reason(found)} {_outlook(found)}")
 
@@ -199,7 +202,7 @@ def _reason(found: Sized) -> str:
     spec, said = found.spec, found.said
     robots = "1 robot" if said.robots == 1 else f"{said.robots} robots"
     hours = "1 robot hour" if said.robot_hours == 1 else f"{said.robot_hours:g} robot hours"
-    figures = f"{said.failures_per_robot_hour:g} per robot and hour ({said.low:g} to {said.high:g})"
+    figures = f"{said.failures_per_robot_hour:g} requests per robot and hour ({said.low:g} to {said.high:g})"
     if said.failures:
         times = "once" if said.failures == 1 else f"{said.failures} times"
         source = f"{robots} asked for a pod {times} in {hours}"
@@ -207,20 +210,20 @@ def _reason(found: Sized) -> str:
         source = (
             f"{robots} asked for none in {hours}, and {spec.failures_per_robot_hour:g} per robot and hour were assumed"
         )
-    kind = "find none" if spec.risk_of == "Loss" else "have to wait"
-    return f"{source}: {figures}, each of which takes one away for {spec.refill}. {spec.risk} of them may {kind}."
+    kind = "find no pod" if spec.risk_of == "Loss" else "have to wait for a pod"
+    return f"{source}: {figures}. Each uses a pod for {spec.refill}. At most {spec.risk} of the requests may {kind} (spec.sizing.risk)."
 
 
 def _outlook(found: Sized) -> str:
     decision, spec = found.decision, found.spec
-    size = f"So it keeps {_pods(decision.size)}"
+    size = f"So the pool keeps {_pods(decision.size)}"
     if decision.size > decision.needed and decision.size == spec.min:
         return f"{size}, which is spec.sizing.min; {decision.needed} would be enough."
     if decision.shrinks and decision.size > spec.min:
         fewer = max(decision.safe, spec.min)
-        return f"{size}; {fewer} would surely be enough, so it becomes one less every {REST / 60:g} minutes."
+        return f"{size}; {fewer} would certainly be enough, so the pool becomes smaller by one every {REST / 60:g} minutes."
     if decision.size > decision.needed:
-        return f"{size}; {decision.needed} may be enough, which is not certain yet ({SURE:.0%})."
+        return f"{size}; {decision.needed} may be enough, but that is not certain yet (to {SURE:.0%})."
     return f"{size}."
 
 

@@ -40,13 +40,13 @@ POOL_SIZE = Gauge(
 )
 POOL_NEEDED = Gauge(
     "understudy_pool_size_needed",
-    "How many would be enough for the risk at the expected rate, without regard to min and max.",
+    "Pods that would be enough for spec.sizing.risk at the expected rate of requests, without regard to min and max.",
     ["namespace", "pool"],
     registry=REGISTRY,
 )
 POOL_FAILURES = Gauge(
     "understudy_pool_failures_per_robot_hour",
-    "How often a robot is expected to ask for a pod of the pool.",
+    "Expected requests for a pod of the pool, per robot and hour.",
     ["namespace", "pool"],
     registry=REGISTRY,
 )
@@ -58,12 +58,18 @@ _STORM = Gauge(
 )
 MISSED = Counter(
     "understudy_watch_missed_total",
-    "Changes that only a full list brought, by resource.",
+    "Changes that the watches missed and a list of all objects showed, by resource.",
     ["resource"],
     registry=REGISTRY,
 )
-RESYNC_SECONDS = Gauge("understudy_last_resync_seconds", "How long it took to list everything last.", registry=REGISTRY)
-RESYNCED = Gauge("understudy_last_resync_timestamp_seconds", "When everything was listed last.", registry=REGISTRY)
+RESYNC_SECONDS = Gauge(
+    "understudy_last_resync_seconds", "Seconds that the last list of all objects took.", registry=REGISTRY
+)
+RESYNCED = Gauge(
+    "understudy_last_resync_timestamp_seconds",
+    "When all objects were last listed (Unix time in seconds).",
+    registry=REGISTRY,
+)
 
 _REQUESTS, _HEARD = api_traffic.series(REGISTRY)
 TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)

@@ -78,8 +78,12 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
         operator_metrics.REGISTRY.register(fleet)
         server = await http_server.serve(
             options.port,
-            alive=lambda: "full lists have failed for too long" if operator.stalled else None,
-            ready=lambda: None if operator.synced else "the first full list is not complete",
+            alive=lambda: (
+                "the operator has not been able to list its objects for too long: see its log"
+                if operator.stalled
+                else None
+            ),
+            ready=lambda: None if operator.synced else "the operator has not listed all its objects yet",
         )
         tasks = {
             asyncio.create_task(

@@ -61,7 +61,7 @@ def _prewarm_problem(policy: Object, pools: Mapping[str, Object]) -> Problem | N
 def shared(pool: str) -> str:
     """Return why a pool cannot be pre-warmed for a workload."""
     return (
-        f"FallbackPool {pool} is {SHARED_NAMES}, so its pods belong to no workload. Name a pool that is {STANDBY_NAMES} "
+        f"FallbackPool {pool} has readiness {SHARED_NAMES}, so its pods belong to no workload. Name a pool with readiness {STANDBY_NAMES} "
         f"(with perWorkload 0 it has no pods until a workload is degraded)"
     )
 

@@ -172,9 +172,8 @@ def _moving(observed: pool_pods.Observed) -> list[Condition]:
     places = sorted({leaving_nodes.of(pod) for pod in found})
     more = f" and {len(places) - _MOST_NAMED} more" if len(places) > _MOST_NAMED else ""
     message = (
-        f"{len(found)} of {len(waiting)} waiting pods {'is' if len(found) == 1 else 'are'} on a node that is being drained or was lost "
-        f"({', '.join(places[:_MOST_NAMED])}{more}), and {'is' if len(found) == 1 else 'are'} deleted after replacements on "
-        "other nodes are ready."
+        f"{len(found)} of {len(waiting)} unclaimed pods {'is' if len(found) == 1 else 'are'} on a node that is being drained or was lost "
+        f"({', '.join(places[:_MOST_NAMED])}{more}). The operator deletes such pods after replacements on other nodes are ready."
     )
     return [condition(pool_pods.MOVING, True, "NodeLeaves", message)]
 
@@ -185,10 +184,10 @@ def _updated(spec: FallbackPoolSpec, counts: Counts, updated: int) -> Condition:
     if not old:
         message = "Every unclaimed pod has the current template."
         return condition("Updated", True, "Updated", message)
-    are = "has an earlier template and stays" if old == 1 else "have earlier templates and stay"
+    are = "has an earlier template and is kept" if old == 1 else "have earlier templates and are kept"
     message = f"{old} of {counts.replicas} unclaimed pods {are}"
     if spec.update_strategy is not None and spec.update_strategy.type == "OnReplenish":
-        message = f"{message} until they are claimed (spec.updateStrategy)."
+        message = f"{message} until workloads claim them (spec.updateStrategy)."
         return condition("Updated", True, "OnReplenish", message)
     message = f"{message} until enough pods of the current template are ready."
     return condition("Updated", False, "RollingOut", message)

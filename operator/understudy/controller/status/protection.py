@@ -52,19 +52,25 @@ def protected(observed: Observed, workload_plan: WorkloadPlan) -> Condition:
     def no(reason: str, message: str, outlook: str) -> Condition:
         return condition("Protected", False, reason, f"{message.rstrip('.')}. {outlook}")
 
-    unwatched = "If it failed now, nobody would notice"
+    unwatched = "a failure is not detected"
     name = kube_objects.name(observed.workload)
     if observed.gate is None:
         problem = workload_plan.problem or workload_plan.policy_problem
         if problem is not None:
-            return no(problem.reason, problem.message, f"{unwatched}: nothing was created yet.")
-        return no("GateMissing", f"the gate {names.gate(name)} does not exist", f"{unwatched}: it is being created.")
+            return no(problem.reason, problem.message, f"Nothing was created yet, so {unwatched}.")
+        return no(
+            "GateMissing",
+            f"the gate {names.gate(name)} does not exist",
+            f"Until the operator has created it, {unwatched}.",
+        )
     if (refused := workload_plan.policy_problem) is not None:
-        return no(refused.reason, refused.message, "What was created before stays as it is.")
+        return no(
+            refused.reason, refused.message, "The operator leaves the objects that it created before as they are."
+        )
     if not any(kube_objects.ready(pod) for pod in observed.monitors):
         trouble = pod_diagnosis.first(observed.monitors)
         words = trouble.message if trouble else f"the monitor (Deployment {names.monitor(name)}) is not ready"
-        return no("MonitorNotReady", words, f"{unwatched} until it is.")
+        return no("MonitorNotReady", words, f"Until the monitor is ready, {unwatched}.")
     for prevention in in_force(Facts(observed.now, limits=reported_limits(observed)), _FAILURE):
         if not prevention.row.protected:
             return no(
@@ -256,9 +262,7 @@ def _discovery(observed: Observed, workload_plan: WorkloadPlan) -> Problem | Non
     server = names.discovery(kube_objects.name(observed.workload))
     found = pod_diagnosis.first(observed.discovery)
     details = f": {found.message}" if found else ""
-    text = (
-        f"the ROS discovery server (Deployment {server}) is not ready, so new processes cannot find the robot{details}"
-    )
+    text = f"the ROS discovery server (Deployment {server}) is not ready, so new processes cannot join the robot's ROS graph{details}"
     return Problem(availability.DISCOVERY_NOT_READY, text)
 
 

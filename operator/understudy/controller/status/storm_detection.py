@@ -65,7 +65,10 @@ def judge(
     passing = [moment for moment in until.values() if moment is not None and moment != float("inf")]
     again = max(0.0, min(passing) - now) if passing else None
     if len(failing) < guard.workloads or 100 * len(failing) <= guard.percent * len(awake):
-        text = f"At most {guard.percent} % of the workloads of this policy, or fewer than {guard.workloads} of them, fail at the same time."
+        text = (
+            f"Fewer workloads fail than limits.stormGuard needs: at least {guard.workloads} at the same time, and more than "
+            f"{guard.percent} % of the workloads of this policy."
+        )
         return condition(CONDITION, False, "FewFail", text), again
     live = (policy.get("status") or {}).get("conditions") or []
     before = next((c for c in live if (c["type"], c["status"]) == (CONDITION, "True")), None)

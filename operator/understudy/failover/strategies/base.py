@@ -57,7 +57,7 @@ class Strategy(ABC):
 
         It becomes the target of the progress before anything is done to it. Raises NotAvailable, NotVerified.
         """
-        raise NotAvailable(f"{self.name} cannot prepare an understudy while another instance drives")
+        raise NotAvailable(f"strategy {self.name} cannot prepare a new instance while another one is active")
 
     async def wait(self, progress: Progress, means: Means) -> None:
         """Wait for the resources that it needs, for as long as the policy allows. Raises NotAvailable."""

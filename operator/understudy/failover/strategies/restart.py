@@ -56,7 +56,7 @@ class Restart(Strategy):
         instances = means.instances.of_workload()
         if any(i.from_source for i in instances if i.uid == active):
             raise NotAvailable(
-                "its own controller runs one pod, which is active: another one cannot be started beside it"
+                "the workload's own controller runs one pod, which is active: it cannot start another one beside it"
             )
         own = [i for i in instances if i.from_source and i.usable and not progress.has_failed(i.uid)]
         if reasons := [f"{i.name} {reason}" for i in own if (reason := unfit(i)) is not None]:

@@ -104,11 +104,11 @@ class UninitializedFallback(Strategy):
             served = False
         if served:
             return
-        reasons = [self.available(means, progress) or f"pool {self.pool} could not be claimed from"]
+        reasons = [self.available(means, progress) or f"the monitor could not claim a pod of FallbackPool {self.pool}"]
         if (restarted := self._restarted(progress, means)) is not None and self.wait_for:
             reasons.append(f"{restarted.name} is up already")
         elif progress.waiting is not None:
-            reasons.append(f"it got none in {self.wait_for:g} s")
+            reasons.append(f"no pod became free within {self.wait_for:g} s")
         if progress.waiting is not None:
             means.queue.gave_up(me)
         progress.waiting = None

@@ -234,7 +234,7 @@ class ProbeReceiver:
     leak_hint = (
         "The cluster's network does not enforce NetworkPolicies for UDP with endPort. Use a network plugin that does."
     )
-    block_hint = "Look for other NetworkPolicies that select it, or for a network that does not carry its traffic."
+    block_hint = "Check whether another NetworkPolicy selects the pod, or whether the network drops its UDP packets."
 
     def __init__(self) -> None:
         self._arrivals = Arrivals()

@@ -68,7 +68,8 @@ class ActionProxyLink:
             except OSError as error:
                 if time.monotonic() - away_since > PATIENCE:
                     words = (
-                        f"The action proxy (container {names.TASKS_CONTAINER} of this pod) cannot be reached: {error}"
+                        f"The monitor cannot reach the action proxy (container {names.TASKS_CONTAINER} of the monitor's pod, see its "
+                        f"logs): {error}"
                     )
                     self._say("False", "ProxyNotReady", words)
                 await asyncio.sleep(RETRY)
@@ -79,12 +80,12 @@ class ActionProxyLink:
                     await self._listen(reader)
                     sending.cancel()
             except* OSError as group_error:
-                _logger.info("the task proxy is gone: %s", group_error.exceptions[0])
+                _logger.info("the connection to the action proxy ended: %s", group_error.exceptions[0])
             except* (ValueError, KeyError, TypeError) as group_error:
                 _logger.error("the action proxy sent an invalid message: %r", group_error.exceptions[0])
             except* Exception:
                 # An error of any kind must not end the monitor.
-                _logger.exception("speaking with the task proxy")
+                _logger.exception("the connection to the action proxy failed")
             finally:
                 writer.close()
             away_since = time.monotonic()
@@ -209,5 +210,5 @@ def judged(tasks: Sequence[Mapping[str, Any]], problem: str) -> tuple[str, str, 
         return "False", "GoalsNotSent", ". ".join(messages)
     actions = ", ".join(task["action"] for task in tasks)
     if not all(task["served"] for task in tasks):
-        return "Unknown", "Starting", f"The action proxy is about to serve {actions}."
-    return "True", "Serving", f"The task proxy serves {actions}."
+        return "Unknown", "Starting", f"The action proxy does not serve all of these actions yet: {actions}."
+    return "True", "Serving", f"The action proxy serves {actions}."

@@ -102,7 +102,7 @@ class SafeCommands:
                 commander = Commander(self._graph, command.topic, type_name, command.message)
             # The last of these is rclpy's: one process has a topic as one type, and the tree may watch it as another.
             except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:
-                _logger.error("the safe command for %s cannot be given: %s", command.topic, error)
+                _logger.error("the safe command on %s cannot be published: %s", command.topic, error)
                 self.problems.append(f"FailurePolicy: spec.safety.commands[{index}]: {error}.")
                 continue
             self._commanders.append(commander)
@@ -135,7 +135,7 @@ class SafeCommands:
             commander.publish()
         except Exception:  # whatever rclpy raises
             if not failing:
-                _logger.exception("a safe command was not given")
+                _logger.exception("could not publish a safe command; it is published again after its period")
             return True
         self.sent += 1
         return False
@@ -161,6 +161,7 @@ def _type(topic: str, outputs: Sequence[tuple[str, str]], *, reflex: bool) -> st
         raise _Unusable(f"{topic} is not a topic of the workload's outputs ({there})")
     if reflex:
         raise _Unusable(
-            f"{topic} is read with exclusive ownership because of spec.gate.reflex, so the robot would not receive it; use one of the two"
+            f"spec.gate.reflex of the workload makes the robot read {topic} with exclusive ownership, so it would not receive the safe "
+            "command; remove spec.gate.reflex, or this command"
         )
     return known[topic]

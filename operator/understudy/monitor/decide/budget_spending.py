@@ -86,7 +86,8 @@ class BudgetSpending:
         """Report that a failure is not recovered because the budget is spent."""
         found = self._notices.status.find(CONDITION)
         pods = ", ".join(pod.name for pod in progress.failed[:1]) or "no pod"
-        text = f"{progress.reason}; {pods} is fenced, and nothing else is done. {found.message if found is not None else ''}"
+        why = found.message if found is not None else ""
+        text = f"{progress.reason}; the monitor fenced {pods} and does not replace it. {why}"
         _logger.warning("%s", text)
         self._notices.add(RecoveryDeferred("BudgetSpent"))
         self._notices.condition("Recovering", "False", "BudgetSpent", text.strip())
@@ -97,7 +98,7 @@ class BudgetSpending:
 
     def _spent(self, budget: Budget, until: float) -> str:
         return (
-            f"limits.budget of the policy is spent ({budget.words}). An instance that fails before {in_words(until)} is fenced, and "
-            "nothing else is done. Find out why the workload fails so often, then run: "
+            f"limits.budget of the policy is spent ({budget.words}). Until {in_words(until)}, the monitor only fences an instance that "
+            "fails, and does not replace it. Find out why the workload fails so often, then run: "
             f"understudy resume -n {self._view.namespace} {self._view.workload}"
         )

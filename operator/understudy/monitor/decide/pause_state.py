@@ -54,10 +54,13 @@ class PauseState:
         elif in_force:
             self._begin(given, anew=before != (given, True))
         else:
-            said = f"It was {given.words}. The pause is over, and spec.pause can be removed."
+            said = f"The pause is over, and spec.pause can be removed. The workload was {given.words}."
             self._notices.condition(CONDITION, "False", "Over", said)
         if before[1] and not in_force and before[0] is not None:
-            pause, why = before[0], f"it was removed{self._words()}" if given is None else "its end was reached"
+            pause, why = (
+                before[0],
+                f"spec.pause was removed{self._words()}" if given is None else "the pause reached its end",
+            )
             _logger.warning("no longer %s: %s", pause.words, why)
             self._notices.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
 

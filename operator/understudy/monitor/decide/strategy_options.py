@@ -28,7 +28,7 @@ class StrategyOptions:
     def means(self) -> Means:
         """Return what strategies work with, by the present settings and policy."""
         policy, settings = self._view.policy, self._view.settings
-        assert settings is not None, "the view waits for the settings"
+        assert settings is not None, "the cluster view has started, so there are settings"
         restore_within = seconds(policy.state.within) if policy is not None else self._means.restore_within
         return replace(self._means, workload_uid=settings.uid, restore_within=restore_within, holds=self.holds)
 

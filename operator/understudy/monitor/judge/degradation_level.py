@@ -30,7 +30,7 @@ AGAIN = 30.0
 
 CONDITION, TASKS = "Degraded", "TasksProxied"
 
-_WAITS = " It is not handed over yet: "
+_WAITS = " No switchover yet: "
 
 
 class DegradationLevel:
@@ -61,7 +61,9 @@ class DegradationLevel:
     @property
     def due(self) -> str | None:
         """The reason to hand over the instance now; None if that is not due."""
-        return f"degraded: {self._words}; rescheduled while idle" if self._due and self.degraded else None
+        return (
+            f"degraded: {self._words}; switched over while the robot was idle" if self._due and self.degraded else None
+        )
 
     def handed_over(self) -> None:
         """Note that a planned hand-over was begun."""
@@ -119,9 +121,16 @@ class DegradationLevel:
         if before is not None:
             self._say_well(clock - before)
         elif found.state == "Healthy" and self._notices.status.reason(CONDITION) != "Well":
-            self._notices.condition(CONDITION, "False", "Well", "The tree of spec.degraded succeeds.")
+            self._notices.condition(
+                CONDITION, "False", "Well", "The active instance is not degraded: the tree of spec.degraded succeeds."
+            )
         elif found.state == "Starting" and healthy and self._notices.status.find(CONDITION) is None:
-            self._notices.condition(CONDITION, "Unknown", "Starting", f"It is not known yet: {found.reason}.")
+            self._notices.condition(
+                CONDITION,
+                "Unknown",
+                "Starting",
+                f"It is not known yet whether the active instance is degraded: {found.reason}.",
+            )
 
     # -- handing over -----------------------------------------------------------------------------------------------
 
@@ -147,14 +156,14 @@ class DegradationLevel:
 
     def _too_early(self, reschedule: Reschedule, clock: float) -> BusyReason | None:
         if self._paused(seconds(reschedule.pause), clock) > 0:
-            return BusyReason("pause", f"the last planned hand-over was less than {reschedule.pause} ago")
+            return BusyReason("pause", f"the last planned switchover was less than {reschedule.pause} ago")
         since, idle = self._level.since, self._idle_since
-        assert since is not None, "it is asked of a degraded one only"
-        assert idle is not None, "it is asked of an idle one only"
+        assert since is not None, "asked only if the instance is degraded"
+        assert idle is not None, "asked only if the robot is idle"
         if clock < since + seconds(reschedule.after):
-            return BusyReason("after", f"it must have been degraded for {reschedule.after}")
+            return BusyReason("after", f"the instance must be degraded for {reschedule.after} first")
         if clock < idle + seconds(reschedule.idle_for):
-            return BusyReason("idleFor", f"it must have been idle for {reschedule.idle_for}")
+            return BusyReason("idleFor", f"the robot must be idle for {reschedule.idle_for} first")
         return None
 
     def _busy(self, *, now: float, since: float) -> BusyReason | None:

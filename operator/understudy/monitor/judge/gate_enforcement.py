@@ -41,7 +41,7 @@ def judge(
     """
     probing = [i for i in instances if i.has_agent and i.running and not i.terminating and not i.held]
     if now - since < SETTLE:
-        return "Unknown", "Settling", "The gate has just changed."
+        return "Unknown", "Settling", "The gate has just changed, and its effect has not been tested yet."
     leaking = [
         i.name
         for i in probing
@@ -52,7 +52,8 @@ def judge(
         return (
             "False",
             "NotEnforced",
-            f"Packets of {', '.join(leaking)} pass the gate, which does not name that pod. Two instances could drive the robot. "
+            f"The gate does not admit {', '.join(leaking)}, but packets of that pod pass it. Two instances could command the robot at "
+            "the same time. "
             f"{leak_hint}".rstrip(),
         )
     active = next((i for i in probing if i.uid == active_uid), None)
@@ -62,15 +63,19 @@ def judge(
         return (
             "False",
             "Blocked",
-            f"Packets of {active.name} do not pass the gate, although it names that pod. {block_hint}".rstrip(),
+            f"The gate admits {active.name}, but packets of that pod do not pass it. {block_hint}".rstrip(),
         )
     if admitted_uid and all(i.uid in (active_uid, admitted_uid) for i in probing):
-        return "Unknown", "Admitted", "The gate also admits the only standby, for the reflex."
+        return (
+            "Unknown",
+            "Admitted",
+            "The gate also admits the only standby (spec.gate.reflex), so no pod is left that it should block.",
+        )
     if len(probing) == 1:
         return (
             "Unknown",
             "NoStandby",
-            "Packets of the active pod pass the gate. Without a standby, it is unknown whether the gate holds others back.",
+            "Packets of the active pod pass the gate. Without a standby, it is unknown whether the gate blocks others.",
         )
     return (
         "True",

@@ -132,7 +132,9 @@ class AgentConnections:
                 item = await self._client.get(SECRETS, self._view.namespace, secret)
                 self._tokens[secret] = base64.b64decode(item["data"]["token"])
             except (*FAILURES, KeyError, ValueError) as error:
-                _logger.warning("Secret %s cannot be read: %r", secret, error)
+                _logger.warning(
+                    "cannot read Secret %s, without which the monitor cannot connect to agents: %r", secret, error
+                )
                 return None
         return self._tokens[secret]
 
@@ -262,7 +264,7 @@ class AgentConnections:
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
         settings = self._view.settings
-        assert settings is not None, "the view waits for the settings"
+        assert settings is not None, "the cluster view has started, so there are settings"
         self._crash_points.step("before start")
         while True:
             link = await self._connected(instance)

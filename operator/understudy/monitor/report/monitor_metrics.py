@@ -40,56 +40,62 @@ _RECOVERIES = Counter("understudy_recoveries", "Recoveries of this workload.", [
 _TIMES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 60)
 _SECONDS = Histogram(
     "understudy_recovery_seconds",
-    "From the last healthy output of the failed instance until the gate was open for the next one (the sum of the parts).",
+    "Seconds from the last healthy output of the failed instance until the gate was open for the next one.",
     ["strategy"],
     buckets=_TIMES,
 )
 _PARTS = Histogram(
     "understudy_recovery_part_seconds",
-    "Parts of the recovery time (equation 1 of the paper).",
+    "Seconds that each part of a recovery took; their sum is understudy_recovery_seconds.",
     ["strategy", "part"],
     buckets=_TIMES,
 )
-_HEALTH = Gauge("understudy_health", "1 for the current health of this workload.", ["health"])
+_HEALTH = Gauge(
+    "understudy_health", "1 for the current health of this workload, and 0 for every other one.", ["health"]
+)
 _EPOCH = Gauge("understudy_gate_epoch", "Epoch of the gate.")
 _LATENESS = Histogram(
     "understudy_detection_lateness_seconds",
-    "How long after its deadline a failure was detected.",
+    "Seconds from the moment at which a failure could be detected until the monitor detected it.",
     buckets=(0.0005, 0.001, 0.002, 0.005, 0.01, 0.015, 0.05, 0.1, 0.5),
 )
 _WAITS = Histogram(
     "understudy_pool_wait_seconds",
-    "How long this workload waited for a pod of a shared pool, until it was served or gave up.",
+    "Seconds that this workload waited for a pod of a shared pool, until it got one or gave up.",
     ["pool", "result"],
     buckets=(0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300),
 )
 _CLAIMS = Histogram(
     "understudy_claim_seconds",
-    "Duration of the claim of a pod of a shared pool, by its result.",
+    "Seconds that it took to claim a pod of a shared pool, by the result.",
     ["result"],
     buckets=_WRITES,
 )
 _GATES = Histogram(
-    "understudy_gate_commit_seconds", "How long the API server took for a change of the gate.", buckets=_WRITES
+    "understudy_gate_commit_seconds", "Seconds that the API server took to change the gate.", buckets=_WRITES
 )
 _SWITCHOVERS = Counter("understudy_switchovers", "Planned switchovers of this workload.", ["kind", "result"])
 _SWITCHOVER_GAP = Histogram(
     "understudy_switchover_gap_seconds",
-    "From the last output of the former instance to the first of the next one, in planned switchovers.",
+    "Seconds from the last output of the former instance to the first of the next one, in planned switchovers.",
     ["kind"],
     buckets=(0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5),
 )
 _DEGRADATIONS = Counter("understudy_degradations", "How often this workload became degraded.")
-_SITUATION = Gauge("understudy_situation", "1 for the situation that the robot is in, by its policy.", ["situation"])
+_SITUATION = Gauge(
+    "understudy_situation",
+    "1 for the situation of the policy that the robot is in; other situations have no series.",
+    ["situation"],
+)
 _BUDGET = Gauge("understudy_budget_left", "Recoveries that limits.budget has left, by its window.", ["within"])
-_PAUSED = Gauge("understudy_paused", "1 while spec.pause is in force.")
+_PAUSED = Gauge("understudy_paused", "1 while the workload is paused (spec.pause).")
 _HELD = Counter(
     "understudy_recoveries_held", "Failures that were not recovered at once, by the limit that deferred them.", ["why"]
 )
 _KEPT_AT = Gauge(
     "understudy_kept_timestamp_seconds", "When the state that would be restored now was captured (Unix time).", ["name"]
 )
-_KEPT_BYTES = Gauge("understudy_kept_bytes", "Size of the state that would be restored now.", ["name"])
+_KEPT_BYTES = Gauge("understudy_kept_bytes", "Size in bytes of the state that would be restored now.", ["name"])
 _REQUESTS, _HEARD = api_traffic.series(REGISTRY)
 TRAFFIC = api_traffic.Traffic(_REQUESTS, _HEARD)
 
@@ -181,10 +187,10 @@ class ObservationMetrics(Collector):
 
 def _of_looks(looks: int, overruns: int) -> list[Metric]:
     return [
-        CounterMetricFamily("understudy_tree_evaluations", "Looks at the health tree.", value=looks),
+        CounterMetricFamily("understudy_tree_evaluations", "Evaluations of the health tree.", value=looks),
         CounterMetricFamily(
             "understudy_tree_overruns",
-            "Looks at the health tree that came so late that silence cannot be judged by them at once.",
+            "Evaluations of the health tree that came so late that the monitor does not treat silence as a failure at once.",
             value=overruns,
         ),
     ]
@@ -198,12 +204,12 @@ def _of_topics(records: Mapping[str, TopicRecord], now: float) -> list[Metric]:
     )
     last = GaugeMetricFamily(
         "understudy_topic_last_message_timestamp_seconds",
-        "When the last of them was received (Unix time).",
+        "When the last message of a watched topic was received (Unix time in seconds).",
         labels=["topic"],
     )
     gap = GaugeMetricFamily(
         "understudy_topic_longest_gap_seconds",
-        "Longest time between two of them in the last minute or two, including the current silence.",
+        "Longest time in seconds between two messages of a watched topic in the last minute or two, including the current silence.",
         labels=["topic"],
     )
     for topic, record in records.items():

@@ -161,7 +161,9 @@ class InstanceCaller:
                 if step is not None:
                     await _transition(opened, bound, node, present, *step)
                 elif present in STATES:
-                    raise CallFailed(f"node {node} is {present}, from where it cannot become {state}")
+                    raise CallFailed(
+                        f"node {node} is {present}, and no lifecycle transition leads from there to {state}"
+                    )
                 else:
                     bound.missing = f"node {node} is still {present}, not yet {state}"
                     await asyncio.sleep(LOOK)
@@ -435,7 +437,7 @@ async def _transition(
             found = await _state(opened, bound, node)
             if found == goal:
                 return
-            bound.missing = f"node {node} was asked to {transition} and is still {found}"
+            bound.missing = f"node {node} is still {found} after the request to {transition}"
             if answered and found in STATES:
                 break
             if found != present or not asking.sent:

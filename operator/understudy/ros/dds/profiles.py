@@ -71,8 +71,8 @@ def gate_ports(outputs: Iterable[Output]) -> dict[str, int]:
             port = next(free, None)
             if port is None:
                 raise ValueError(
-                    f"spec.outputs: no gate port is left for {output.name}: the gated range has "
-                    f"{len(names.GATE_PORTS)} ports; a topic takes 1, a service 2, an action 8"
+                    f"spec.outputs: no gate port is left for {output.name}: the gate has {len(names.GATE_PORTS)} UDP ports; a topic "
+                    "takes 1, a service 2, an action 8. Remove an output"
                 )
             ports[profile] = port
     return ports

@@ -45,7 +45,7 @@ class LifecycleStates(Inquiries[str, str, NodeState]):
         """Return why the state cannot be determined."""
         return (
             f"the state of {subject} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "
-            "and the one of the active instance has reported no transition since it has been watched"
+            "and the node of the active instance has not reported a transition since the monitor started to watch it"
         )
 
     def evidence(self, received: float, fact: str | None) -> NodeState:

@@ -69,7 +69,7 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
         node, name = subject
         return (
             f"parameter {name} of {node} cannot be determined: of {nodes} nodes of that name, in different pods, {found}, "
-            "and the one of the active instance has reported no change since it has been watched"
+            "and the node of the active instance has not reported a change since the monitor started to watch it"
         )
 
     def evidence(self, received: float, fact: Setting | None) -> ParameterState:

@@ -52,9 +52,9 @@ class Sources:
         for names in self.ambiguous:
             addresses = ", ".join(f"{name} ({self.instances[name]})" for name in names)
             if len({self.instances[name] for name in names}) == 1:
-                yield f"{addresses} cannot be distinguished: they have the same address, one after the other."
+                yield f"The messages of {addresses} cannot be distinguished: these pods had the same address, one after the other."
             else:
                 yield (
-                    f"{addresses} cannot be distinguished: {MIDDLEWARE.name} gives their addresses the same host id. Delete "
-                    "the standby among them, its replacement gets another address."
+                    f"The messages of {addresses} cannot be distinguished: {MIDDLEWARE.name} gives their addresses the same host id. "
+                    "Delete the standby: its replacement gets another address."
                 )

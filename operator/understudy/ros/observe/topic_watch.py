@@ -418,7 +418,7 @@ class TopicWatch:
         step, self._clock = offset - self._clock, offset
         if abs(step) < CLOCK_STEP:
             return -math.inf, math.inf
-        _logger.warning("the clock was set by %+.3f s; the times of what was received are moved with it", step)
+        _logger.warning("the system clock jumped by %+.3f s; the receive times are corrected by the same amount", step)
         self._drained += step
         self._presence.shift(step)
         self._inhabitants.shift(step)

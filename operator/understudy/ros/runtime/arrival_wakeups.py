@@ -37,7 +37,8 @@ class ArrivalWakeups:
         if result != 0:
             self._reset_error()
             _logger.warning(
-                "the middleware does not report new messages (rcl's code %d): they are noticed later", result
+                "the middleware does not report new messages (rcl error %d), so they are noticed only when they are polled",
+                result,
             )
             return
         self.asked = True

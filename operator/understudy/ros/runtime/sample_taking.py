@@ -70,7 +70,7 @@ def loaded(name: str) -> ctypes.CDLL:
             path = line.rstrip().split(maxsplit=5)[-1]
             if pattern.search(path):
                 return ctypes.CDLL(path)
-    raise ImportError(f"rclpy has not loaded {name}.so: is it ROS 2 Jazzy?")
+    raise ImportError(f"rclpy has not loaded {name}.so: Understudy needs ROS 2 Jazzy")
 
 
 class SampleTaker:

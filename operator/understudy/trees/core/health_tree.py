@@ -280,11 +280,18 @@ def _decisive(node: Behaviour, *, inverted: bool = False) -> list[tuple[Leaf, st
     """Return the leaves that gave a node its status, with their reasons, in the tree's order."""
     if isinstance(node, Leaf):
         reason = node.reason(STATE[node.status])
-        return [(node, f"{reason}, which must not be" if inverted and node.status != Status.RUNNING else reason)]
+        return [
+            (
+                node,
+                f"{reason}, but the tree requires the opposite"
+                if inverted and node.status != Status.RUNNING
+                else reason,
+            )
+        ]
     if isinstance(node, While) and not node.counts():
         # Its child counts as healthy while the task is not active, so this matters only under an inverter.
         leaf = next(inner for inner in node.iterate() if isinstance(inner, Leaf))
-        return [(leaf, f"no goal of {node.task.action} is active, which must not be")]
+        return [(leaf, f"no goal of {node.task.action} is active, but the tree requires the opposite")]
     if isinstance(node, Inverter):
         return _decisive(node.decorated, inverted=not inverted)
     return [found for child in _deciding(node) for found in _decisive(child, inverted=inverted)]

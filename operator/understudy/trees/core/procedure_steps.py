@@ -200,7 +200,7 @@ class Retry(Decorator):
 def reasons(node: Behaviour, *, inverted: bool = False) -> list[str]:
     """Return for each failed leaf of a node its path and its error."""
     if isinstance(node, Step):
-        return [f"{node.name}: it holds, which must not be" if inverted else f"{node.name}: {node.error}"]
+        return [f"{node.name}: the condition is true, but must be false" if inverted else f"{node.name}: {node.error}"]
     if isinstance(node, Timeout) and node.error:
         return [f"{node.name}: {node.error}"]
     if isinstance(node, Decorator) and node.decorated.status != node.status:

@@ -47,11 +47,11 @@ class Band:
         else:
             raise ValueError(f"{text!r} is not a rate: {_FORMS}")
         if band.low is not None and band.high is not None and band.low >= band.high:
-            raise ValueError(f"{text!r} holds no rate: the lower bound comes first, such as '9 to 11 Hz'")
+            raise ValueError(f"no rate is within {text!r}: write the lower bound first, such as '9 to 11 Hz'")
         if band.high == 0 or (band.low == 0 and band.high is None):
-            raise ValueError(f"{text!r} bounds nothing: a bound is above 0 Hz")
+            raise ValueError(f"{text!r} sets no limit: a bound must be above 0 Hz")
         if max(band.low or 0, band.high or 0) > HIGHEST:
-            raise ValueError(f"{text!r} is too fast to be watched: a bound is at most {HIGHEST} Hz")
+            raise ValueError(f"{text!r} is too fast to be watched: a bound must be at most {HIGHEST} Hz")
         return band
 
     def __str__(self) -> str:

@@ -75,7 +75,7 @@ class _Read:
         except yaml.reader.ReaderError as error:
             before = text[: error.position]
             place = self._at(before.count("\n"), len(before) - before.rfind("\n") - 1)
-            message = f"found the character {chr(error.character)!a}, which YAML does not take; leave it out"
+            message = f"found the character {chr(error.character)!a}, which YAML does not take; remove it"
             raise TreeError([self._problem_at(place, "", message)]) from error
         except RecursionError as error:
             raise TreeError([Problem(self._path, f"is nested too deeply; it may be {DEEPEST} deep")]) from error
@@ -104,7 +104,7 @@ class _Read:
             self._refuse(node, inner, f"is nested too deeply; it may be {DEEPEST} deep")
             return None
         if not isinstance(node, ScalarNode) and node.tag not in (f"{TAG}map", f"{TAG}seq"):
-            self._refuse(node, inner, f"found the tag {node.tag.replace(TAG, '!!'):.60}; leave it out")
+            self._refuse(node, inner, f"found the tag {node.tag.replace(TAG, '!!'):.60}; remove it")
         if isinstance(node, MappingNode):
             return dict(self._items(node, inner, depth))
         if isinstance(node, SequenceNode):
@@ -120,7 +120,7 @@ class _Read:
                 self._refuse(key_node, inner, "has a key that is not a text; write a text before the ':'")
                 continue
             if key in first:
-                self._refuse(key_node, f"{inner}.{key}", "is given twice; leave one of them out")
+                self._refuse(key_node, f"{inner}.{key}", "is given twice; remove one of them")
                 continue
             first.add(key)
             self._places[f"{inner}.{key}"] = self._of(key_node)
@@ -128,7 +128,7 @@ class _Read:
 
     def _scalar(self, node: ScalarNode, inner: str) -> Any:
         if node.tag not in SCALARS:
-            self._refuse(node, inner, f"found the tag {node.tag.replace(TAG, '!!'):.60}; leave it out")
+            self._refuse(node, inner, f"found the tag {node.tag.replace(TAG, '!!'):.60}; remove it")
             return None
         found = plain(node)
         if isinstance(found, float) and not math.isfinite(found):

@@ -147,7 +147,7 @@ def _check(given: Given) -> None:
             )
         for key in ("by", "within"):
             if key in given:
-                given.problem(key, "it is only for falls or grows; give one of these, or leave it out")
+                given.problem(key, "it is only for falls or grows; give one of these, or remove it")
         return
     for key, right in _OF_MEASURES.items():
         if key not in given:
@@ -194,7 +194,7 @@ def _by(found: object) -> float:
 
 PROGRESS = LeafKind(
     "progress",
-    "while the goal of an action makes progress, or there is none",
+    "while the goal of an action makes progress, or the action has no goal",
     (
         Key(
             "action",

@@ -92,7 +92,7 @@ AGE = LeafKind(
             "the greatest age of a message when it arrives, such as 300ms",
             missing="give how old a message may be when it arrives, such as 300ms",
         ),
-        time_key("for", "how long messages must be older before that is a failure, such as 1s"),
+        time_key("for", "how long messages may be older before that is a failure, such as 1s"),
         word_key(
             "by",
             "the time that an age is counted from: the header's stamp, or source, when it was sent",

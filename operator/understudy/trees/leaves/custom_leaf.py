@@ -37,7 +37,7 @@ _logger = logging.getLogger(__name__)
 _SHARED = (
     topic_key("/scan"),
     TYPE,
-    time_key("for", "how long it must not hold before that is a failure, such as 500ms"),
+    time_key("for", "how long it may be false before that is a failure, such as 500ms"),
 )
 
 KEYS = tuple(key.name for key in _SHARED)

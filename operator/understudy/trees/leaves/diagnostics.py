@@ -173,7 +173,7 @@ DIAGNOSTICS = LeafKind(
             LEVELS[:3],
             missing="give the worst level that is allowed: OK, WARN or ERROR",
         ),
-        time_key("for", "how long a level must be worse before that is a failure, such as 2s"),
+        time_key("for", "how long a level may be worse before that is a failure, such as 2s"),
     ),
     '{name: "camera: driver", worst: WARN}',
     _plan,

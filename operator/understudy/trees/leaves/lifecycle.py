@@ -52,7 +52,7 @@ class LifecycleLeaf(AnswerLeaf[NodeState]):
 
     def awaited(self) -> str:
         """What must arrive first."""
-        return f"answer of node {self._node} to what state it is in"
+        return f"answer of node {self._node} about its lifecycle state"
 
 
 def _plan(given: Given) -> LeafPlan:
@@ -71,7 +71,7 @@ LIFECYCLE = LeafKind(
     (
         node_key("the managed node, fully qualified, such as /controller_server"),
         word_key("state", "unconfigured, inactive, active or finalized", "lifecycle_state", STATES, default="active"),
-        time_key("for", "how long it must be in another state before that is a failure, such as 1s"),
+        time_key("for", "how long it may be in another state before that is a failure, such as 1s"),
     ),
     "{node: /controller_server}",
     _plan,

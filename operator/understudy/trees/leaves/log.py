@@ -245,7 +245,7 @@ def _check(given: Given) -> None:
     if count is not None and count > 1 and "window" not in given:
         given.problem("window", f"missing; give the time within which {count} messages are too many")
     if count == 1 and "window" in given:
-        given.problem("window", "a window is only for a count above 1; give count, or leave window out")
+        given.problem("window", "a window is only for a count above 1; give count, or remove window")
 
 
 def _plan(given: Given) -> LeafPlan:

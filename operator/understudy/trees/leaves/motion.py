@@ -116,12 +116,12 @@ class MotionLeaf(IntervalLeaf):
     def _plain_reason(self, state: State) -> str:
         following = self._following
         if state == "Failed" and (found := following.discrepancy(self._evaluation.now)) is not None:
-            return f"the robot does not move as {self._commands} says by {self.topic}: {found}"
+            return f"the robot does not move as {self._commands} commands, according to {self.topic}: {found}"
         if self._unreadable:
             return f"it cannot be determined whether the robot moves as commanded: {self._unreadable}"
         if not following.is_known or following.until is None or self._evaluation.now >= following.until:
-            return f"it cannot be determined whether the robot moves as {self._commands} says: {self.topic} does not see it"
-        return f"the robot moves as {self._commands} says"
+            return f"it cannot be determined whether the robot moves as {self._commands} commands: {self.topic} does not show it"
+        return f"the robot moves as {self._commands} commands"
 
 
 def _commanded(message: Any) -> Motion:
@@ -194,7 +194,7 @@ def _quantity_key(name: str, about: str, default: str, least: float = 0.0) -> Ke
 
 MOTION = LeafKind(
     "motion",
-    "while an observer outside the robot does not see it move otherwise than commanded",
+    "while no observer outside the robot sees it move differently from its commands",
     (
         topic_key("/tracker/robot/odometry", "the odometry from outside the robot, such as /tracker/robot/odometry"),
         topic_key("/cmd_vel", "the topic of the commands, such as /cmd_vel", name="commands"),

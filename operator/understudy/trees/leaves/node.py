@@ -43,9 +43,9 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
         if state == "Starting":
             return f"{node} is not there yet{why}"
         if not track.held and not self.tasks:
-            return f"{node} has not been there within {duration(self._evaluation.grace)} of the start{why}"
+            return f"{node} did not appear within {duration(self._evaluation.grace)} of the start{why}"
         return (
-            f"{node} has not been there for {duration(self.hold_off)}{why}" if self.hold_off else f"{node} is gone{why}"
+            f"{node} has been missing for {duration(self.hold_off)}{why}" if self.hold_off else f"{node} is gone{why}"
         )
 
 
@@ -63,7 +63,7 @@ NODE = LeafKind(
     "while the instance has the node",
     (
         node_key("the node, fully qualified, such as /controller_server", name="name", xml="node"),
-        time_key("for", "how long it must be missing before that is a failure, such as 2s"),
+        time_key("for", "how long it may be missing before that is a failure, such as 2s"),
     ),
     "{name: /controller_server}",
     _plan,

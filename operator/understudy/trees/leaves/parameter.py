@@ -116,7 +116,7 @@ class ParameterLeaf(AnswerLeaf[ParameterState]):
 
     def awaited(self) -> str:
         """What must arrive first."""
-        return f"answer of node {self._node} to what {self._name} is"
+        return f"answer of node {self._node} about its parameter {self._name}"
 
 
 _WAYS = ("equals", "one_of", "between")
@@ -198,7 +198,7 @@ PARAMETER = LeafKind(
         Key("equals", "the value that it must have, such as 0.26", read=_equals),
         Key("one_of", "the values of which it must have one, separated by ;", read=_one_of),
         Key("between", "the least and the greatest allowed number, such as 0.2 to 0.3", read=_between),
-        time_key("for", "how long it must differ before that is a failure, such as 1s"),
+        time_key("for", "how long it may differ before that is a failure, such as 1s"),
     ),
     "{node: /controller_server, name: max_vel_x, equals: 0.26}",
     _plan,

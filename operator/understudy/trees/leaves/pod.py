@@ -204,7 +204,7 @@ class RestartsLeaf(IntervalLeaf):
         if state == "Failed":
             times = "once" if count == 1 else f"{count} times"
             return f"containers of the pod were restarted {times} within {within}"
-        return f"containers of the pod are restarted less than {count} times within {within}"
+        return f"containers of the pod are restarted fewer than {count} times within {within}"
 
 
 # -- how it is written ------------------------------------------------------------------------------------------------
@@ -227,7 +227,7 @@ def _check(given: Given) -> None:
     for key in dict.fromkeys(key for keys in _WITH.values() for key in keys):
         if key in given and key not in _WITH[what]:
             belongs = _listed([other for other, keys in _WITH.items() if key in keys], "or")
-            given.problem(key, f"{key} is only for {belongs}; leave it out")
+            given.problem(key, f"{key} is only for {belongs}; remove it")
     if what == "restarts" and "window" not in given:
         given.problem("window", "missing; give the time within which there may be so many restarts, such as 10m")
 
@@ -299,7 +299,7 @@ POD_LEAF = LeafKind(
         time_key("window", "the time within which restarts are counted, such as 10m"),
         Key("cpu", "the cores that its containers may use, such as < 1.5", read=_bound("cpu")),
         Key("memory", "the memory that its containers may use, such as < 200Mi", read=_bound("memory")),
-        time_key("for", "how long it must not hold before that is a failure, such as 10s; not with restarts"),
+        time_key("for", "how long it may be false before that is a failure, such as 10s; not with restarts"),
     ),
     "{condition: Ready, for: 10s}",
     _plan,

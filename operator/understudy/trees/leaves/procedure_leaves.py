@@ -54,7 +54,7 @@ STEPS: Mapping[str, StepKind] = {
         "sets values of a node", (_NODE, Key("values", "the parameters with their values", "structure"))
     ),
     "wait_for": StepKind(
-        "waits for a service, a node, or a message of a topic and type, at most within",
+        "waits for a service, a node, or a message of a topic and type, for at most the time of within",
         (
             Key("topic", "the topic of which a message must arrive, such as /scan"),
             Key("type", "package/msg/Name of the topic"),
@@ -67,7 +67,7 @@ STEPS: Mapping[str, StepKind] = {
         "gives the kept state here",
         (Key("only", "the kept topics and nodes, such as /amcl_pose; all if none is given", "names", osc="names"),),
     ),
-    "resend_goals": StepKind("has unfinished goals sent to the instance here"),
+    "resend_goals": StepKind("asks the action proxy to send the unfinished goals to the instance now"),
 }
 """The steps of procedures, by their keys in the short form."""
 

@@ -62,7 +62,7 @@ PUBLISHER = LeafKind(
         topic_key("/cmd_vel"),
         Key("count", "the least number of publishers, such as 1", "int", default="1", read=whole_number_of(MOST)),
         node_key("the node that the publishers must be in, such as /controller_server", required=False),
-        time_key("for", "how long there must be fewer before that is a failure, such as 2s"),
+        time_key("for", "how long there may be fewer before that is a failure, such as 2s"),
     ),
     "{topic: /cmd_vel, node: /controller_server}",
     _plan,

@@ -104,7 +104,7 @@ class TopicLeaf(Leaf):
             return f"no {self.topic} for {duration(self.gap)}"
         assert self.window is not None, "a gap alone fails by the gap"
         if state == "Starting":
-            return f"{self.topic} has not been at {self.window.band} for {duration(self.window.length)} yet"
+            return f"{self.topic} has not had a rate of {self.window.band} for {duration(self.window.length)} yet"
         return self._rate_reason(self.window, self._arrivals(record))
 
     def _gap_state(self) -> State:
@@ -217,7 +217,7 @@ def _check(given: Given) -> None:
     if "gap" not in given and "rate" not in given:
         given.problem("", "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
     if "window" in given and "rate" not in given:
-        given.problem("window", "a window is only for a rate; give rate, or leave window out")
+        given.problem("window", "a window is only for a rate; give rate, or remove window")
     band, length = given["rate"], given["window"]
     if band is not None and length is not None and length < band.shortest_window():
         given.problem(

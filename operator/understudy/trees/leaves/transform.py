@@ -118,11 +118,11 @@ def _check(given: Given) -> None:
     if topic is not None and topic.rsplit("/", 1)[-1] == STATIC:
         given.problem("topic", f"found {topic!r}: static transforms are published once, without a gap; give {TOPIC}")
     if child is not None and child == parent:
-        given.problem("parent", f"found {parent!r}, which is the child too; give the frame above it, such as odom")
+        given.problem("parent", f"found {parent!r}, which is also the child; give its parent frame, such as odom")
     if "for" in given and "at_most" not in given:
         given.problem(
             "for",
-            "it is only for at_most; give at_most, or leave for out: how long the transform may be missing is the gap",
+            "it is allowed only with at_most; give at_most, or remove 'for'. The key gap sets how long the transform may be missing",
         )
 
 
@@ -152,16 +152,16 @@ TRANSFORM = LeafKind(
         topic_key("", "/tf, or another topic of its type", default=TOPIC),
         Key(
             "child",
-            "the frame that the transform leads to, such as base_link",
+            "the child frame of the transform (child_frame_id), such as base_link",
             read=_frame,
-            missing="give the frame that the transform leads to, such as base_link",
+            missing="give the child frame of the transform, such as base_link",
         ),
-        Key("parent", "the frame that it leads from, such as odom", read=_frame),
+        Key("parent", "the parent frame of the transform (header.frame_id), such as odom", read=_frame),
         time_key(
             "gap", "how long it may be missing, such as 500ms", missing="give how long it may be missing, such as 500ms"
         ),
         time_key("at_most", "the greatest age of the transform when it arrives, such as 300ms"),
-        time_key("for", "how long it must be older before that is a failure, such as 1s"),
+        time_key("for", "how long it may be older before that is a failure, such as 1s"),
     ),
     "{parent: odom, child: base_link, gap: 500ms}",
     _plan,

@@ -92,7 +92,7 @@ VALUE = LeafKind(
             missing="give the condition that must hold, such as 'percentage > 0.15'",
         ),
         Key("recovers", "the condition that must hold again after a failure"),
-        time_key("for", "how long the condition must not hold before that is a failure, such as 500ms"),
+        time_key("for", "how long the condition may be false before that is a failure, such as 500ms"),
     ),
     '{topic: /battery_state, type: sensor_msgs/msg/BatteryState, holds: "percentage > 0.15"}',
     _plan,

@@ -255,7 +255,7 @@ class _Compiler:
             case ast.Call():
                 return self._call(node, depth)
         raise ExpressionError(
-            f"{self._source(node)} is not allowed; there are fields, numbers, strings, comparisons, and, or, not, "
+            f"{self._source(node)} is not allowed; use fields, numbers, strings, comparisons, and, or, not, "
             f"+ - * / % and {', '.join(_FUNCTIONS)}"
         )
 
@@ -286,11 +286,11 @@ class _Compiler:
             return self._field(kind, evaluate, node.attr, self._source(node.value))
         if isinstance(node, ast.Subscript):
             return self._item(node, depth)
-        raise ExpressionError(f"{self._source(node)} has no fields; those of messages are looked at")
+        raise ExpressionError(f"{self._source(node)} has no fields; only fields of the message can be used")
 
     def _field(self, kind: _Kind, evaluate: Evaluate, name: str, of: str = "") -> tuple[_Kind, Evaluate]:
         if not _FIELD.fullmatch(name):
-            raise ExpressionError(f"{name!r} is no field of a message; their names begin with a letter")
+            raise ExpressionError(f"{name!r} cannot be a field of a message; the name of a field begins with a letter")
         found = _ANY
         if kind.message:
             known = self._fields(kind.message) if self._fields is not None else None
@@ -307,9 +307,9 @@ class _Compiler:
         text = self._source(node.value)
         index = _index(node.slice)
         if index is None:
-            raise ExpressionError(f"{self._source(node.slice)} is no element; write its number, such as {text}[0]")
+            raise ExpressionError(f"{self._source(node.slice)} is not an index; write a number, such as {text}[0]")
         if kind is not _ANY and kind.item is None:
-            raise ExpressionError(f"{text} is {kind.text}, not an array; leave [{index}] out")
+            raise ExpressionError(f"{text} is {kind.text}, not an array; remove [{index}]")
 
         def evaluate(message: Any, element: Any) -> Any:
             values = as_array(array(message, element), text)
@@ -338,12 +338,12 @@ class _Compiler:
             if isinstance(node.op, ast.UAdd):
                 return _NUMBER, number
             return _NUMBER, lambda message, element: -number(message, element)
-        raise ExpressionError(f"{self._source(node)} is not allowed; there are not and -")
+        raise ExpressionError(f"{self._source(node)} is not allowed; use not or -")
 
     def _binary(self, node: ast.BinOp, depth: int) -> Evaluate:
         if type(node.op) not in _OPERATIONS:
             signs = " ".join(sign for sign, _ in _OPERATIONS.values())
-            raise ExpressionError(f"{self._source(node)} is not allowed; there are {signs}")
+            raise ExpressionError(f"{self._source(node)} is not allowed; use {signs}")
         _, calculate = _OPERATIONS[type(node.op)]
         left, right, text = self.number(node.left, depth + 1), self.number(node.right, depth + 1), self._source(node)
 
@@ -365,7 +365,7 @@ class _Compiler:
         for index, sign in enumerate(node.ops):
             compare = _COMPARISONS.get(type(sign))
             if compare is None:
-                raise ExpressionError(f"{self._source(node)} is not allowed; there are < <= > >= == !=")
+                raise ExpressionError(f"{self._source(node)} is not allowed; use < <= > >= == !=")
             ordered = not isinstance(sign, ast.Eq | ast.NotEq)
             self._comparable(kinds[index : index + 2], texts[index : index + 2], ordered)
             steps.append((compare, ordered))
@@ -398,7 +398,7 @@ class _Compiler:
         first, second = kinds
         if first != second and _ANY not in kinds:
             raise ExpressionError(
-                f"{texts[0]} is {first.text} and {texts[1]} is {second.text}; compare values of one type"
+                f"{texts[0]} is {first.text}, but {texts[1]} is {second.text}; compare values of the same type"
             )
 
     # -- functions --------------------------------------------------------------------------------------------------
@@ -456,7 +456,7 @@ class _Compiler:
             raise ExpressionError(f"it has more than {MOST_LOOPS} any and all")
         loop = node.generators[0]
         if not isinstance(loop.target, ast.Name) or not _FIELD.fullmatch(loop.target.id):
-            raise ExpressionError(f"{self._source(loop.target)} is no name for an element; write {_CALLS[name]}")
+            raise ExpressionError(f"{self._source(loop.target)} is not a name for an element; write {_CALLS[name]}")
         kind, array = self._path(loop.iter, depth + 1)
         text = self._source(loop.iter)
         if kind is not _ANY and kind.item is None:

@@ -90,7 +90,7 @@ def test_a_shared_pool_is_not_prewarmed() -> None:
     shared = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
     finding = only(policy, WORKLOAD.replace("workloadRef: {kind: Deployment, name: nav2}", TEMPLATE), shared + SOURCE)
     assert (finding.severity, finding.field) == ("error", "spec.degraded.actions[0].prewarm.poolRef.name")
-    assert "FallbackPool hot is Uninitialized" in finding.message
+    assert "FallbackPool hot has readiness Uninitialized" in finding.message
 
 
 TEMPLATE = "template: {spec: {containers: [{name: app, image: app, command: [run]}]}}"

@@ -70,7 +70,7 @@ def test_every_fault_is_among_those_that_were_tried() -> None:
         (
             doctor.main,
             ["--no-pods", "--image", "monitor"],
-            "doctor: error: --image says what the pods are made of: leave",
+            "doctor: error: --image sets the image of the test pods: remove",
         ),
         (
             timeline.main,

@@ -75,7 +75,7 @@ def test_a_failed_recovery_is_shown() -> None:
 
 
 def test_a_hand_over_that_was_planned_and_one_that_another_monitor_finished() -> None:
-    assert "switched over as planned in 509 ms" in told(fleet.recovery(1, 5, planned=True))[2]
+    assert "planned switchover in 509 ms" in told(fleet.recovery(1, 5, planned=True))[2]
     assert "the monitor restarted" in row(told(fleet.recovery(1, 5, resumed=True)), "resumed")
 
 

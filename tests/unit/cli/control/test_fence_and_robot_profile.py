@@ -56,7 +56,7 @@ def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: FakeKubectl, capsys: p
     assert (pause.reason, pause.owner, pause.until) == ("fenced: it is in the wrong aisle", "ann", None)
     told = capsys.readouterr().out
     assert told.startswith(
-        f"fleet/{ROBOT}: gate closed at epoch 42 (fenced: {before.active}).\nIt is paused by ann: fenced: it is"
+        f"fleet/{ROBOT}: gate closed at epoch 42 (fenced: {before.active}).\nThe workload is paused by ann: fenced: it is"
     )
     assert f"understudy resume {ROBOT}" in told
     written = [line for line in stand.asked if line.startswith("patch ")]
@@ -74,7 +74,7 @@ def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 1
     assert registry.DEFAULT.let_through(stand.item(GATE)) == (), "it is closed all the same"
-    assert "its monitor did not report the pause within 0.5 s" in capsys.readouterr().err
+    assert "the monitor did not confirm the pause within 0.5 s" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("option", ["--reason", "--owner"])

@@ -34,7 +34,7 @@ FOUND = [
     Finding(
         "discovery of robot-1",
         "FAIL",
-        "nobody is found by 10.0.0.7:11811 within 8 s, not even the monitor",
+        "no node is found by 10.0.0.7:11811 within 8 s, not even the monitor",
         "look there",
     ),
 ]
@@ -63,7 +63,7 @@ def test_colours_are_only_added_to_words() -> None:
 def test_a_warning_is_no_failure() -> None:
     assert findings.is_well(FOUND[:2])
     assert not findings.is_well(FOUND)
-    assert findings.summary(FOUND[:1]) == "1 check: all is well"
+    assert findings.summary(FOUND[:1]) == "1 check: no problem found"
     assert json.dumps(findings.to_wire(FOUND[1:2])) == (
         '{"findings": [{"check": "gate", "level": "WARN", "found": "enforced late", "cure": "give it more CPU"}]}'
     )

@@ -75,7 +75,7 @@ def test_the_operator_s_rights_are_asked_for_in_its_name() -> None:
         (
             ENFORCED,
             "OK",
-            "are enforced for UDP (from n1 to n2); after the request to the API server: closed 30 ms, opened 20 ms",
+            "are enforced for UDP (from n1 to n2); time after the request to the API server: closed 30 ms, opened 20 ms",
         ),
         (replace(ENFORCED, nodes=("n1", "n1")), "OK", "(on n1 only)"),
         (replace(ENFORCED, opened=2.5), "WARN", "opened 2.5 s"),
@@ -127,8 +127,8 @@ def test_the_policies_are_the_operator_s_own_with_other_labels() -> None:
     ("ahead", "level", "words"),
     [
         (0.004, "OK", "at most 6 ms apart (n1, n2, the API server; this machine's is"),
-        (0.3, "WARN", "that of n2 is 300 ms ahead of that of n1, give or take 2 ms"),
-        (-30.0, "FAIL", "that of n1 is 30.0 s ahead of that of n2"),
+        (0.3, "WARN", "the clock of n2 is 300 ms ahead of the clock of n1, with an uncertainty of 2 ms"),
+        (-30.0, "FAIL", "the clock of n1 is 30.0 s ahead of the clock of n2"),
     ],
 )
 def test_clocks_are_compared_with_each_other_and_not_with_this_machine_s(ahead: float, level: str, words: str) -> None:
@@ -218,7 +218,7 @@ def test_a_fleet_that_finds_nobody_is_not_waited_for_to_its_last_robot() -> None
 
     found = list(discovery_check.joined(Pods(), [fleet.well()] * 5, lambda _: None))  # type: ignore[arg-type]
     assert [one.level for one in found] == ["FAIL", "FAIL", "FAIL", "WARN"]
-    assert found[-1].found == "2 graphs were not joined, after 3 without anybody"
+    assert found[-1].found == "2 graphs were not joined, because 3 graphs had no node"
 
 
 def test_a_server_that_does_not_run_is_told_without_a_packet() -> None:
@@ -267,8 +267,11 @@ def test_what_a_monitor_says_of_gate_and_readers_is_told_once(
     ("monitor", "expected"),
     [
         (MonitorStatus(version=__version__, image="i"), []),
-        (MonitorStatus(version="0.1.9", image="i"), ["it is of version 0.1.9, and this command of " + __version__]),
-        (None, ["it is of a version before 0.2.0, and this command of " + __version__]),
+        (
+            MonitorStatus(version="0.1.9", image="i"),
+            ["it has version 0.1.9, but this command has version " + __version__],
+        ),
+        (None, ["its version is earlier than 0.2.0, but this command has version " + __version__]),
     ],
 )
 def test_a_monitor_of_another_version_is_reported(monitor: MonitorStatus | None, expected: list[str]) -> None:

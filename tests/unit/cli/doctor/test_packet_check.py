@@ -74,7 +74,7 @@ def test_a_network_that_enforces_nothing_is_found_out(monkeypatch: pytest.Monkey
     assert pods.asked == ["fence"], "there is no use in opening a gate that doesn't close"
     assert [(one.level, one.check) for one in packet_check.judge(seen)] == [("FAIL", "gate")]
     assert said == [
-        "asking their nodes for the time",
+        "reading the clocks of their nodes",
         "sending packets without a gate",
         "sending packets to a closed gate",
     ]

@@ -17,7 +17,7 @@ def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
     first = told(known(item, [*others, policy]))["If it failed now"][0]
     assert_golden("explain", first)
-    assert first.startswith("! Nothing would be done for another 48 s") is waits
+    assert first.startswith("! The monitor would do nothing for another 48 s") is waits
     assert ("limits.cooldown" in first) is waits
 
 
@@ -26,7 +26,7 @@ def test_a_pause_with_who_and_why() -> None:
     item["spec"]["pause"] = {"reason": "a new gripper", "owner": "ann", "until": "2026-11-22T18:00:00Z"}
     first = told(known(item))["If it failed now"][0]
     assert_golden("explain", first)
-    assert first.startswith("! Nothing would be done: paused by ann")
+    assert first.startswith("! The monitor would do nothing: paused by ann")
     assert all(fact in first for fact in ("a new gripper", "2026-11-22 18:00:00 UTC"))
     item["spec"]["pause"]["until"] = "2026-11-22T14:00:00Z"
     assert "paused" not in told(known(item))["If it failed now"][0], "that is over"
@@ -40,7 +40,7 @@ def test_a_pause_with_who_and_why() -> None:
         (
             [100, 60],
             None,
-            "! The failed instance would be fenced, and nothing else would be done: 2 recoveries within 10m were made",
+            "! The monitor would fence the failed instance and not replace it: 2 recoveries within 10m were made",
         ),
         ([700, 60], None, "limits.budget of its policy (2 recoveries within 10m) has 1 left."),
         ([100, 60], 30, None),
@@ -65,7 +65,7 @@ def test_a_storm_by_which_it_would_be_held() -> None:
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
     first = told(known(item, [*others, policy]))["If it failed now"][0]
     assert_golden("explain", first)
-    assert first.startswith("Only a standby that is ready"), "there is one"
+    assert first.startswith("The monitor would use only a standby that is ready"), "there is one"
     assert "12 of 20 workloads fail" in first
 
 
@@ -75,7 +75,7 @@ def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing()
     item["status"]["conditions"] = [
         *(c for c in item["status"]["conditions"] if c["type"] != "Protected"),
         fleet.said("Paused", "True", "Maintenance", text).to_wire(),
-        fleet.said("Protected", "False", "Paused", f"{text} If it failed now, nothing would be done.").to_wire(),
+        fleet.said("Protected", "False", "Paused", f"{text} If it failed now, the monitor would do nothing.").to_wire(),
     ]
     found = known(item)
     assert not found.is_well
@@ -86,7 +86,7 @@ def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing()
 
 
 def test_a_failure_that_is_held_is_told_and_why() -> None:
-    why = "no /plan for 500 ms; localization, on which it depends, is Recovering; that one comes first"
+    why = "no /plan for 500 ms; localization, on which this workload depends, is Recovering; that one comes first"
     held = fleet.said("DependencyFailed", "True", "Held", why, since=4)
     item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4, held, health="Failed"))
     text = told(known(item))

@@ -39,7 +39,7 @@ def test_a_robot_whose_protection_is_complete() -> None:
 
 
 def test_why_a_pool_whose_size_follows_the_failures_has_as_many() -> None:
-    why = "12 robots asked for a pod 6 times in 120 robot hours. So it keeps 3 pods."
+    why = "12 robots asked for a pod 6 times in 120 robot hours. So the pool keeps 3 pods."
     said = {"type": "Sized", "status": "True", "reason": "Sized", "message": why, "lastTransitionTime": fleet.ago(60)}
     figures = {
         "needed": 3,
@@ -92,7 +92,9 @@ def test_without_a_monitor_nobody_would_notice() -> None:
     text = told(found)
     assert not found.is_well
     assert text[""][0] == "fleet/robot-20-navigation  Unwatched"
-    assert text["If it failed now"][0].startswith("✗ Nobody would notice")
+    assert text["If it failed now"][0].startswith(
+        "✗ Until the monitor runs (see Missing), a failure is neither detected"
+    )
     assert_golden("explain", [text["If it failed now"][0], text["Missing"][0]])
     assert text["Missing"][0].startswith("✗ not protected (MonitorNotReady, 9s)")
 
@@ -277,7 +279,7 @@ def test_what_it_depends_on_and_what_depends_on_it() -> None:
     assert_golden("explain", text["Dependencies"])
     assert localization.startswith("✗ on localization (Recovering);")
     assert maps.startswith("✗ on maps,")
-    assert control.startswith("On this one: control.")
+    assert control.startswith("These depend on this one: control.")
     assert "Dependencies" not in told(known(fleet.well()))
 
 

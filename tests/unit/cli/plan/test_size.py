@@ -162,7 +162,7 @@ def test_inconsistent_options_are_refused_by_name(capsys, more, expected):
     [
         (["--fallbacks", "4", "--plot", "size.txt"], "--plot: found 'size.txt'; its name must end in .png"),
         (["--fallbacks", "4", "--plot", "/nowhere/size.png"], "--plot: the folder /nowhere does not exist"),
-        (["--risk", "0.01", "--refill-seconds", "1e9"], "--risk: 1000000 fallbacks are not enough"),
+        (["--risk", "0.01", "--refill-seconds", "1e9"], "--risk: a pool of 1000000 is not enough"),
     ],
 )
 def test_impossible_requests_are_reported_with_a_solution(capsys, more, expected):

@@ -98,10 +98,10 @@ def test_for_programs_it_is_json(folder: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("onsets", "told"),
     [
-        (["3"], "Onset at 3.000 s: detected 400 ms later\n"),
-        (["2026-05-28T20:26:43Z"], "Onset at 3.000 s: detected 400 ms later\n"),
-        (["1", "3s"], "Onset at 1.000 s: NOT DETECTED\nOnset at 3.000 s: detected 400 ms later\n"),
-        (["6"], "Onset at 6.000 s: NOT DETECTED\nDetected at 3.400 s: matches no given onset\n"),
+        (["3"], "Given failure at 3.000 s: detected 400 ms later\n"),
+        (["2026-05-28T20:26:43Z"], "Given failure at 3.000 s: detected 400 ms later\n"),
+        (["1", "3s"], "Given failure at 1.000 s: NOT DETECTED\nGiven failure at 3.000 s: detected 400 ms later\n"),
+        (["6"], "Given failure at 6.000 s: NOT DETECTED\nDetected at 3.400 s: matches no given failure\n"),
     ],
 )
 def test_onsets_that_are_given_are_told_beside_their_detections(

@@ -72,7 +72,7 @@ async def test_what_somebody_else_committed_since_is_not_undone(
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await gate.commit(None, progress)
     await by_another(client, found, other, noticed=noticed, kept=kept)
-    with pytest.raises(Superseded, match=r"the gate is at epoch 6 by another writer"):
+    with pytest.raises(Superseded, match=r"another process changed the gate to epoch 6"):
         await gate.commit(STANDBY, progress)
     assert (gate.state.active, gate.state.epoch) == (other.name if other else "", 6)
 
@@ -82,7 +82,7 @@ async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
     await by_another(client, found, THIRD)
-    with pytest.raises(Superseded, match=r"the gate names w-3, which another writer chose"):
+    with pytest.raises(Superseded, match=r"another process changed the gate, which now admits w-3"):
         await gate.commit(None, progress)
     assert gate.state.active == THIRD.name
 

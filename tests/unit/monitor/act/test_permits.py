@@ -235,7 +235,13 @@ async def test_a_permit_is_delayed_neither_by_an_api_server_that_is_away_nor_by_
     await eventually(lambda: len(agents.words("uid-s")) > 1)  # again, until it is followed
     agents.statuses["uid-s"] = running()
     assert (
-        len([event for event in world.events if "s was cut off at 22:13:20 UTC" in event and "it goes on" in event])
+        len(
+            [
+                event
+                for event in world.events
+                if "s froze the application at 22:13:20 UTC" in event and "it runs again" in event
+            ]
+        )
         == 1
     )
     task.cancel()

@@ -144,7 +144,7 @@ def test_a_recovery_tells_how_long_it_waited() -> None:
     progress.result, progress.strategy = "Recovered", "Fallback/Uninitialized"
     assert "waited" not in describe(progress.to_recovery(1))
     progress.moments |= {"queued": NOW, "claimed": NOW + 2.14}
-    assert describe(progress.to_recovery(1)).endswith(", of which it waited 2.1 s for a pod")
+    assert describe(progress.to_recovery(1)).endswith(", including 2.1 s of waiting for a pod")
 
 
 def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_its_priority() -> None:

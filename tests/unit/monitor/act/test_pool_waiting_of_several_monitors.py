@@ -328,7 +328,7 @@ async def test_of_many_that_fail_at_once_as_many_are_served_as_there_are_pods_an
     assert len(set(cluster.owners().values())) == 2
     lost = [progress.attempts[0] for progress in done if progress.result != "Recovered"]
     assert {attempt.result for attempt in lost} == {"NotAvailable"}
-    assert all(("it got none in 0.3 s" in attempt.message) == bool(wait_for) for attempt in lost)
+    assert all(("no pod became free within 0.3 s" in attempt.message) == bool(wait_for) for attempt in lost)
 
 
 async def test_without_anybody_waiting_a_claim_costs_what_it_did(tmp_path: Path) -> None:

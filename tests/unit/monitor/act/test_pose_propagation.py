@@ -212,7 +212,7 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     assert (status, reason) == ("True", "Restored")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m")
     uncertain = given.model_copy(
-        update={"message": "/odom was not watched for 4.0 s of the time over which it was propagated"}
+        update={"message": "no /odom was received for 4.0 s of the time over which the pose was propagated"}
     )
     monitor.keeping.report_restored(recovery.model_copy(update={"state": [uncertain]}))
     status, reason, message = monitor.told.conditions["StateRestored"]
@@ -220,9 +220,9 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m", "/odom", "4.0 s")
     assert not monitor.told.events
     missing = RestoredState(
-        name="/amcl_pose", restored=True, age_seconds=0.75, message="it cannot be propagated by /odom"
+        name="/amcl_pose", restored=True, age_seconds=0.75, message="the pose cannot be propagated by /odom"
     )
     monitor.keeping.report_restored(recovery.model_copy(update={"state": [missing]}))
-    text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: it cannot be propagated by /odom."
+    text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: the pose cannot be propagated by /odom."
     assert monitor.told.conditions["StateRestored"] == ("False", "NotCarried", text)
     assert monitor.told.events == [("Warning", "StateNotCarried", text)]

@@ -209,7 +209,7 @@ async def test_pods_without_an_agent_are_named(world: World) -> None:
     await world.look(replace(ACTIVE, has_agent=False))
     status, reason, message = world.notices.conditions["BroughtUp"]
     assert (status, reason) == ("False", "NoAgent")
-    assert message.startswith("w-1 has no agent")
+    assert message.startswith("The controller in spec.workloadRef created w-1, so the pod has no agent")
 
 
 async def test_without_procedures_nothing_is_reported(world: World) -> None:

@@ -139,8 +139,8 @@ async def test_a_topic_that_nobody_publishes_is_reported_in_time(
     monkeypatch.setattr(pure, "PATIENCE", 0.3)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
     told = (
-        "/amcl_pose: nobody publishes it (state.keep[0] of the policy). State that was never received is not restored on the "
-        "instance that takes over. Correct the topic there, or publish it."
+        "/amcl_pose: nobody publishes it (state.keep[0] of the policy). State that was never received cannot be restored on "
+        "the instance that takes over. Correct the topic's name in the policy, or let the application publish it."
     )
     assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", told)
     assert monitor.told.events == [("Warning", "StateNeverCame", told)]
@@ -267,7 +267,7 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     ((_, reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
     assert_golden("monitor", message, "w-2", "/map", "61.0 s", "1m", "state.keep", "restore_state")
-    assert "It was given /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
+    assert "It received /amcl_pose (0.8 s old)." in monitor.told.conditions["StateRestored"][2]
 
 
 async def test_a_recovery_without_restored_state_withdraws_the_last_report(monitor: Monitor) -> None:

@@ -182,7 +182,7 @@ class Deciding:
     def waits_for(self) -> str:
         """What the status says that a hand-over waits for."""
         self.look(0.3)
-        return self.monitor.notices.conditions["Degraded"][2].partition("It is not handed over yet: ")[2]
+        return self.monitor.notices.conditions["Degraded"][2].partition("No switchover yet: ")[2]
 
 
 @pytest.mark.parametrize(

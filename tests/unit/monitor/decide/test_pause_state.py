@@ -85,9 +85,9 @@ def test_it_ends_when_it_is_taken_away() -> None:
 @pytest.mark.parametrize(
     ("before", "after", "words"),
     [
-        ({}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "it was removed by bob: it grips"),
+        ({}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "spec.pause was removed by bob: it grips"),
         ({names.RESUMED: "1"}, {names.RESUMED: "2", names.RESUMED_FOR: "bob: it grips"}, "removed by bob: it grips"),
-        ({}, {names.RESUMED: "2"}, "it was removed"),
+        ({}, {names.RESUMED: "2"}, "spec.pause was removed"),
     ],
 )
 def test_who_ends_a_pause_and_why_is_reported(before: dict[str, str], after: dict[str, str], words: str) -> None:
@@ -105,7 +105,7 @@ def test_the_reason_for_an_earlier_resume_does_not_explain_this_end() -> None:
     world.pauses.look(1000.0)
     world.pause(None, said)
     world.pauses.look(1001.0)
-    assert world.events[-1][1].endswith("it was removed")
+    assert world.events[-1][1].endswith("spec.pause was removed")
 
 
 def test_another_pause_is_reported_too() -> None:

@@ -179,4 +179,4 @@ def test_a_recovery_reports_the_attempts_that_did_not_succeed() -> None:
     )
     told = f"Fallback/Initialized with w-2 did not succeed: {hung}"
     assert unverified(recovery) == [told]
-    assert describe(recovery).endswith(f"by Restart in 16.000 s, epoch 0. Before that: {told}")
+    assert describe(recovery).endswith(f"with strategy Restart in 16.000 s (gate epoch 0). Before that: {told}")

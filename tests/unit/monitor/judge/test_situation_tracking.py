@@ -94,7 +94,7 @@ class TestWhatIsSeen:
     def test_a_tree_that_does_not_load_leaves_the_last_one_in_force(self, found: ContextDetection) -> None:
         assert found.follow(policy(loaded={"yaml": {"topik": {}}}))
         assert [topic.name for topic in found.topics] == ["/loaded"]
-        assert found.problems[0].startswith("The tree of the situation loaded does not load")
+        assert found.problems[0].startswith("The tree of situation loaded does not load")
 
 
 @dataclass

@@ -40,7 +40,9 @@ class Agent:
             answer = wire.decode(await reader.readline())
             if answer["mac"] != wire.mac(self.token, "n", "w", ""):
                 self.refused += 1
-                writer.write(wire.encode({"error": "wrong mac: the tokens differ"}))
+                writer.write(
+                    wire.encode({"error": "authentication failed: the monitor and the agent have different tokens"})
+                )
                 writer.close()
                 return
             while True:

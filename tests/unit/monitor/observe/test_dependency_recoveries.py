@@ -103,11 +103,13 @@ class TestWhatIsCarriedOut:
         pod = PodIdentity(name="planning-1", uid="uid-1")
         progress = begin(found, pod, spec, onset=NOW - 1, detected=NOW)
         assert (progress.failed, progress.target) == ([pod], None)
-        assert progress.reason == "localization, on which it depends, was recovered"
+        assert progress.reason == "localization, on which this workload depends, was recovered"
 
 
 def test_a_recovery_after_a_dependency_is_described() -> None:
-    progress = Progress.begin("localization, on which it depends, was recovered", last_healthy=NOW, detected=NOW)
+    progress = Progress.begin(
+        "localization, on which this workload depends, was recovered", last_healthy=NOW, detected=NOW
+    )
     progress.follows = [DependencyRecovery(name="localization", recovery="r1")]
     progress.target, progress.epoch = PodIdentity(name="planning-1", uid="uid-1"), 9
     progress.result, progress.strategy = "Recovered", "Reinitialize"

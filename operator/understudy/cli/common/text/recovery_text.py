@@ -116,7 +116,7 @@ def outcome(recovery: Recovery) -> str:
             if recovery.switchover is not None
             else "FAILED: no strategy was verified"
         )
-    what = "switched over as planned" if recovery.planned else "recovered"
+    what = "planned switchover" if recovery.planned else "recovered"
     took = f" in {length(recovery.recovery_seconds)}" if recovery.recovery_seconds is not None else ""
     return f"{what}{took} by {recovery.strategy}"
 

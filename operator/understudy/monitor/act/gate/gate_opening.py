@@ -33,7 +33,7 @@ class GateOpening:
         try:
             await self._gate.commit(first, left)
         except (Superseded, *FAILURES) as error:
-            _logger.warning("opening the gate for %s: %s", first.name, error)
+            _logger.warning("could not open the gate for %s: %s", first.name, error)
             await asyncio.sleep(1)
             return False
         _logger.info("gate opened for %s, epoch %d", first.name, self._gate.state.epoch)

@@ -163,7 +163,7 @@ class Permits:
             try:
                 self._pods = (await self._cluster.view.client.list(PODS, self._cluster.view.namespace))["items"]
             except FAILURES as error:
-                _logger.debug("who could answer an instance that is cut off: %r", error)
+                _logger.debug("could not list the pods that can answer an instance that is cut off: %r", error)
                 self._refresh_at = time.monotonic() + PERIOD
                 return
             self._refresh_at = time.monotonic() + REFRESH
@@ -247,9 +247,9 @@ class Permits:
             return
         self._reported.add((instance.uid, since, word))
         when = datetime.fromtimestamp(since, UTC).strftime("%H:%M:%S UTC")
-        then = "it goes on" if word == "Go" else "it stays held, since it was replaced"
+        then = "it runs again" if word == "Go" else "it stays frozen, because another instance has replaced it"
         self._notices.event(
             "Normal" if word == "Go" else "Warning",
             "InstanceCutOff",
-            f"{instance.name} was cut off at {when} and held by its agent; {then}",
+            f"the agent of {instance.name} froze the application at {when}, because nobody answered the agent; {then}",
         )

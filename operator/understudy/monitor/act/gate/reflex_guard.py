@@ -35,7 +35,7 @@ REPLACE_AGAIN = 60.0
 PAUSED: ConditionReport = (
     "False",
     "Paused",
-    "The gate admits no standby beside the active pod while spec.pause is in force.",
+    "No standby can take over by the reflex: while the workload is paused (spec.pause), the gate admits only the active pod.",
 )
 
 
@@ -91,7 +91,7 @@ class ReflexGuard:
         state = self._gate.state
         active = self._fleet.find(state.active_uid)
         if state.closed or active is None:
-            return None, ("False", "NoneInControl", "No pod is in control.")
+            return None, ("False", "NoneInControl", "No pod is active.")
         # One that was claimed and is not in control was left behind by a recovery, or another monitor brings it up: it will not stay.
         others = [
             i
@@ -103,8 +103,8 @@ class ReflexGuard:
         # The clock may have been set back.
         self._ready_since = {i.uid: min(now, self._ready_since.get(i.uid, now)) for i in ready}
         if not ready:
-            why = "; ".join(f"{i.name}: {self._agents.is_ready(i)[1]}" for i in others) or "there is none"
-            return None, ("False", "NoStandby", f"No standby could take over: {why}.")
+            why = "; ".join(f"{i.name}: {self._agents.is_ready(i)[1]}" for i in others) or "none exists"
+            return None, ("False", "NoStandby", f"No standby is ready to take over: {why}.")
         strongest = self._strength(active)
         if strongest is None:
             return current, (
@@ -131,7 +131,7 @@ class ReflexGuard:
             return None, ("Unknown", "Measuring", f"Measuring how regularly {active.name} publishes {topics}.")
         best = max(weaker, key=lambda i: self._strength(i) or (0, 0))
         if not enforced or now - self._ready_since[best.uid] < SETTLE:
-            why = f"Waiting for packets to show that the gate holds {best.name} back."
+            why = f"Waiting for test packets to show that the gate blocks {best.name}."
             return None, ("Unknown", "GateNotProven", why)
         return best, self._armed(active, best, now)
 
@@ -145,11 +145,11 @@ class ReflexGuard:
             return (
                 "False",
                 "Blocked",
-                f"Packets of {standby.name} do not pass the gate, although it admits that pod. {self._probes.block_hint}",
+                f"The gate admits {standby.name}, but packets of that pod do not pass it. {self._probes.block_hint}",
             )
         status = self._agents.status(active)
         unfenced = (
-            f" Its agent cannot isolate it if its node is cut off: {status.unfenced}."
+            f" If {active.name} loses its network, its agent cannot freeze it: {status.unfenced}."
             if status and status.unfenced
             else ""
         )
@@ -165,7 +165,7 @@ class ReflexGuard:
                 return (
                     f"{topic} of {active.name} repeatedly has gaps of up to {gap * 1000:.0f} ms; "
                     f"spec.gate.reflex.deadline is {self._takeover.deadline * 1000:g} ms, so the robot's readers would switch to a standby "
-                    "although nothing failed. Set a deadline of at least twice the period."
+                    "although nothing failed. Set a deadline of at least twice the period at which the topic is published."
                 )
         return ""
 
@@ -180,14 +180,15 @@ class ReflexGuard:
             self._notices.event(
                 "Normal",
                 "StandbyReplaced",
-                f"the ownership strength of {known[0].name} is not lower than that of {active.name}",
+                f"deleting standby {known[0].name}, because its DDS ownership strength is not lower than that of the active pod "
+                f"{active.name}",
             )
             self._start(partial(self._retire, known[0]))
         return (
             "False",
             "StandbyTooStrong",
-            f"The robot's readers would prefer {names} to the active pod {active.name}: it started earlier or at the same time, or the "
-            "clocks of their nodes differ. It is replaced by a new one.",
+            f"The robot's readers would prefer standby {names} to the active pod {active.name}: the standby started earlier or at the "
+            "same time, or the clocks of their nodes differ. The monitor deletes the standby, and a new one replaces it.",
         )
 
     # -- writing ----------------------------------------------------------------------------------------------------

@@ -86,6 +86,6 @@ class GarbageCollection:
                 if await self._gate.lets_through(instance):
                     continue
                 await self._fleet.retire(instance)
-                _logger.warning("%s was left behind by a recovery: deleted", instance.name)
+                _logger.warning("deleted %s, which a recovery left behind", instance.name)
                 why = "has failed" if instance.uid in self._failed else "was claimed by a recovery that did not succeed"
-                self._notices.event("Normal", "LeftoverDeleted", f"{instance.name} {why}: it is deleted")
+                self._notices.event("Normal", "LeftoverDeleted", f"deleted {instance.name}, which {why}")

@@ -133,7 +133,7 @@ class StandbyLifecycle:
         except NotVerified as error:
             care.again = time.monotonic() + care.wait
             care.wait = min(2 * care.wait, RETRY_MOST)
-            problem = f"{error}. Correct {found.origin}, or what it waits for there. It is tried again"
+            problem = f"{error}. Correct {found.origin}, or start what it waits for. The monitor tries it again"
             if GAVE_WAY not in str(error) and problem != care.problem:
                 care.problem = problem
                 self.notices.event("Warning", "NotBroughtUp", f"{instance.name}: {problem}.")
@@ -200,8 +200,8 @@ class StandbyLifecycle:
         problems = [text for care in self._cared.values() if (text := care.problem)]
         if without:
             text = (
-                f"{', '.join(without)} has no agent, because the controller in workloadRef created it: bringUp and recovery "
-                "cannot run on it. Use spec.template, or let the application initialize itself."
+                f"The controller in spec.workloadRef created {', '.join(without)}, so the pod has no agent, and the procedures bringUp "
+                "and recovery cannot run on it. Use spec.template, or let the application initialize itself."
             )
             if self.notices.condition("BroughtUp", "False", "NoAgent", text):
                 self.notices.event("Warning", "NoAgent", text)
@@ -212,7 +212,10 @@ class StandbyLifecycle:
         else:
             text = "Every instance has reached its intended readiness."
             if outdated:
-                text += f" An earlier version of the procedure prepared {', '.join(outdated)}: delete the pod to run the present one."
+                text += (
+                    f" {', '.join(outdated)} ran an earlier version of the procedure: delete the pod, so "
+                    "that a new one runs the current version."
+                )
             self.notices.condition("BroughtUp", "True", "BroughtUp", text)
 
     @staticmethod

@@ -214,7 +214,7 @@ class StateKeeping:
             return
         reasons = "; ".join(f"{entry.name}: {entry.message}{self._place(entry.name)}" for entry in missing)
         text = f"{recovery.to_pod or 'No pod'} did not receive all of the kept state: {reasons}."
-        message = text + (f" It was given {given}." if given else "") + (f" {notes}." if notes else "")
+        message = text + (f" It received {given}." if given else "") + (f" {notes}." if notes else "")
         way_out = " It took over nevertheless. To prevent that, use a restore_state step in the strategy's recovery."
         self._notices.condition("StateRestored", "False", "NotRestored", message + way_out)
         self._notices.event("Warning", "StateNotRestored", text + way_out)
@@ -262,7 +262,7 @@ class StateKeeping:
                 await asyncio.to_thread(self._shelf.save, kept)
                 self._persisted = revision
             except OSError as error:
-                _logger.error("storing kept state failed, so a restart would lose it: %s", error)
+                _logger.error("could not store the kept state, so it is lost if the monitor restarts: %s", error)
 
         self._persisting = asyncio.create_task(persist())
 
@@ -341,15 +341,17 @@ class StateKeeping:
         self._reported, self._next_report = shape, now + REPORT_PERIOD
         self._notices.set_kept_state([_status(entry) for entry in entries])
         if not entries:
-            self._notices.condition("StateKept", "True", "NothingToKeep", "The policy keeps no state (any more).")
+            self._notices.condition(
+                "StateKept", "True", "NothingToKeep", "spec.state of the policy names nothing to keep."
+            )
             return
         troubled = sorted((e for e in entries if e.trouble), key=lambda e: REASONS.index(e.trouble))
         if troubled:
             text = ". ".join(f"{entry.message}{self._place(entry.key.label)}" for entry in troubled) + "."
             if any(entry.trouble == "NeverCame" for entry in troubled):
                 text += (
-                    " State that was never received is not restored on the instance that takes over. Correct the topic "
-                    "there, or publish it."
+                    " State that was never received cannot be restored on the instance that takes over. Correct the topic's name "
+                    "in the policy, or let the application publish it."
                 )
             reason = "TypeNotInstalled" if "not installed" in text else str(troubled[0].trouble)
             if self._notices.condition("StateKept", "False", reason, text):

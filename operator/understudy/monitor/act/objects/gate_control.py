@@ -74,7 +74,7 @@ class GateControl:
             try:
                 recovery = Progress.model_validate_json(record.recovery)
             except ValidationError as error:
-                _logger.warning("cannot read the recovery in the gate's annotations: %s", error)
+                _logger.warning("the recovery record in the gate's annotations is invalid and is ignored: %s", error)
         return GateState(
             epoch=record.epoch,
             active=record.active,
@@ -120,11 +120,11 @@ class GateControl:
                 waking = error.status in (401, 403) and time.monotonic() - away < WAKING
                 if error.status < 500 and error.status not in (409, 429) and not waking:
                     raise
-                _logger.warning("committing the gate: %s", error)
+                _logger.warning("could not commit to the gate, trying again: %s", error)
                 if waking:
                     await asyncio.sleep(RETRY_FIRST)
             except NO_ANSWER as error:
-                _logger.warning("committing the gate: the API server does not answer: %r", error)
+                _logger.warning("could not commit to the gate, trying again: the API server does not answer: %r", error)
                 away = time.monotonic()
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, RETRY_MOST)
@@ -153,12 +153,14 @@ class GateControl:
                 begun.recovery == sent and (committed := beside(sent)) is not None and begun.epoch == committed.epoch
             )
             if begun.epoch != epoch and not carried_out:
-                raise Superseded(f"the gate is at epoch {begun.epoch} by another writer, this recovery knew {epoch}")
+                raise Superseded(
+                    f"another process changed the gate to epoch {begun.epoch}; this recovery knew epoch {epoch}"
+                )
             return
         about = [*progress.failed, progress.target, progress.former, progress.taken_over]
         if begun.active_uid and begun.active_uid not in {pod.uid for pod in about if pod is not None}:
             raise Superseded(
-                f"the gate names {begun.active}, which another writer chose; this recovery is about another instance"
+                f"another process changed the gate, which now admits {begun.active}; this recovery is for another instance"
             )
 
     async def admit(self, standby: Instance | None) -> bool:
@@ -182,7 +184,7 @@ class GateControl:
                 admitted_uid=uid,
             )
         except FAILURES as error:
-            _logger.warning("admitting %s at the gate: %r", name or "no standby", error)
+            _logger.warning("could not admit %s at the gate: %r", name or "no standby", error)
             return False
         self._view.gates.put(gate)
         return True
@@ -215,7 +217,7 @@ class GateControl:
                 recovery=ended(found).model_dump_json(),
             )
         except FAILURES as error:
-            _logger.warning("marking recovery %s as abandoned at the gate: %r", found.id, error)
+            _logger.warning("could not mark recovery %s as abandoned at the gate: %r", found.id, error)
             return
         _logger.info("marked recovery %s as abandoned at the gate", found.id)
         self._view.gates.put(gate)
@@ -230,7 +232,9 @@ class GateControl:
         ours = record.epoch == begun.epoch + 1 and record.active_uid == uid and record.recovery == recovery
         if record.epoch != begun.epoch and not ours:
             self._view.gates.put(gate)
-            raise Superseded(f"the gate is at epoch {record.epoch} by another writer, this monitor knew {begun.epoch}")
+            raise Superseded(
+                f"another process changed the gate to epoch {record.epoch}; this monitor knew epoch {begun.epoch}"
+            )
         self._view.gates.put(gate)
         return record
 

@@ -73,7 +73,7 @@ class PodControl:
     @property
     def _settings(self) -> WorkloadSettings:
         settings = self._view.settings
-        assert settings is not None, "the view waits for the settings"
+        assert settings is not None, "the cluster view has started, so there are settings"
         return settings
 
     @property

@@ -48,12 +48,12 @@ class DeferredRecovery:
                 epoch = await self._fence(progress)
                 while self._must_wait(time.time()):
                     if (found := self._gate.state.epoch) != epoch:
-                        raise Superseded(f"the gate is at epoch {found} by another writer, and was at {epoch}")
+                        raise Superseded(f"another process changed the gate from epoch {epoch} to {found}")
                     yield
                     await asyncio.sleep(LOOK)
         if progress.held:
             progress.release(time.time())
-            self._notices.event("Normal", "RecoveryReleased", f"{progress.reason}; it is recovered now")
+            self._notices.event("Normal", "RecoveryReleased", f"{progress.reason}; the monitor starts the recovery now")
 
     async def _fence(self, progress: Progress) -> int:
         """Close the gate and report it. Returns the gate's epoch."""

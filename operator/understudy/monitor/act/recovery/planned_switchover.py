@@ -139,7 +139,7 @@ class PlannedSwitchovers:
         progress = self._progress if self._task is not None else None
         self._stop()
         if wanted is not None and wanted.request:
-            self._end("NotDone", f"Something else came first: {reason}.", wanted)
+            self._end("NotDone", f"The switchover was cancelled, because a failure comes first: {reason}.", wanted)
         if progress is None or progress.target is None:
             return None
         if progress.index == 0 and wanted is not None and wanted.kind != "Failback":
@@ -237,12 +237,14 @@ class PlannedSwitchovers:
     def _over(self, found: Request, now: float) -> str | None:
         """Why a request comes too late."""
         if now - found.at > EXPIRES:
-            return f"It was requested {now - found.at:.0f} s ago, and no monitor handled it. Request it again."
+            return (
+                f"The request expired: no monitor handled it for {now - found.at:.0f} s. Request the switchover again."
+            )
         # Written with the gate, this lasts also where a status that a monitor wrote before its end is carried out after it.
         last = self._gate.state.recovery
         if last is not None and last.moments.get("detected", 0.0) > found.at:
-            what = "Control was handed over" if last.planned else "It failed and was recovered"
-            return f"{what} after the request. Request it again if you still need it."
+            what = "another switchover took place" if last.planned else "the active instance failed and was recovered"
+            return f"After the request, {what}. Request the switchover again if you still need it."
         return None
 
     # -- preparing --------------------------------------------------------------------------------------------------
@@ -292,7 +294,11 @@ class PlannedSwitchovers:
         if self._waits_since[0] != wanted.key:
             self._waits_since = (wanted.key, now)
         if wanted.request and now - self._waits_since[1] >= PATIENCE:
-            self._end("NotDone", f"It could not begin for {PATIENCE:g} s, and nothing was changed: {reason}.", wanted)
+            self._end(
+                "NotDone",
+                f"The switchover could not begin within {PATIENCE:g} s and was cancelled; nothing was changed: {reason}.",
+                wanted,
+            )
             return
         new = self._is_new(wanted)
         if new:

@@ -11,20 +11,20 @@ def describe(recovery: Recovery) -> str:
     """A finished recovery in one line, for Events and logs."""
     tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
     if recovery.result != "Recovered" or recovery.recovery_seconds is None:
-        return f"{recovery.reason}. No strategy was verified: {tried}"
+        return f"{recovery.reason}. Every strategy was tried, and none was verified: {tried}"
     if recovery.follows and len(recovery.attempts) == 1 and not recovery.from_pod:
         return (
-            f"{recovery.reason}. {recovery.to_pod} is active again after {recovery.strategy} in {recovery.recovery_seconds:.3f} s, "
-            f"epoch {recovery.epoch}"
+            f"{recovery.reason}. {recovery.to_pod} is active again after {recovery.strategy}, which took "
+            f"{recovery.recovery_seconds:.3f} s (gate epoch {recovery.epoch})"
         )
     text = (
-        f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} by {recovery.strategy} "
-        f"in {recovery.recovery_seconds:.3f} s, epoch {recovery.epoch}"
+        f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod or 'no pod'} with strategy {recovery.strategy} "
+        f"in {recovery.recovery_seconds:.3f} s (gate epoch {recovery.epoch})"
     )
     if (waited := _waited(recovery)) is not None:
-        text = f"{text}, of which it waited {waited:.1f} s for a pod"
+        text = f"{text}, including {waited:.1f} s of waiting for a pod"
     if recovery.moments.held is not None:
-        text = f"{text}, after limits.budget had held it since {recovery.moments.held[11:19]} UTC"
+        text = f"{text}. limits.budget had suspended the recovery since {recovery.moments.held[11:19]} UTC"
     failed = unverified(recovery)
     return f"{text}. Before that: {'; '.join(failed)}" if failed else text
 
@@ -35,7 +35,10 @@ def describe_switchover(recovery: Recovery) -> str:
     if recovery.result != "Recovered":
         tried = "; ".join(a.message for a in recovery.attempts if a.message)
         return f"{recovery.reason}. {recovery.from_pod} can reach the robot again: {tried}"
-    text = f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod} by {recovery.strategy}, epoch {recovery.epoch}"
+    text = (
+        f"{recovery.reason}. {recovery.to_pod} took over from {recovery.from_pod} with strategy {recovery.strategy} "
+        f"(gate epoch {recovery.epoch})"
+    )
     if last is None or first is None:
         return text
     gap = (datetime.fromisoformat(first) - datetime.fromisoformat(last)).total_seconds()

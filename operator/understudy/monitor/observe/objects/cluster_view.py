@@ -100,7 +100,10 @@ class ClusterView:
                 while self._referred and not self.policies.synced.is_set():
                     await any_changed((self.policies, self.workloads))
         except TimeoutError:
-            _logger.warning("FailurePolicy %s cannot be read yet: beginning without one", self._referred)
+            _logger.warning(
+                "cannot read FailurePolicy %s yet: the monitor starts without a policy, and uses it as soon as it can read it",
+                self._referred,
+            )
         while self.settings is None:
             _logger.info("waiting for ConfigMap %s", names.settings(self.workload))
             await self.settings_maps.changed()
@@ -210,7 +213,8 @@ class ClusterView:
             found = following(given, settings.strategies if settings is not None else None)
             if found is None:
                 _logger.error(
-                    "no strategies were chosen yet, keeping the last ones: see the condition StrategiesChosen"
+                    "the operator has not chosen strategies for this policy yet, so the earlier ones stay in use: see the condition "
+                    "StrategiesChosen"
                 )
             # The same object as long as its content is equal, so that readers can compare by identity.
             self._followed = (given, settings, before if found is None or found == before else found)

@@ -205,11 +205,17 @@ class Dependencies:
     def _say(self, found: HeldFailure, reason: str) -> None:
         until = datetime.fromtimestamp(found.until, UTC).strftime("%H:%M:%S UTC")
         if found.settling:
-            why, then = "Settling", f"is healthy again; if the failure continues, this workload is recovered at {until}"
+            why, then = (
+                "Settling",
+                f"is healthy again; if the failure continues, the monitor recovers this workload at {until}",
+            )
         else:
             health = self._watched[found.name].seen.health
-            why, then = "Held", f"is {health}; it is recovered first, and this workload at {until} at the latest"
-        text = f"{found.name}, on which it depends, {then}"
+            why, then = (
+                "Held",
+                f"is {health} and is recovered first; the monitor recovers this workload at {until} at the latest",
+            )
+        text = f"{found.name}, on which this workload depends, {then}"
         began = not self._holds
         self._notices.condition(CONDITION, "True", why, f"{reason}; {text}.")
         if began:
@@ -227,7 +233,9 @@ class Dependencies:
         if found is None:
             return None
         if _created(active) >= found.since:
-            _logger.info("%s began after %s: nothing is done", active.name, describe(found.follows))
+            _logger.info(
+                "%s was created after this, so no procedure runs on it: %s", active.name, describe(found.follows)
+            )
             self.note(found.follows)
             return None
         spec = self._view.spec
@@ -236,8 +244,8 @@ class Dependencies:
             return None
         if not restarts(found.follows, spec) and not active.has_agent:
             text = (
-                f"{describe(found.follows)}: nothing can be run on {active.name}, which has no agent, because the controller in "
-                "workloadRef created it. Use onRecovery Restart, or a template"
+                f"{describe(found.follows)}: the procedure cannot run on {active.name}, which has no agent, because the controller in "
+                "spec.workloadRef created it. Use onRecovery: Restart, or spec.template instead of spec.workloadRef"
             )
             self._notices.event("Warning", "NoAgent", text)
             self.note(found.follows)
@@ -278,7 +286,7 @@ def begin(
 def describe(found: Sequence[DependencyRecovery]) -> str:
     """After which recoveries something is done."""
     listed = ", ".join(one.name for one in found)
-    return f"{listed}, on which it depends, {'was' if len(found) == 1 else 'were'} recovered"
+    return f"{listed}, on which this workload depends, {'was' if len(found) == 1 else 'were'} recovered"
 
 
 def restarts(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec) -> bool:

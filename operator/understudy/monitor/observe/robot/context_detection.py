@@ -62,9 +62,10 @@ class ContextDetection:
             # Without a grace: what is not seen to hold does not, also of an instance that has just taken control.
             tree = load_inline(when, path=f"spec.situations[{index}].when", grace=0.0, fields=message_fields)
         except TreeError as error:
-            _logger.error("a tree of spec.situations does not load, the last one stays: %s", error)
+            _logger.error("a tree of spec.situations does not load; the last valid one stays in use: %s", error)
             self.problems.append(
-                f"The tree of the situation {situation.name} does not load, the last good one stays in force: {error.in_short()}."
+                f"The tree of situation {situation.name} does not load. The monitor uses the last valid one until it is corrected: "
+                f"{error.in_short()}."
             )
             return self._signs.get(situation.name, _Criterion())
         tree.begin(time.time())

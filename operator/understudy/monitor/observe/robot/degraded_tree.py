@@ -68,9 +68,9 @@ class DegradedTrees:
         try:
             found = load_inline(tree, path=path, grace=grace, fields=message_fields)
         except TreeError as error:
-            _logger.error("a tree of spec.degraded does not load, the last one stays: %s", error)
+            _logger.error("a tree of spec.degraded does not load; the last valid one stays in use: %s", error)
             self.problems.append(
-                f"A tree of spec.degraded does not load, the last good one stays in force: {error.in_short()}."
+                f"A tree of spec.degraded does not load. The monitor uses the last valid one until it is corrected: {error.in_short()}."
             )
             return last
         found.begin(time.time())
@@ -94,7 +94,7 @@ class DegradedTrees:
         """Whether the instance that is active since then is well; Starting if that is unknown. Times are Unix
         seconds."""
         if self._well is None:
-            return Verdict("Starting", "no tree says what well means", "", None)
+            return Verdict("Starting", "no tree of spec.degraded is loaded", "", None)
         return self._well.evaluate(observations, now=now, since=since)
 
     def busy(self, observations: Observations, *, now: float, since: float) -> BusyReason | None:

@@ -78,9 +78,9 @@ class HealthObserver:
             self._tree = load_monitoring(policy.monitoring, fields=message_fields)
             self._tree.begin(time.time())
         except TreeError as error:
-            _logger.error("the policy's tree does not load, the last one stays: %s", error)
+            _logger.error("the policy's health tree does not load; the last valid one stays in use: %s", error)
             self._problems.append(
-                f"The policy's health tree does not load, the last good one stays in force: {error.in_short()}."
+                f"The policy's health tree does not load. The monitor uses the last valid one until it is corrected: {error.in_short()}."
             )
         for index, output in enumerate(outputs):
             try:

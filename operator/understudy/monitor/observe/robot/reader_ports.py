@@ -80,11 +80,11 @@ def judge(
         return (
             "Unknown",
             "NotTold",
-            " ".join([f"DDS discovery did not report the ports of all readers of {listed}.", *past]),
+            " ".join([f"DDS discovery did not report the ports of all subscriptions of {listed}.", *past]),
         )
     if past:
         return "True", "ReadPastTheGate", past[0]
-    return "True", "AtGatedPorts", f"Read at gated ports: {'; '.join(map(str, readings))}."
+    return "True", "AtGatedPorts", f"The robot reads at ports that the gate controls: {'; '.join(map(str, readings))}."
 
 
 def _is_read(gated: Sequence[Reading], besides: Reading, robots: Sequence[str]) -> bool:
@@ -101,9 +101,9 @@ def _within(address: str, ranges: Sequence[str]) -> bool:
 
 def _without_profile(workload: str, readings: Sequence[Reading]) -> str:
     return (
-        f"The gate does not reach these readers: {'; '.join(map(str, readings))}. They receive every executing instance, not only the "
-        f"active pod. Start that process with the robot's DDS profile: understudy robot-profile {workload}, and for a pod "
-        "docs/how-to/own-application.md."
+        f"These subscriptions are not behind the gate: {'; '.join(map(str, readings))}. They receive the messages of every instance, not "
+        "only of the active pod. Start their processes with the robot's DDS profile: see understudy robot-profile "
+        f"{workload}, and for a pod docs/how-to/own-application.md."
     )
 
 
@@ -116,6 +116,6 @@ def _unread(topics: Sequence[str]) -> str:
 
 def _past(readings: Sequence[Reading]) -> str:
     return (
-        f"Readers outside the gate: {'; '.join(map(str, readings))}. They receive standbys too. Recorders and displays may "
-        "do that; what moves the robot must not."
+        f"These subscriptions are not behind the gate: {'; '.join(map(str, readings))}. They also receive messages of standbys. That is "
+        "right for recorders and displays, but not for a node that moves the robot."
     )

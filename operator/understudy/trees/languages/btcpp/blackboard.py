@@ -49,7 +49,7 @@ def resolve(value: str, port: str, board: Board) -> str | None:
         raise ValueError(_mapping(value))
     if not board:
         raise ValueError(
-            f"there is no blackboard entry {name!r}: only attributes of a <SubTree> make some, in its tree"
+            f"there is no blackboard entry {name!r}: only the attributes of a <SubTree> create entries, inside that subtree"
         )
     raise ValueError(f"there is no blackboard entry {name!r}{did_you_mean(name, board)}")
 

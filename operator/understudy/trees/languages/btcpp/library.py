@@ -72,12 +72,12 @@ NO_SCRIPTS = (
     '<WhileTaskActive action="/navigate_to_pose">'
 )
 
-_ANEW = "a health tree is evaluated again each time and remembers nothing; write"
-_ONCE = "a health tree is evaluated continuously; leave it out, and give the leaf in it a longer gap or window"
-_LATER = "gap, window and settle, and debounce of the policy, say how long something may be missing; leave it out"
-_TASK = 'only a task can decide; write <WhileTaskActive action="/navigate_to_pose">'
+_ANEW = "a health tree is evaluated again at each tick and remembers nothing; write"
+_ONCE = "a health tree is evaluated continuously; remove it, and give the leaf in it a longer gap or window"
+_LATER = "gap, window, settle and the policy's debounce set how long something may be missing; remove it"
+_TASK = 'a health tree can depend only on whether a task is active; write <WhileTaskActive action="/navigate_to_pose">'
 _STORE = 'a health tree writes nothing; give constants as attributes of <SubTree>, such as scan="/scan"'
-_CERTAIN = "a constant result says nothing about the robot; leave it out"
+_CERTAIN = "a constant result says nothing about the robot; remove it"
 _RECOVERY = "a health tree takes no action; actions after a failure belong in spec.strategies of the policy"
 _LOOKS = (
     "only procedures and checks test this once; in a health tree, write what must hold, such as <Lifecycle> or <Node>"
@@ -96,9 +96,9 @@ REFUSED: Mapping[str, str] = {
     **REFUSED_PLUGIN_TAGS,
     **dict.fromkeys(("SequenceWithMemory", "SequenceStar", "AsyncSequence", "PipelineSequence"), f"{_ANEW} <Sequence>"),
     **dict.fromkeys(("FallbackStar", "AsyncFallback", "RoundRobin"), f"{_ANEW} <Fallback>"),
-    "RunOnce": f"{_ANEW} what is in it alone",
+    "RunOnce": f"{_ANEW} the node in it without <RunOnce>",
     **dict.fromkeys(("IfThenElse", "WhileDoElse", *SWITCHES), _TASK),
-    "ManualSelector": "no operator is present to choose; write <Fallback>",
+    "ManualSelector": "nobody is present to select a node; write <Fallback>",
     **dict.fromkeys(("TryCatch", "RecoveryNode"), _RECOVERY),
     **dict.fromkeys(("RetryUntilSuccessful", "RetryUntilSuccesful", "RateController", *LOOPS), _ONCE),
     **dict.fromkeys(("Delay", "Timeout", "Sleep"), _LATER),

@@ -133,7 +133,7 @@ class Nodes:
         """Return its key in the short form; None if it cannot have these children."""
         count, category = len(element.children), self._library.nodes[tag].category
         if category in ("Action", "Condition") and count:
-            self._note(element, f"has {_nodes(element)} in it; a leaf has none: put them beside it")
+            self._note(element, f"has {_nodes(element)} in it, but a leaf cannot have nodes in it: put them next to it")
         elif category == "Decorator" and count != 1:
             self._note(element, f"has {_nodes(element)} in it; {self._one()}")
         elif category == "Control" and not count:
@@ -159,7 +159,7 @@ class Nodes:
             return None
         if name in spot.trees:
             ring = " -> ".join((*spot.trees[spot.trees.index(name) :], name))
-            self._note(element, f"the tree would be in itself ({ring:.200}); leave one of them out")
+            self._note(element, f"the tree would contain itself ({ring:.200}); remove one of the <SubTree> nodes")
             return None
         board = self._board(element, name, spot.board)
         uses = (*spot.uses, element.line)

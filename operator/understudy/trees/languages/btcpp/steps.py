@@ -67,14 +67,14 @@ _LEAVES: Mapping[str, Node] = {tag: node for tag, node in NODES.items() if node.
 _WATCHED: Mapping[str, Node] = {tag: node for tag, node in _LEAVES.items() if node.key in HEALTH}
 
 _NO_SCRIPTS = "scripts are not run; write what must hold before a node in front of it, in a <Sequence>"
-_IN_ORDER = "a procedure does each node once, in order; write"
+_IN_ORDER = "a procedure runs each node once, in order; write"
 _ONCE = "a procedure is run once; write <RetryUntilSuccessful> for what may have to be tried again"
 _BRANCH = "write a <Fallback> with a <Sequence> in it: first the condition, then what depends on it"
-_WAIT = "<WaitFor>, or a condition such as <Topic>, says what to wait for; leave it out"
-_CERTAIN = "it does nothing to the instance; leave it out"
+_WAIT = "<WaitFor>, or a condition such as <Topic>, says what to wait for; remove it"
+_CERTAIN = "it does nothing to the instance; remove it"
 _OTHERWISE = "write what to do after a failure as the next node, in a <Fallback>"
 _STORE = 'a procedure writes nothing; give constants as attributes of <SubTree>, such as node="/amcl"'
-_DRIVING = "it judges the active instance only, and this one is not active yet; leave it out"
+_DRIVING = "it judges the active instance only, and this one is not active yet; remove it"
 
 _SEQUENCES = ("SequenceWithMemory", "SequenceStar", "ReactiveSequence", "PipelineSequence")
 _FALLBACKS = ("FallbackStar", "ReactiveFallback", "RoundRobin", "ManualSelector")
@@ -85,7 +85,7 @@ _REFUSED: Mapping[str, str] = {
     **{tag: _DRIVING for tag in _LEAVES if tag not in _WATCHED},
     **dict.fromkeys(_SEQUENCES, f"{_IN_ORDER} <Sequence>"),
     **dict.fromkeys(_FALLBACKS, f"{_IN_ORDER} <Fallback>"),
-    "ParallelAll": "after a failure it waits for the others; write <Parallel>, which cuts them short",
+    "ParallelAll": "after a failure it waits for the other nodes; write <Parallel>, which cancels them",
     **dict.fromkeys(("IfThenElse", "WhileDoElse", *SWITCHES), _BRANCH),
     **dict.fromkeys(("TryCatch", "ForceSuccess", "ForceFailure"), _OTHERWISE),
     **dict.fromkeys(_TRIES, _ONCE),
@@ -113,7 +113,7 @@ CHECKS = _library(
         **dict.fromkeys(
             (*_DECORATORS, *_STEPS, "Delay", "Sleep"), "a check takes no action; it belongs in a procedure"
         ),
-        **dict.fromkeys(_TRIES, "a check is evaluated in every period; leave it out"),
+        **dict.fromkeys(_TRIES, "a check is evaluated in every period; remove it"),
         "WhileTaskActive": "an instance that waits has no task; write the node that is in it",
     },
 )

@@ -19,8 +19,8 @@ def key_of(tag: str, values: Mapping[str, str], count: int) -> str:
         if failures == 1:
             return "parallel"
         raise ValueError(
-            f"max_failures={failures} of {count}: a health tree fails by its first failure; leave max_failures out where all must "
-            "hold, or write <Fallback> where one is enough"
+            f"max_failures={failures} of {count}: a health tree fails at its first failure; remove max_failures if all must "
+            "hold, or write <Fallback> if one is enough"
         )
     successes = _threshold(values, "success_count", -1, count)
     failures = _threshold(values, "failure_count", 1, count)
@@ -29,8 +29,8 @@ def key_of(tag: str, values: Mapping[str, str], count: int) -> str:
     if successes == 1 and failures == count:
         return "selector"
     raise ValueError(
-        f"success_count={successes} and failure_count={failures} of {count}: leave both out where all must hold, or write "
-        "<Fallback> where one is enough; a health tree knows nothing between"
+        f"success_count={successes} and failure_count={failures} of {count}: remove both if all must hold, or write "
+        "<Fallback> if one is enough; a health tree supports no other numbers"
     )
 
 
@@ -42,7 +42,7 @@ def all_of(tag: str, values: Mapping[str, str], count: int) -> str:
     if successes == count:
         return "parallel"
     raise ValueError(
-        f"success_count={successes} and failure_count={failures} of {count}: leave both out: the first failure ends it. Where "
+        f"success_count={successes} and failure_count={failures} of {count}: remove both: the first failure ends it. If "
         "one is enough, write <Fallback>, which tries one after the other"
     )
 

@@ -53,7 +53,7 @@ def _parsed(text: str, begins: TextOffset) -> Element:
         raise Malformed(f"the text has {len(text)} characters; it may have {LONGEST_TEXT}")
     if (start := text.find(_DOCTYPE)) >= 0:
         line, column = text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start)
-        raise Malformed("a document type can have entities and name files to read; leave it out", line, column)
+        raise Malformed("a document type can have entities and name files to read; remove it", line, column)
     return _Builder(begins).parse(text)
 
 

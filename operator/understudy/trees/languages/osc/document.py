@@ -53,9 +53,7 @@ class Document:
         if not name:
             message = f"no files are read; write what is in that file here, and import {PACKAGE}"
         elif name in _USED:
-            message = (
-                f"has behaviours that {self.dialect.subject.a} cannot have; import {PACKAGE}, which has what it can"
-            )
+            message = f"has behaviours that {self.dialect.subject.a} cannot have; import {PACKAGE} instead"
         else:
             message = f"there is no such library{did_you_mean(name, (PACKAGE, STANDARD))}"
         self._note(reference, f"import {reference.text:.60}", message)
@@ -82,7 +80,7 @@ class Document:
             message = f"is written in the with: of the node that it is for, and not of {label}"
             self._note(found, f"{found.text_of('modifierName'):.60}()", message)
         elif found.rule != "fieldDeclaration":  # its words have been refused
-            self._note(found, label, f"has something in it that no {self.dialect.subject.one} has; leave it out")
+            self._note(found, label, f"has something in it that no {self.dialect.subject.one} has; remove it")
 
     def _parameter(self, declared: Part) -> None:
         type_, default = declared.text_of("typeDeclarator"), declared.first("defaultValue")
@@ -99,7 +97,7 @@ class Document:
                 self._note(default.parts[-1], label, str(error))
         for name in declared.all("fieldName"):
             if name.text in self.constants:
-                self._note(name, f"parameter {name.text:.60}", "is given twice; leave one of them out")
+                self._note(name, f"parameter {name.text:.60}", "is given twice; remove one of them")
             self.constants[name.text] = Constant(type_, value)
 
     def _note(self, part: Part, label: str, message: str) -> None:

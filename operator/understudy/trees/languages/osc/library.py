@@ -111,11 +111,11 @@ _STATUSES = ("failure", "running", "success")
 STATUS_CHANGES = tuple(f"{one}_is_{other}" for one in _STATUSES for other in _STATUSES)
 """scenario-execution's names of the modifiers that convert one status into another."""
 
-_ONCE = "a health tree is evaluated continuously; leave it out, and give the leaf in it a longer gap or window"
-_LATER = "gap, window and settle, and debounce of the policy, say how long something may be missing; leave it out"
-_CERTAIN = "a constant result, or none, says nothing about the robot; leave it out"
+_ONCE = "a health tree is evaluated continuously; remove it, and give the leaf in it a longer gap or window"
+_LATER = "gap, window, settle and the policy's debounce set how long something may be missing; remove it"
+_CERTAIN = "a constant result, or none, says nothing about the robot; remove it"
 _RECOVERY = "a health tree takes no action; actions after a failure belong in spec.strategies of the policy"
-_STORE = "a health tree remembers and writes nothing; leave it out"
+_STORE = "a health tree remembers and writes nothing; remove it"
 _NO_PROCESSES = "a health tree starts no processes and reads no files; write what must hold, such as topic() or value()"
 _LOOKS = (
     "only procedures and checks test this once; in a health tree, write what must hold, such as lifecycle() or node()"
@@ -132,7 +132,7 @@ _OTHERS: Mapping[str, str] = {
     **dict.fromkeys(STATUS_CHANGES, _CERTAIN),
     "topic_monitor": "write topic()",
     "assert_topic_latency": "write age()",
-    "wait_for_topics": "write topic(), or publisher() for one that says something seldom",
+    "wait_for_topics": "write topic(), or publisher() for a topic with rare messages",
     **dict.fromkeys(("check_data", "wait_for_data"), "write value()"),
     **dict.fromkeys(
         ("action_call", "service_call", "topic_publish", "set_node_parameter", "kubernetes_delete"), _RECOVERY

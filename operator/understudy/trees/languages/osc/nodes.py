@@ -62,7 +62,7 @@ class Nodes:
         if not self._counted(part, origin.label, depth):
             return None
         if (given := part.first("argumentList")) is not None:
-            self._note(given, origin.label, "takes no arguments; leave out the brackets")
+            self._note(given, origin.label, "takes no arguments; remove the brackets")
         built = [self._member(child, depth + 1) for child in part.all("doMember")]
         children = [child for child in built if child is not None]
         if not children:
@@ -150,7 +150,7 @@ class Nodes:
             else:
                 name = known[index].name
             if name in given:
-                self._note(found, f"{label} {name}", "is given twice; leave one of them out")
+                self._note(found, f"{label} {name}", "is given twice; remove one of them")
                 continue
             text = self._value(value, label, behavior.arguments[name])
             whole = whole and text is not None
@@ -178,7 +178,7 @@ class Nodes:
             )
             return False
         if not bounds and "window" in given:
-            message = "a window is only for a rate; give rate_above or another bound, or leave window out"
+            message = "a window is only for a rate; give rate_above or another bound, or remove window"
             self._note(given["window"][1], f"{label} window", message)
             return False
         band = " to ".join(given[name][0] for name in ("rate_min", "rate_max") if name in given)

@@ -43,16 +43,16 @@ INVERTER: Mapping[str, Behavior] = {"inverter": MODIFIERS["inverter"]}
 """The modifier that checks have too."""
 
 _ONCE = "a procedure is run once; write retry() for what may have to be tried again"
-_STORE = "a procedure remembers and writes nothing; leave it out"
-_CERTAIN = "it does nothing to the instance; leave it out"
+_STORE = "a procedure remembers and writes nothing; remove it"
+_CERTAIN = "it does nothing to the instance; remove it"
 _NO_PROCESSES = "no processes are started and no files read; write what is done to the instance, such as call_service()"
-_DRIVING = "it judges the active instance only, and this one is not active yet; leave it out"
-_CLUSTER = "the strategies of a policy say what is done in the cluster; leave it out"
+_DRIVING = "it judges the active instance only, and this one is not active yet; remove it"
+_CLUSTER = "the strategies of a policy say what is done in the cluster; remove it"
 
 _OTHERS: Mapping[str, str] = {
     **REFUSED_PLUGINS,
     **dict.fromkeys((name for name in ACTIONS if name not in WATCHED), _DRIVING),
-    "while_task_active": "a procedure is run whatever the robot works on; leave it out",
+    "while_task_active": "a procedure is run whatever the robot works on; remove it",
     **dict.fromkeys(("run_process", "process_log_check"), _NO_PROCESSES),
     **dict.fromkeys(("increment", "decrement"), _STORE),
     "compare": "values of messages are compared by value(); write that",
@@ -95,8 +95,8 @@ CHECKS = Dialect(
     {
         **_REFUSED,
         **dict.fromkeys((*STEPS, *DECORATORS, *_DONE), _LOOKS_ONLY),
-        "repeat": "a check is evaluated in every period; leave it out",
-        "while_task_active": "an instance that waits has no task; leave it out",
+        "repeat": "a check is evaluated in every period; remove it",
+        "while_task_active": "an instance that waits has no task; remove it",
     },
     tokens.REFUSED_IN_CHECKS,
     "ready",

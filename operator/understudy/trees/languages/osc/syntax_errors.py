@@ -55,7 +55,7 @@ def _unread(text: str) -> str:
         return f"this is not OpenSCENARIO 2: the string that begins here is not closed on its line; {hint}"
     if text[:1] == "|":
         return "this is not OpenSCENARIO 2: the name that begins here is not closed; close it with |"
-    return f"this is not OpenSCENARIO 2: found {text[:1]!a}, which nothing in the language begins with; leave it out"
+    return f"this is not OpenSCENARIO 2: found {text[:1]!a}, with which no word of the language begins; remove it"
 
 
 def _found(symbol: Any, tokens: Sequence[Any]) -> tuple[str, int, int]:
@@ -81,5 +81,5 @@ def _expected(message: str, found: str) -> str:
     listed = [part.strip() for part in re.split(r", (?=['\w<])", match[1].strip("{}"))]
     known = list(dict.fromkeys(_NAMES.get(part, part) for part in listed if part not in _UNTOLD))
     if not known:
-        return "; leave it out"
+        return "; remove it"
     return f"; there should be {' or '.join(filter(None, [', '.join(known[:-1]), known[-1]]))}"

@@ -28,45 +28,41 @@ NEWLINE, INDENT, DEDENT = "NEWLINE", "INDENT", "DEDENT"
 
 _TASK = "write while_task_active() in the node's with: for what only counts while the robot works on a task"
 _JUDGES = "a health tree takes no action"
-_DECLARES = (
-    "a policy declares nothing but one scenario and its parameters; what there is comes with import osc.understudy"
-)
-_EVERYWHERE = "nothing is declared but one scenario and its parameters; what there is comes with import osc.understudy"
-_EVENTS = f"{_JUDGES}, and neither waits nor sends events; leave it out. Use gap for how long something may be missing"
-_CALCULATES = "nothing is calculated; write the value"
+_DECLARES = "a policy can declare only one scenario and its parameters; all other names come with import osc.understudy"
+_EVERYWHERE = "only one scenario and its parameters can be declared; all other names come with import osc.understudy"
+_EVENTS = f"{_JUDGES}, and neither waits nor sends events; remove it. Use gap for how long something may be missing"
+_CALCULATES = "calculations are not supported; write the value"
 
 REFUSED: Mapping[str, str] = {
     **dict.fromkeys(("type", "unit", "enum", "struct", "actor", "action", "modifier", "global", "extend"), _DECLARES),
-    "as": "what is imported keeps its names; leave it out",
-    "inherits": "a scenario stands for itself; leave it out",
+    "as": "imported names cannot be changed; remove it",
+    "inherits": "a scenario cannot inherit from another one; remove it",
     **dict.fromkeys(
         ("wait", "emit", "event", "on", "until", "elapsed", "every", "rise", "fall", "sample", "@"), _EVENTS
     ),
     **dict.fromkeys(
         ("call", "def", "external", "expression", "undefined", "only"),
-        f"{_JUDGES} and calls no functions; leave it out",
+        f"{_JUDGES} and calls no functions; remove it",
     ),
-    **dict.fromkeys(
-        ("keep", "default", "hard", "remove_default"), "nothing is left open to be constrained; write the value"
-    ),
-    **dict.fromkeys(("cover", "record", "range", "var"), f"{_JUDGES} and keeps no records; leave it out"),
+    **dict.fromkeys(("keep", "default", "hard", "remove_default"), "constraints are not supported; write the value"),
+    **dict.fromkeys(("cover", "record", "range", "var"), f"{_JUDGES} and records nothing; remove it"),
     **dict.fromkeys(("if", "?"), _TASK),
     **dict.fromkeys(("or", "and", "not"), "write one_of:, parallel:, or inverter() in the node's with:"),
     **dict.fromkeys(
-        ("==", "!=", "<", "<=", ">", ">=", "in"), "what is compared is written as text, in holds of value()"
+        ("==", "!=", "<", "<=", ">", ">=", "in"), "write the comparison as a text, in the argument holds of value()"
     ),
     **dict.fromkeys(("+", "-", "*", "/", "%", "=>", "..", "it"), _CALCULATES),
-    **dict.fromkeys(("list", "[", "]"), "no value is a list; write the value"),
+    **dict.fromkeys(("list", "[", "]"), "a value cannot be a list; write the value"),
     **dict.fromkeys(
         ("bool", "uint"), "no value is of that type; write the type that the argument has in understudy.osc"
     ),
-    "->": f"{_JUDGES} and calls no functions; leave it out",
+    "->": f"{_JUDGES} and calls no functions; remove it",
 }
 """Words and signs of the language that no health tree has, and what to use instead."""
 
-_NO_CALLS = "it calls no functions; leave it out"
-_WAITED = "wait_for() says what to wait for, and timeout() in the with: of a node for how long; leave it out"
-_LOOKED = "a check is evaluated in every period and does not wait; leave it out"
+_NO_CALLS = "it calls no functions; remove it"
+_WAITED = "use wait_for() to wait, and timeout() in the with: of a node to limit the time; remove it"
+_LOOKED = "a check is evaluated in every period and does not wait; remove it"
 _BRANCH = "write a one_of: with a serial: in it: first the condition, then what depends on it"
 _COMPARED = "write what must hold as a condition, such as parameter_is() or value()"
 
@@ -78,7 +74,7 @@ def _refused(events: str) -> Mapping[str, str]:
         **{word: _EVERYWHERE for word, why in REFUSED.items() if why == _DECLARES},
         **{word: events for word, why in REFUSED.items() if why == _EVENTS},
         **dict.fromkeys(("call", "def", "external", "expression", "undefined", "only", "->"), _NO_CALLS),
-        **dict.fromkeys(("cover", "record", "range", "var"), "it keeps no records; leave it out"),
+        **dict.fromkeys(("cover", "record", "range", "var"), "it records nothing; remove it"),
         **dict.fromkeys(("if", "?"), _BRANCH),
         **dict.fromkeys(("==", "!=", "<", "<=", ">", ">=", "in"), _COMPARED),
         **dict.fromkeys(("list", "[", "]"), "no value is a list; write a text, such as '/amcl_pose, /map'"),
@@ -123,7 +119,7 @@ def check(tokens: Sequence[Token], subject: TreeKind, refused: Mapping[str, str]
 def _refusal(before: Token, token: Token, after: Token, subject: TreeKind, refused: Mapping[str, str]) -> str | None:
     """Return why a word or sign cannot be at its place."""
     if token.kind == ".":
-        return f"there are no actors in {subject.a}, and nothing has fields; leave out the dot and what is before it"
+        return f"{subject.a} has no actors and no fields; remove the dot and what is before it"
     if token.kind == "(" and before.kind == ")":
         return f"'(' is not for {subject.many}: {_CALCULATES}"
     if token.kind in WORDS and after.kind == ":" and before.kind in ("(", ","):
@@ -141,7 +137,7 @@ _OPEN = frozenset({"serial", "parallel", "one_of", "with"})
 _RIGHT = {
     "type": "; write topic_type, or action_type of an action",
     "action": "; write action_name",
-    "default": "; leave it out",
+    "default": "; remove it",
     "only": "; write names",
     "wait": "; write pause",
 }
@@ -166,7 +162,7 @@ def _depths(tokens: Sequence[Token]) -> None:
         if brackets > DEEPEST_BRACKETS:
             raise _at(token, f"more than {DEEPEST_BRACKETS} nested brackets")
         if brackets < 0:
-            raise _at(token, "closes a bracket that is not open; leave it out")
+            raise _at(token, "closes a bracket that is not open; remove it")
         if blocks > DEEPEST_BLOCK:
             raise _at(token, f"more than {DEEPEST_BLOCK} nested blocks")
 

@@ -77,7 +77,7 @@ def _no(value: Part, type_: str) -> NoReturn:
     if type_ in UNITS and value.rule == "integerLiteral":
         hint = ", which has no unit"
     elif type_ in UNITS and found[:1] in ("'", '"'):
-        hint = ", which is a text; leave out the quotes"
+        hint = ", which is a text; remove the quotes"
     raise ValueError(f"found {_shown(found)}{hint}; give {RIGHT[type_]}")
 
 

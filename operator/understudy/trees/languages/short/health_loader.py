@@ -112,13 +112,16 @@ class _Loader(Reader):
     def _task(self, value: object, path: str, settle: float | None) -> TaskActive | None:
         before = len(self.problems)
         if not isinstance(value, Mapping) or "task_active" not in value:
-            self.problem(path, f"found {found_text(value)}; while is a mapping with task_active, such as {_WHILE}")
+            self.problem(
+                path, f"found {found_text(value)}; 'while' must be a mapping with 'task_active', such as {_WHILE}"
+            )
             return None
         self.known(value, ("task_active",), path)
         path, fields = f"{path}.task_active", value["task_active"]
         if not isinstance(fields, Mapping):
             self.problem(
-                path, f"found {found_text(fields)}; task_active is a mapping with the action's name, such as {_WHILE}"
+                path,
+                f"found {found_text(fields)}; 'task_active' must be a mapping with the action's name, such as {_WHILE}",
             )
             return None
         self.known(fields, TASK_KEYS, path)
@@ -152,7 +155,7 @@ class _Loader(Reader):
 
     def _composite(self, kind: str, value: object, path: str, name: str, below: list[str], depth: int) -> Build | None:
         if not isinstance(value, list):
-            self.problem(path, f"found {found_text(value)}; {kind} has a list of nodes")
+            self.problem(path, f"found {found_text(value)}; {kind!r} must have a list of nodes")
             return None
         if not value:
             self.problem(path, f"the list is empty; {kind} needs at least one node")
@@ -167,7 +170,7 @@ class _Loader(Reader):
         """Return the builder of a leaf that evaluates messages."""
         known = LEAVES[kind]
         if not isinstance(value, Mapping):
-            self.problem(path, f"found {found_text(value)}; {kind} is a mapping such as {known.example}")
+            self.problem(path, f"found {found_text(value)}; {kind!r} must be a mapping such as {known.example}")
             return None
         plan = known.read(self, value, path, self._fields)
         return self._placed(kind, plan, path, above, name) if plan is not None else None

@@ -168,7 +168,7 @@ class _Loader(StepReader):
         fields = value[kind]
         if not isinstance(fields, Mapping):
             what = f"such as {LEAVES[kind].example}" if kind in LEAVES else f"of {_FIELDS[kind]}"
-            self.problem(place, f"found {found_text(fields)}; {kind} is a mapping {what}")
+            self.problem(place, f"found {found_text(fields)}; {kind!r} must be a mapping {what}")
             return None
         work: Work | None
         work = self.leaf(kind, fields, path) if kind in LEAVES else self.step(kind, fields, place)
@@ -196,7 +196,7 @@ class _Loader(StepReader):
 
     def _composite(self, kind: str, value: object, path: str, depth: int) -> Make | None:
         if not isinstance(value, list):
-            self.problem(path, f"found {found_text(value)}; {kind} has a list of nodes")
+            self.problem(path, f"found {found_text(value)}; {kind!r} must have a list of nodes")
             return None
         if not value:
             self.problem(path, f"the list is empty; {kind} needs at least one node")
@@ -218,7 +218,7 @@ class _Loader(StepReader):
 
     def _decorator(self, kind: str, value: object, path: str, depth: int) -> Make | None:
         if not isinstance(value, Mapping):
-            self.problem(path, f"found {found_text(value)}; {kind} is a mapping of {_FIELDS[kind]}")
+            self.problem(path, f"found {found_text(value)}; {kind!r} must be a mapping of {_FIELDS[kind]}")
             return None
         before = len(self.problems)
         keys = ("within", "do") if kind == "timeout" else ("times", "wait", "do")
@@ -246,9 +246,9 @@ class _Loader(StepReader):
 
 _FIELDS = {
     "timeout": "within and do",
-    "retry": "times, do and (if not 1s) wait",
+    "retry": "times, do and optionally wait (1s)",
     "set_lifecycle": "node and state",
-    "call_service": "service, type, request, expect and (if it may be asked twice) repeat",
+    "call_service": "service, type, request, expect and optionally repeat (if it may be called twice)",
     "publish": "topic, type and message",
     "set_parameters": "node and values",
     "wait_for": "topic and type, or service, or node",
@@ -269,5 +269,5 @@ def _around(child: Make | None, wrap: Callable[[Behaviour], Behaviour]) -> Make 
 
 def _tries(value: object) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST_TRIES:
-        raise ValueError(f"found {found_text(value)}; give how often it is tried, from 1 to {MOST_TRIES}")
+        raise ValueError(f"found {found_text(value)}; give the number of attempts, from 1 to {MOST_TRIES}")
     return value

@@ -68,7 +68,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in pairs:
         if key in found:
-            raise ValueError(f"{key!r:.60} is given twice; leave one of them out")
+            raise ValueError(f"{key!r:.60} is given twice; remove one of them")
         found[key] = value
     return found
 
@@ -90,7 +90,7 @@ def _yaml(text: str) -> Any:
         ) from error
     except yaml.reader.ReaderError as error:
         raise ValueError(
-            f"found the character {chr(error.character)!a}, which YAML does not take; leave it out"
+            f"found the character {chr(error.character)!a}, which YAML does not take; remove it"
         ) from error
     return _value(node, set()) if node is not None else None
 
@@ -102,7 +102,7 @@ def _value(node: Node, seen: set[int]) -> Any:
     seen.add(id(node))
     known = f"{TAG}map" if isinstance(node, MappingNode) else f"{TAG}seq"
     if node.tag not in (SCALARS if isinstance(node, ScalarNode) else (known,)):
-        raise ValueError(f"found the tag {node.tag.replace(TAG, '!!'):.60}; leave it out")
+        raise ValueError(f"found the tag {node.tag.replace(TAG, '!!'):.60}; remove it")
     if isinstance(node, MappingNode):
         return _once(list(_items(node, seen)))
     if isinstance(node, SequenceNode):
