@@ -86,8 +86,8 @@ def test_one_port_among_several_that_no_gate_closes_is_enough() -> None:
 
 
 def test_what_dds_did_not_tell_is_said_and_nothing_concluded_from_it() -> None:
-    assert judged(unreported=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
-    assert judged(reading("10.1.0.7"), unreported=(CMD_VEL,))[:2] == ("Unknown", "NotTold")
+    assert judged(unreported=(CMD_VEL,))[:2] == ("Unknown", "ReadersUnknown")
+    assert judged(reading("10.1.0.7"), unreported=(CMD_VEL,))[:2] == ("Unknown", "ReadersUnknown")
     assert judged(reading("10.1.0.7", DEFAULT), unreported=(CMD_VEL,))[:2] == ("False", "ReaderWithoutProfile")
     assert judged(topics=(CMD_VEL, ARM), unreported=(CMD_VEL,))[:2] == ("Unknown", "NobodyReads")
 

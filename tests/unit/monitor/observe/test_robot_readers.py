@@ -81,7 +81,7 @@ def test_discovery_is_asked_once_for_a_reader_and_a_missing_answer_is_reported(s
     server.readers["/cmd_vel"] = [READER]
     looks(one, 2)
     assert server.asked()
-    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
+    assert told.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
     looks(one, 3)
     assert not server.asked()
     server.readers["/cmd_vel"] = [READER, Endpoint(READER.type, bytes(14) + b"\x01\x04", "/other")]
@@ -117,7 +117,7 @@ def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, m
     told = RecordedNotices()
     server.readers["/cmd_vel"] = [READER]
     looks(looking(server, told, [CMD_VEL]), 2)
-    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
+    assert told.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
 
 
 def test_an_error_does_not_end_it(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -140,4 +140,4 @@ def test_an_error_does_not_end_it(server: Server, monkeypatch: pytest.MonkeyPatc
 
     asyncio.run(run())
     assert graph.looked > 1
-    assert told.conditions["OutputsRead"][:2] == ("Unknown", "NotTold")
+    assert told.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")

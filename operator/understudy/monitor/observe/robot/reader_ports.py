@@ -79,7 +79,7 @@ def judge(
         listed = ", ".join(topic for topic in topics if topic in unreported)
         return (
             "Unknown",
-            "NotTold",
+            "ReadersUnknown",
             " ".join([f"DDS discovery did not report the ports of all subscriptions of {listed}.", *past]),
         )
     if past:

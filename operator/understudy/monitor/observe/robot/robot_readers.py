@@ -59,7 +59,7 @@ class RobotReaders:
             except Exception:
                 _logger.exception("looking who reads the outputs")
                 self._notices.condition(
-                    CONDITION, "Unknown", "NotTold", "Checking the readers failed: see the monitor's log."
+                    CONDITION, "Unknown", "ReadersUnknown", "Checking the readers failed: see the monitor's log."
                 )
                 await asyncio.sleep(AGAIN)
             await asyncio.sleep(PERIOD)
