@@ -65,7 +65,10 @@ class TestPods:
         assert [e["value"] for e in app["env"] if e["name"] == MIDDLEWARE.settings_variable] == ["/mine.xml"]
         spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS)["spec"])
         words = action_proxy_container.problem("w", spec, template)
-        assert f"container {template['spec']['containers'][0]['name']} sets {MIDDLEWARE.settings_variable}" in words
+        assert (
+            f"container {template['spec']['containers'][0]['name']} sets the environment variable {MIDDLEWARE.settings_variable}"
+            in words
+        )
         assert "w-instance-profiles" in words
         assert action_proxy_container.problem("w", spec, TEMPLATE) == ""
 
