@@ -72,7 +72,7 @@ def test_a_commanded_robot_that_stands_is_detected_within_a_second(seed: int):
     assert late is not None
     assert 0 < late <= 1.0
     assert_golden(
-        "tracker", verdict.reason.partition(" it was seen")[0], "/cmd_vel", "/tracker/robot/odometry", "forward"
+        "tracker", "".join(verdict.reason.partition(": forward")[:2]), "/cmd_vel", "/tracker/robot/odometry", "forward"
     )
     assert verdict.leaf == "tracker/robot.motion"
 
