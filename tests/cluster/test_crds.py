@@ -238,14 +238,14 @@ def test_a_bad_status_is_refused(cluster: Cluster, make, status: Object, field: 
         ("robotworkload", ["One application of one robot", "spec\t<Object> -required-"]),
         (
             "rw.spec",
-            ["failurePolicyRef\t<Object> -required-", "outputs\t<[]Object> -required-", "All of them are gated"],
+            ["failurePolicyRef\t<Object> -required-", "outputs\t<[]Object> -required-", "The gate controls all of them"],
         ),
         ("rw.spec.outputs", ["type\t<string> -required-", "ROS type, such as geometry_msgs/msg/Twist"]),
         ("rw.spec.ros.discovery", ["enum: Managed, External, Multicast", "runs a Fast DDS discovery server"]),
         ("rw.spec.template.spec", ["containers\t<[]Object> -required-"]),
         ("rw.status.recoveries.parts", ["detection\t<number>", "From the last healthy output"]),
-        ("fp.spec.strategies", ["verifyWithin\t<string>", "an understudy from a pool takes over"]),
-        ("fbp.spec", ["readiness\t<string> -required-", "processes wait until a robot is assigned"]),
+        ("fp.spec.strategies", ["verifyWithin\t<string>", "an instance from a pool takes over"]),
+        ("fbp.spec", ["readiness\t<string> -required-", "held (start later) until a workload claims"]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

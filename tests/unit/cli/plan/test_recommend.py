@@ -109,7 +109,7 @@ def cluster(file: Callable[..., str], tmp_path: Path, monkeypatch: pytest.Monkey
 
 def answered(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = MET) -> list[dict[str, Any]]:
     assert main([*arguments, "-o", "json"]) == status
-    found: list[dict[str, Any]] = json.loads(capsys.readouterr().out, "Executing, Restart")
+    found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)
     return found
 
 
