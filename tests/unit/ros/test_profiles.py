@@ -53,7 +53,7 @@ def test_largest_workload_that_the_api_allows_fits():
 
 def test_running_out_of_ports_names_the_output():
     outputs = [Output(action=f"/a{i}", type="test_msgs/action/Fibonacci") for i in range(25)]
-    with pytest.raises(ValueError, match=r"spec\.outputs: no gate port is left for /a24.*199 ports"):
+    with pytest.raises(ValueError, match=r"spec\.outputs: no gate port is left for /a24.*199 UDP ports"):
         gate_ports(outputs)
 
 

@@ -122,8 +122,8 @@ def test_only_robots_to_which_something_happened_have_a_lane() -> None:
 
 
 def test_a_period_without_recoveries_says_so() -> None:
-    told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).texts_with("No recovery", "No gap")
-    assert_golden("report", told, "2026-11-22 13:06:24Z", "No recovery", "No gap")
+    told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).texts_with("No recovery", "No interruption")
+    assert_golden("report", told, "2026-11-22 13:06:24Z", "No recovery", "No interruption")
 
 
 def test_what_failed_is_told_with_all_that_was_tried() -> None:
