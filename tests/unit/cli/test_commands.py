@@ -37,7 +37,9 @@ COMMANDS: dict[str, Callable[[list[str]], int]] = {
 }
 
 
-def test_the_last_recoveries(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+def test_timeline_shows_the_last_recoveries(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
     assert timeline.main(["robot-17-navigation", "-n", "fleet", "--last", "1"]) == 0
     told = capsys.readouterr().out
     assert told.startswith("fleet/robot-17-navigation: 3 recoveries\n")
@@ -46,14 +48,14 @@ def test_the_last_recoveries(stand: FakeKubectl, capsys: pytest.CaptureFixture[s
 
 
 @pytest.mark.parametrize("given", ["0", "-1", "all"])
-def test_how_many_recoveries_is_a_number_from_one_on(capsys: pytest.CaptureFixture[str], given: str) -> None:
+def test_the_number_of_recoveries_must_be_at_least_one(capsys: pytest.CaptureFixture[str], given: str) -> None:
     with pytest.raises(SystemExit) as ended:
         timeline.main(["robot-17-navigation", f"--last={given}"])
     assert ended.value.code == 2
     assert f"argument --last: found '{given}'; give a whole number of at least 1" in capsys.readouterr().err
 
 
-def test_the_records_for_scripts(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_timeline_prints_the_records_as_json(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert timeline.main(["robot-17-navigation", "-o", "yaml"]) == 0
     written = yaml.safe_load(capsys.readouterr().out)
     assert timeline.main(["robot-17-navigation", "-o", "json"]) == 0
@@ -63,7 +65,7 @@ def test_the_records_for_scripts(stand: FakeKubectl, capsys: pytest.CaptureFixtu
     assert (told["namespace"], told["name"], told["recoveryCount"]) == ("fleet", "robot-17-navigation", 3)
 
 
-def test_a_robot_is_explained_by_what_is_around_it(
+def test_explain_reads_the_objects_around_the_robot(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     item = fleet.well()
@@ -78,7 +80,7 @@ def test_a_robot_is_explained_by_what_is_around_it(
     assert explain.main(["robot-17-navigation"]) == 1
 
 
-def test_right_after_a_failover_it_goes_by_the_pods_that_there_are_not_by_what_was_said_of_them(
+def test_explain_uses_the_existing_pods_instead_of_an_outdated_status(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     # Its standby is in control now, and no status says yet that no other standby is left.
@@ -94,7 +96,7 @@ def test_right_after_a_failover_it_goes_by_the_pods_that_there_are_not_by_what_w
 
 
 @pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
-def test_what_is_explained_for_scripts(
+def test_explain_prints_json(
     stand: FakeKubectl,
     capsys: pytest.CaptureFixture[str],
     in_the_present: None,
@@ -118,7 +120,9 @@ def test_what_is_explained_for_scripts(
     assert told["lately"] == [{"text": "9s ago  GateBlocked: Packets of w-2", "state": ""}]
 
 
-def test_what_a_workload_refers_to_is_asked_for(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_explain_requests_the_deployment_that_the_workload_refers_to(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     item = fleet.well()
     del item["spec"]["template"]
     item["spec"]["workloadRef"] = {"kind": "Deployment", "name": "nav2"}
@@ -128,7 +132,9 @@ def test_what_a_workload_refers_to_is_asked_for(stand: FakeKubectl, capsys: pyte
     assert any("get deployments.apps nav2 --ignore-not-found" in line for line in stand.asked)
 
 
-def test_a_tree_in_a_config_map_is_asked_for(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_explain_requests_the_config_map_of_the_health_tree(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     policy = fleet.policy(monitoring={"configMapKeyRef": {"name": "trees", "key": "driving.yaml"}})
     item = fleet.well()
     stand.tell([*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), policy])
@@ -137,7 +143,7 @@ def test_a_tree_in_a_config_map_is_asked_for(stand: FakeKubectl, capsys: pytest.
     assert any("get configmaps -l understudy.dev/health-tree=true" in line for line in stand.asked)
 
 
-def test_what_the_monitor_was_told_is_asked_for_where_the_policy_has_situations(stand: FakeKubectl) -> None:
+def test_explain_requests_the_monitor_settings_if_the_policy_has_situations(stand: FakeKubectl) -> None:
     raised = {"name": "carrying", "when": {"task": {"action": "/carry"}}, "strategies": [{"type": "Restart"}]}
     item = fleet.well()
     stand.tell([*(i for i in fleet.around(item) if i["kind"] != "FailurePolicy"), fleet.policy(situations=[raised])])
@@ -160,18 +166,18 @@ def test_a_missing_workload_is_reported(stand: FakeKubectl, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_says_what_the_exit_status_means(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_explains_the_exit_status(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         COMMANDS[command](["--help"])
     assert "Exit status: 0" in capsys.readouterr().out
 
 
-def test_kubectl_finds_them_as_a_plugin() -> None:
+def test_kubectl_finds_the_commands_as_a_plugin() -> None:
     scripts = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["scripts"]
     assert scripts["kubectl-understudy"] == scripts["understudy"] == "understudy.main:main"
 
 
-def test_the_pages_show_what_is_printed(
+def test_the_pages_show_the_printed_output(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     shown = [

@@ -54,25 +54,25 @@ def _with(value: Any, path: tuple[Any, ...], other: Any) -> Any:
 
 @often
 @given(st.binary(max_size=200))
-def test_arbitrary_bytes(content: bytes) -> None:
+def test_arbitrary_bytes_give_findings(content: bytes) -> None:
     _sound(check([("a.yaml", content)]))
 
 
 @often
 @given(st.text(alphabet="ab:-?#&*!|>'\"%@`{}[],<~ \t\n\r\\./0.1e\x85\u2028é", max_size=60), st.integers(0, 300))
-def test_arbitrary_text_in_the_middle_of_a_manifest(text: str, where: int) -> None:
+def test_arbitrary_text_in_a_manifest_gives_findings(text: str, where: int) -> None:
     _sound(check([("a.yaml", f"{POLICY[:where]}{text}{POLICY[where:]}".encode())]))
 
 
 @often
 @given(st.lists(_VALUES, max_size=3))
-def test_arbitrary_documents(values: list[Any]) -> None:
+def test_arbitrary_documents_give_findings(values: list[Any]) -> None:
     _sound(check([("a.yaml", yaml.safe_dump_all(values).encode("utf-8", "replace"))]))
 
 
 @often
 @given(st.data())
-def test_manifests_with_something_else_in_some_place(data: st.DataObject) -> None:
+def test_manifests_with_an_arbitrary_value_give_findings(data: st.DataObject) -> None:
     files = []
     for number, manifest in enumerate(MANIFESTS):
         path = data.draw(st.sampled_from(_paths(manifest)))
@@ -83,7 +83,7 @@ def test_manifests_with_something_else_in_some_place(data: st.DataObject) -> Non
 
 @often
 @given(st.text(max_size=80), st.sampled_from(["|", "|-", "'", '"', ">"]))
-def test_arbitrary_xml(text: str, style: str) -> None:
+def test_arbitrary_xml_gives_findings(text: str, style: str) -> None:
     policy = MANIFESTS[0] | {"spec": {"monitoring": {"xml": f"<root BTCPP_format='4'>\n{text}"}, "strategies": []}}
     dumped = yaml.dump(policy, Dumper=_dumper(style[0]), allow_unicode=True)
     _sound(check([("a.yaml", dumped.encode("utf-8", "replace"))]))
@@ -91,7 +91,7 @@ def test_arbitrary_xml(text: str, style: str) -> None:
 
 @often
 @given(st.text(max_size=80), st.sampled_from(["|", "|-", "'", '"', ">"]))
-def test_arbitrary_openscenario(text: str, style: str) -> None:
+def test_arbitrary_openscenario_gives_findings(text: str, style: str) -> None:
     tree = f"import osc.understudy\nscenario a:\n    do {text}\n"
     policy = MANIFESTS[0] | {"spec": {"monitoring": {"osc": tree}, "strategies": []}}
     dumped = yaml.dump(policy, Dumper=_dumper(style[0]), allow_unicode=True)

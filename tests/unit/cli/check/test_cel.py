@@ -18,7 +18,7 @@ def _rules(schema: dict[str, Any]) -> Iterator[dict[str, str]]:
             yield from _rules(inner)
 
 
-def test_every_rule_of_every_kind_is_understood() -> None:
+def test_every_rule_of_every_kind_is_compiled() -> None:
     schemas = [d["spec"]["versions"][0]["schema"]["openAPIV3Schema"] for d in definitions().values()]
     rules = [rule for schema in schemas for rule in _rules(schema)]
     assert len(rules) > 50
@@ -44,18 +44,18 @@ def test_every_rule_of_every_kind_is_understood() -> None:
         ("self.text.endsWith('m') || self.a < 1", False),
     ],
 )
-def test_what_an_expression_is_worth(expression: str, value: object) -> None:
+def test_expressions_are_evaluated(expression: str, value: object) -> None:
     given = {"a": 1, "b": 2, "list": [1, 2, 3], "d": {"e": 0}, "text": "1.5s"}
     assert cel.compiled(expression)({"self": given}) == value
 
 
-def test_a_dollar_is_the_end_and_not_also_before_a_line_break() -> None:
+def test_a_dollar_matches_only_the_end_of_the_text() -> None:
     assert cel.matches("a", "^a$")
     assert not cel.matches("a\n", "^a$")
 
 
 @pytest.mark.parametrize("expression", ["self.b", "self.a + 'x'", "self.a.all(x, x)", "duration('soon')", "other"])
-def test_what_has_no_value_is_undecided(expression: str) -> None:
+def test_an_expression_without_a_value_is_undecided(expression: str) -> None:
     with pytest.raises(cel.Undecided):
         cel.compiled(expression)({"self": {"a": 1}})
 
@@ -64,6 +64,6 @@ def test_what_has_no_value_is_undecided(expression: str) -> None:
     "expression",
     ["", "self.", "self.map(x, x)", "regex(self)", "has(self)", "(self", "self self", "'a\\n'", "self @ 1"],
 )
-def test_what_is_not_known_here_is_said_at_once(expression: str) -> None:
+def test_an_unsupported_expression_is_refused_at_compilation(expression: str) -> None:
     with pytest.raises(cel.Unsupported):
         cel.compiled(expression)

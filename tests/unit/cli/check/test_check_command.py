@@ -30,14 +30,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_folder_is_its_manifests(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_stands_for_its_manifests(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fleet", "fleet/policy.yaml"]) == 0
     told = capsys.readouterr()
     assert told.out == ""
     assert_golden("check", told.err, "2 objects", "2 files", "0 errors", "0 warnings")
 
 
-def test_errors_end_with_1_and_warnings_only_where_it_is_strict(
+def test_errors_end_with_status_1_and_warnings_only_with_strict(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["fleet/workload.yml"]) == 0
@@ -54,7 +54,7 @@ def test_errors_end_with_1_and_warnings_only_where_it_is_strict(
 
 
 @pytest.mark.parametrize(("form", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
-def test_for_programs_everything_that_was_found_is_told(
+def test_json_output_contains_all_findings(
     folder: Path, capsys: pytest.CaptureFixture[str], form: str, read: Callable[[str], Any]
 ) -> None:
     (folder / "fleet" / "policy.yaml").write_text(POLICY.replace("gap: 500ms", "gap: 500"))
@@ -76,7 +76,9 @@ def test_for_programs_everything_that_was_found_is_told(
     assert [one["severity"] for one in read(capsys.readouterr().out)["findings"]] == ["warning"]
 
 
-def test_standard_input(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_manifests_are_read_from_standard_input(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(POLICY.replace("Restart", "Reboot").encode())))
     assert main(["-"]) == 1
     assert_golden("check", capsys.readouterr().out, "<stdin>:8:8: error", "FailurePolicy", "spec.strategies[0].type")
@@ -103,7 +105,7 @@ def test_no_file_ends_with_status_2() -> None:
     assert ended.value.code == 2
 
 
-def test_it_is_a_command_of_understudy_and_needs_no_ros() -> None:
+def test_check_runs_as_a_subcommand_without_ros() -> None:
     program = (
         "import sys; sys.modules['rclpy'] = None; sys.argv = ['understudy', 'check', 'examples/quickstart/manifests/strategies'];"
         "from understudy.main import main; sys.exit(main())"

@@ -14,7 +14,7 @@ DEGRADED = (
 )
 
 
-def test_a_policy_that_says_what_well_means() -> None:
+def test_a_valid_policy_for_degraded_states_has_no_findings() -> None:
     assert found(DEGRADED) == []
 
 
@@ -25,7 +25,7 @@ def test_a_mistake_in_that_tree_is_placed_like_one_in_the_health_tree() -> None:
     assert finding.place.line == 11
 
 
-def test_a_text_is_read_to_the_line_and_column_of_the_file() -> None:
+def test_a_mistake_in_openscenario_has_its_line_in_the_file() -> None:
     text = """\
       osc: |
         import osc.understudy
@@ -46,14 +46,14 @@ RESCHEDULING = (
 )
 
 
-def test_a_workload_that_is_never_idle_is_told() -> None:
+def test_a_workload_that_is_never_idle_is_reported() -> None:
     finding = only(RESCHEDULING, WORKLOAD)
     assert (finding.severity, finding.field) == ("warning", "spec.tasks")
     assert "nothing defines when this workload is idle" in finding.message
     assert "spec.degraded.actions[0].reschedule.idle" in finding.message
 
 
-def test_a_task_or_a_word_of_the_policy_tells_when_it_is() -> None:
+def test_a_task_or_an_idle_tree_defines_when_the_workload_is_idle() -> None:
     task = "  tasks:\n    - {action: /go, type: nav2_msgs/action/NavigateToPose}\n"
     assert found(RESCHEDULING, WORKLOAD + task) == []
     idle = RESCHEDULING.replace("{after: 1m}", "{after: 1m, idle: {yaml: {topic: {name: /standing, gap: 1s}}}}")
@@ -62,19 +62,19 @@ def test_a_task_or_a_word_of_the_policy_tells_when_it_is() -> None:
     assert finding.field == "spec.degraded.actions[0].reschedule.idle.yaml.topic.gap"
 
 
-def test_two_words_of_when_are_one_too_many() -> None:
+def test_an_action_that_is_given_twice_is_refused() -> None:
     finding = only(RESCHEDULING + "      - reschedule: {after: 2m}\n")
     assert (finding.severity, finding.field) == ("error", "spec.degraded.actions")
     assert "actions contains reschedule twice" in finding.message
 
 
-def test_an_action_is_one_thing() -> None:
+def test_an_action_with_two_kinds_is_refused() -> None:
     finding = only(RESCHEDULING.replace("reschedule: {after: 1m}", "{resize: {cpu: 1500m}, reschedule: {after: 1m}}"))
     assert finding.field == "spec.degraded.actions[0]"
     assert "each action has exactly one of" in finding.message
 
 
-def test_more_is_a_text_and_not_nothing() -> None:
+def test_a_resize_needs_amounts_as_strings() -> None:
     number = only(RESCHEDULING.replace("reschedule: {after: 1m}", "resize: {cpu: 2}"))
     assert number.field == "spec.degraded.actions[0].resize.cpu"
     assert "in quotes if it looks like a number" in number.message
@@ -83,7 +83,7 @@ def test_more_is_a_text_and_not_nothing() -> None:
     assert "give the new amount" in nothing.message
 
 
-def test_a_shared_pool_is_not_prewarmed() -> None:
+def test_prewarming_a_shared_pool_is_refused() -> None:
     policy = RESCHEDULING.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}}")
     policy = policy.replace("reschedule: {after: 1m}", "prewarm: {poolRef: {name: hot}}")
     assert found(policy, WORKLOAD, POOL) == []

@@ -13,13 +13,13 @@ def _lines(*texts: str) -> list[str]:
     return [str(finding) for finding in found(*texts)]
 
 
-def test_what_is_right_has_no_finding() -> None:
+def test_a_valid_manifest_has_no_findings() -> None:
     result = checked(f"{POLICY}---\n{WORKLOAD}", POOL)
     assert result.findings == []
     assert_golden("check", result.totals(), "3 objects", "2 files", "0 errors", "0 warnings")
 
 
-def test_the_line_and_column_of_a_field_deep_in_a_tree() -> None:
+def test_a_field_deep_in_a_tree_has_its_line_and_column() -> None:
     policy = text("""
         apiVersion: understudy.dev/v1alpha1
         kind: FailurePolicy
@@ -77,33 +77,33 @@ BLOCK = """|
     ],
     ids=["plain", "chomped", "indented", "after-an-empty-line", "anchored"],
 )
-def test_places_in_xml_are_those_of_the_file(block: str, line: int) -> None:
+def test_places_in_xml_refer_to_the_file(block: str, line: int) -> None:
     finding = only(_xml(block))
     assert (finding.place.line, finding.place.column) == (line, 11)
     assert finding.field == "spec.monitoring.xml"
     assert_golden("check", finding.message, "'0.5'")
 
 
-def test_xml_that_is_broken_off_is_found_in_its_line() -> None:
+def test_malformed_xml_is_reported_in_its_line() -> None:
     finding = only(_xml(BLOCK.replace("</BehaviorTree>", "</BehaviourTree>")))
     assert (finding.place.line, finding.field) == (10, "spec.monitoring.xml")
     assert "mismatched tag" in finding.message
 
 
-def test_xml_in_one_line_has_columns_of_the_file_too() -> None:
+def test_columns_in_one_line_of_xml_refer_to_the_file() -> None:
     inner = '<root BTCPP_format="4"><BehaviorTree ID="H"><Topic topic="/cmd_vel" gap="0.5"/></BehaviorTree></root>'
     policy = _xml(f"'{inner}'")
     finding = only(policy)
     assert policy.splitlines()[finding.place.line - 1][finding.place.column - 1 :].startswith("<Topic ")
 
 
-def test_xml_whose_lines_are_not_those_of_the_file_says_the_line_in_the_text() -> None:
+def test_a_place_in_folded_xml_is_given_as_a_line_of_the_text() -> None:
     finding = only(_xml('"<root BTCPP_format=\\"4\\">\\n<BehaviorTree ID=\\"H\\"><Nope/></BehaviorTree></root>"'))
     assert (finding.place.line, finding.place.column) == (6, 5)
     assert finding.field.startswith("spec.monitoring.xml, line 2, column ")
 
 
-def test_places_in_openscenario_are_those_of_the_file() -> None:
+def test_places_in_openscenario_refer_to_the_file() -> None:
     policy = POLICY.replace(
         "    yaml: {topic: {name: /cmd_vel, gap: 500ms}}\n",
         "    osc: |\n      import osc.understudy\n      scenario healthy:\n          do parallel:\n"
@@ -117,7 +117,7 @@ def test_places_in_openscenario_are_those_of_the_file() -> None:
     assert unknown.message == "topik(): unknown behaviour, did you mean 'topic'?"
 
 
-def test_an_expression_is_read_by_the_monitor_s_own_reader() -> None:
+def test_an_invalid_expression_is_reported_at_its_place() -> None:
     policy = POLICY.replace(
         "{topic: {name: /cmd_vel, gap: 500ms}}",
         "{value: {topic: /battery, type: sensor_msgs/msg/BatteryState, holds: 'percentage > 0.15 and'}}",
@@ -128,7 +128,7 @@ def test_an_expression_is_read_by_the_monitor_s_own_reader() -> None:
 
 
 @pytest.mark.parametrize("field", ["bringUp", "initialization", "readinessCheck"])
-def test_procedures_and_checks_are_loaded(field: str) -> None:
+def test_mistakes_in_procedures_and_checks_are_reported(field: str) -> None:
     base = WORKLOAD if field == "bringUp" else POOL
     finding = only(
         POLICY, WORKLOAD, f"{base.replace('robot-17', 'robot-18')}  {field}: {{yaml: {{set_lifecycl: {{}}}}}}\n"
@@ -137,13 +137,13 @@ def test_procedures_and_checks_are_loaded(field: str) -> None:
     assert finding.file == "c.yaml"
 
 
-def test_a_check_has_conditions_only() -> None:
+def test_a_check_with_an_action_is_refused() -> None:
     step = "{yaml: {set_lifecycle: {node: /drive, state: active}}}"
     assert [one.field for one in found(POLICY, WORKLOAD, f"{POOL}  initialization: {step}\n")] == []
     assert only(POLICY, WORKLOAD, f"{POOL}  readinessCheck: {step}\n").field.startswith("spec.readinessCheck.yaml")
 
 
-def test_what_only_the_operator_refuses() -> None:
+def test_mistakes_that_only_the_operator_refuses_are_reported() -> None:
     reflex = only(POLICY, WORKLOAD + "  gate: {reflex: {}}\n")
     template = "template: {spec: {containers: [{name: understudy-agent, image: i}]}}"
     taken = only(POLICY, WORKLOAD.replace("workloadRef: {kind: Deployment, name: nav2}", template))
@@ -198,11 +198,11 @@ def test_what_only_the_operator_refuses() -> None:
     ],
     ids=["name", "label", "label-value", "metadata", "no-name", "version", "kind", "elsewhere", "number"],
 )
-def test_what_the_api_server_would_refuse(change: tuple[str, str], line: str) -> None:
+def test_mistakes_that_the_api_server_refuses_are_reported(change: tuple[str, str], line: str) -> None:
     assert line in str(only(POLICY.replace(*change)))
 
 
-def test_no_spec_at_all() -> None:
+def test_a_missing_spec_is_an_error() -> None:
     for spec in ("", "spec:\n", "spec: {}\n"):
         findings = found(POLICY[: POLICY.index("spec:")] + spec)
         assert findings
@@ -213,7 +213,7 @@ def test_no_spec_at_all() -> None:
 
 
 @pytest.mark.parametrize("node", ["/fork/mission: {}", "fork: {{mission: {}}}", "/**: {}"])
-def test_a_file_of_ros_parameters_is_skipped_without_a_word(node: str) -> None:
+def test_a_file_of_ros_parameters_is_skipped_silently(node: str) -> None:
     result = checked(POLICY, node.format("{ros__parameters: {speed: 0.6}}"))
     assert (result.findings, result.skipped) == ([], 1)
 
@@ -228,7 +228,7 @@ def test_other_kinds_are_skipped_and_counted() -> None:
     )
 
 
-def test_a_list_is_its_items() -> None:
+def test_the_items_of_a_list_are_checked() -> None:
     items = "".join(
         "- " + one.replace("\n", "\n  ").rstrip() + "\n" for one in (POLICY, WORKLOAD.replace("Twist", "twist"))
     )
@@ -272,25 +272,25 @@ def test_a_list_is_its_items() -> None:
         "deep",
     ],
 )
-def test_a_file_that_is_no_manifest(content: bytes, place: tuple[int, int], message: str) -> None:
+def test_a_file_without_a_manifest_is_reported(content: bytes, place: tuple[int, int], message: str) -> None:
     (finding,) = check([("a.yaml", content)]).findings
     assert message in finding.message
     assert tuple(finding.place) == place
 
 
-def test_what_stands_before_a_syntax_error_is_checked_too() -> None:
+def test_documents_before_a_syntax_error_are_checked() -> None:
     kind, syntax = found(f"{POLICY.replace('FailurePolicy', 'FailurePolcy')}---\na: [\n")
     assert kind.field == "kind"
     assert syntax.message.startswith("this is not valid YAML")
 
 
-def test_a_key_that_is_given_twice() -> None:
+def test_a_duplicate_key_is_reported() -> None:
     finding = only(POLICY.replace("  strategies", "  limits: {cooldown: 1s, cooldown: 2s}\n  strategies"))
     assert (finding.field, tuple(finding.place)) == ("spec.limits.cooldown", (7, 26))
     assert_golden("check", finding.message, "line 7")
 
 
-def test_aliases_count_as_what_they_stand_for() -> None:
+def test_aliases_are_checked_like_the_values_they_stand_for() -> None:
     policy = text("""
         apiVersion: understudy.dev/v1alpha1
         kind: FailurePolicy
@@ -309,7 +309,7 @@ def test_aliases_count_as_what_they_stand_for() -> None:
     assert (within.severity, within.field) == ("error", "spec.strategies[0].verifyWithin")
 
 
-def test_an_alias_inside_of_itself_and_one_that_stands_for_billions() -> None:
+def test_recursive_and_exponential_aliases_are_reported() -> None:
     assert any("contains itself" in one.message for one in found("a: &a {b: *a}\nkind: X\n"))
     bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
         f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 10)}]\n" for n in range(1, 12)
@@ -323,7 +323,7 @@ def test_control_characters_do_not_reach_the_terminal() -> None:
         assert line.isprintable()
 
 
-def test_values_are_read_as_kubernetes_reads_them() -> None:
+def test_values_are_parsed_as_kubernetes_parses_them() -> None:
     annotations = "{name: navigation, annotations: {time: 2026-01-02, ratio: 1:30, version: 1.0}}"
     finding = only(POLICY.replace("{name: navigation}", annotations))
     assert finding.field == "metadata.annotations.version"  # the others are texts
@@ -341,7 +341,7 @@ PROCEDURE = """
         </root>"""
 
 
-def test_places_in_procedures_are_those_of_the_file() -> None:
+def test_places_in_procedures_refer_to_the_file() -> None:
     findings = checked(WORKLOAD.replace("spec:\n", f"spec:\n  bringUp:{PROCEDURE}\n", 1)).findings
     (finding,) = (one for one in findings if one.severity == "error")
     lines = WORKLOAD.splitlines().index("spec:") + 1
@@ -350,7 +350,7 @@ def test_places_in_procedures_are_those_of_the_file() -> None:
     assert_golden("check", finding.message, "SetLifecycle", "'drive'", "'/drive'")
 
 
-def test_a_check_in_openscenario_has_places_of_the_file_too() -> None:
+def test_places_in_an_openscenario_check_refer_to_the_file() -> None:
     check = """
     osc: |
       import osc.understudy

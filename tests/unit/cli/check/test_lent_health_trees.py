@@ -23,18 +23,18 @@ data:
 """
 
 
-def test_a_good_one() -> None:
+def test_a_valid_tree_has_no_findings() -> None:
     assert found(REFERRING, TREES) == []
     assert checked(REFERRING, TREES).skipped == 1
 
 
-def test_one_that_is_not_among_the_files() -> None:
+def test_a_config_map_missing_from_the_files_is_reported() -> None:
     finding = only(REFERRING)
     assert (finding.severity, finding.field) == ("warning", "spec.monitoring.configMapKeyRef.name")
     assert tuple(finding.place) == (6, 23)
 
 
-def test_a_problem_is_told_where_it_is_in_the_file() -> None:
+def test_a_problem_is_reported_at_its_place_in_the_file() -> None:
     finding = only(REFERRING, TREES.replace("500ms", "500 parsecs"))
     assert_golden(
         "check", str(finding), "b.yaml:9:7: error", "ConfigMap", "data.health.yaml", "topic.gap", "'500 parsecs'"
@@ -48,14 +48,14 @@ def test_a_problem_is_told_where_it_is_in_the_file() -> None:
         (TREES.replace("health.yaml", "healthy.yaml"), "a.yaml:6:36", 'did you mean "healthy.yaml"?'),
     ],
 )
-def test_what_a_policy_can_not_read(text: str, place: str, words: str) -> None:
+def test_an_unreadable_tree_is_reported(text: str, place: str, words: str) -> None:
     finding = only(REFERRING, text)
     assert finding.severity == "error"
     assert str(finding).startswith(place)
     assert words in finding.message
 
 
-def test_a_key_that_does_not_say_what_it_is_written_in() -> None:
+def test_a_key_without_a_format_suffix_is_refused() -> None:
     finding = only(REFERRING.replace("health.yaml", "health"), TREES)
     assert (finding.severity, finding.field) == ("error", "spec.monitoring.configMapKeyRef.key")
     assert '"health": the suffix of the key must be' in finding.message

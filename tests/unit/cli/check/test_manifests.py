@@ -28,7 +28,7 @@ def _errors(file: Path) -> list[Finding]:
 
 
 @pytest.mark.parametrize("file", GOOD, ids=lambda file: file.stem)
-def test_what_the_api_server_takes_has_no_error(file: Path) -> None:
+def test_manifests_that_the_api_server_accepts_have_no_errors(file: Path) -> None:
     assert _errors(file) == []
 
 
@@ -46,14 +46,14 @@ def test_the_manifests_in_the_pages_have_no_error(page: Path) -> None:
     assert [str(finding) for finding in result.findings if finding.severity == "error"] == []
 
 
-def test_the_tables_are_there() -> None:
+def test_the_tables_of_manifests_are_not_empty() -> None:
     assert len(GOOD) >= 15
     assert len(BAD) >= 80
     assert len(EXAMPLES) >= 15
 
 
 @pytest.mark.parametrize("file", BAD, ids=lambda file: file.stem)
-def test_what_the_api_server_refuses_has_an_error_that_says_the_same(file: Path) -> None:
+def test_manifests_that_the_api_server_refuses_have_the_same_error(file: Path) -> None:
     told = "\n".join(f"{finding.field}: {finding.message}" for finding in _errors(file))
     expected = [line.removeprefix(_REFUSED) for line in file.read_text().splitlines() if line.startswith(_REFUSED)]
     assert expected
@@ -68,7 +68,7 @@ def _as_here(words: str) -> str:
 
 
 @pytest.mark.parametrize("file", BAD, ids=lambda file: file.stem)
-def test_each_error_is_where_the_field_is_written(file: Path) -> None:
+def test_each_error_has_the_place_of_its_field(file: Path) -> None:
     lines = file.read_text().splitlines()
     for finding in _errors(file):
         # A field is at its key; one that is missing at the key or the item of what it is missing in.

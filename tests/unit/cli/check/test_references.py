@@ -8,7 +8,7 @@ from tests.unit.cli.check.given import POLICY, POOL, WORKLOAD, found, only
 FALLBACK = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}}")
 
 
-def test_a_policy_that_is_not_among_the_files() -> None:
+def test_a_policy_missing_from_the_files_is_reported() -> None:
     finding = only(WORKLOAD, POLICY.replace("name: navigation}", "name: navigating}"))
     assert_golden(
         "check",
@@ -23,13 +23,13 @@ def test_a_policy_that_is_not_among_the_files() -> None:
     )
 
 
-def test_a_pool_that_is_not_among_the_files() -> None:
+def test_a_pool_missing_from_the_files_is_reported() -> None:
     finding = only(FALLBACK)
     assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].poolRef.name")
     assert tuple(finding.place) == (8, 34)
 
 
-def test_a_pool_that_selects_nobody() -> None:
+def test_a_pool_that_selects_no_workload_is_reported() -> None:
     workload, pool = found(FALLBACK, WORKLOAD, POOL.replace("app: navigation", "app: nav"))
     assert (pool.severity, pool.field) == ("warning", "spec.workloadSelector")
     assert "robot-17 has labels app=navigation" in pool.message
@@ -37,7 +37,7 @@ def test_a_pool_that_selects_nobody() -> None:
     assert "no fallback of FailurePolicy navigation could run" in workload.message
 
 
-def test_a_pool_without_any_workload() -> None:
+def test_a_pool_without_any_workload_is_reported() -> None:
     finding = only(POOL)
     assert (finding.severity, finding.field) == ("warning", "spec.workloadSelector")
     assert_golden("check", finding.message, "no RobotWorkload")
@@ -50,7 +50,7 @@ def test_a_workload_that_another_pool_of_its_policy_serves_has_no_warning() -> N
     assert found(policy, WORKLOAD, critical, hot, POOL.replace("hot", "warm")) == []
 
 
-def test_a_template_of_a_workload_that_is_not_there() -> None:
+def test_a_template_from_a_missing_workload_is_reported() -> None:
     pool = POOL.replace("Executing", "Uninitialized").replace("perWorkload", "replicas")
     pool += "  templateFrom: {workload: robot-71}\n"
     finding = only(POLICY, WORKLOAD, pool)
@@ -58,7 +58,7 @@ def test_a_template_of_a_workload_that_is_not_there() -> None:
     assert 'did you mean "robot-17"?' in finding.message
 
 
-def test_namespaces_are_kept_apart() -> None:
+def test_references_stay_within_their_namespace() -> None:
     def within(manifest: str, namespace: str) -> str:
         return manifest.replace("metadata: {", f"metadata: {{namespace: {namespace}, ", 1)
 
@@ -67,7 +67,7 @@ def test_namespaces_are_kept_apart() -> None:
     assert only(within(POLICY, "b"), within(WORKLOAD, "a")).field == "spec.failurePolicyRef.name"
 
 
-def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
+def test_waiting_for_an_executing_standby_is_reported() -> None:
     waits = POLICY.replace("{type: Restart}", "{type: Fallback, poolRef: {name: hot}, waitFor: 10s}")
     finding = only(waits, WORKLOAD, POOL)
     assert (finding.severity, finding.field) == ("warning", "spec.strategies[0].waitFor")
@@ -76,31 +76,31 @@ def test_a_wait_for_a_standby_of_the_workload_s_own() -> None:
     assert found(waits, WORKLOAD, shared + "  templateFrom: {workload: robot-17}\n") == []
 
 
-def test_a_policy_that_looks_at_no_output_of_its_workload() -> None:
+def test_a_policy_that_watches_no_output_of_its_workload_is_reported() -> None:
     finding = only(POLICY.replace("/cmd_vel", "/cmd_vell"), WORKLOAD)
     assert (finding.severity, finding.file, finding.field) == ("warning", "a.yaml", "spec.monitoring")
     assert_golden("check", finding.message, "/cmd_vell", "RobotWorkload", "robot-17")
 
 
-def test_one_output_that_is_looked_at_is_enough() -> None:
+def test_one_watched_output_is_enough() -> None:
     more = WORKLOAD.replace(
         "  failurePolicyRef", "    - {topic: /fork, type: std_msgs/msg/Float64}\n  failurePolicyRef"
     )
     assert found(POLICY, more) == []
 
 
-def test_a_policy_that_judges_otherwise_than_by_messages_may_look_at_no_output() -> None:
+def test_a_policy_without_topic_leaves_need_not_watch_an_output() -> None:
     assert found(POLICY.replace("topic: {name: /cmd_vel, gap: 500ms}", "node: {name: /planner}"), WORKLOAD) == []
 
 
-def test_a_workload_whose_outputs_are_services_has_nothing_to_look_at() -> None:
+def test_a_workload_with_services_only_needs_no_watched_output() -> None:
     service = WORKLOAD.replace(
         "{topic: /cmd_vel, type: geometry_msgs/msg/Twist}", "{service: /grip, type: std_srvs/srv/Trigger}"
     )
     assert found(POLICY, service) == []
 
 
-def test_a_policy_whose_tree_is_in_a_configmap_is_not_known_to_look_at_nothing() -> None:
+def test_a_policy_with_its_tree_in_a_configmap_is_not_reported() -> None:
     elsewhere = POLICY.replace(
         "yaml: {topic: {name: /cmd_vel, gap: 500ms}}", "configMapKeyRef: {name: trees, key: tree.yaml}"
     )
@@ -112,7 +112,7 @@ def needing(name: str, *others: str) -> str:
     return WORKLOAD.replace("robot-17", name) + f"  dependsOn: [{listed}]\n"
 
 
-def test_workloads_that_depend_on_each_other_in_a_circle() -> None:
+def test_circular_dependencies_are_reported() -> None:
     findings = found(POLICY, needing("a", "b"), needing("b", "c"), needing("c", "d", "a"), needing("d"))
     assert [(one.severity, one.file, one.field) for one in findings] == [
         ("error", "b.yaml", "spec.dependsOn[0].name"),
@@ -122,19 +122,19 @@ def test_workloads_that_depend_on_each_other_in_a_circle() -> None:
     assert all("a -> b -> c -> a is a cycle" in one.message for one in findings)
 
 
-def test_a_workload_that_depends_on_itself_is_told_once() -> None:
+def test_a_workload_that_depends_on_itself_is_reported_once() -> None:
     finding = only(POLICY, needing("a", "a"))
     assert (finding.severity, finding.field) == ("error", "spec.dependsOn")
     assert "contains this workload itself" in finding.message
 
 
-def test_a_workload_that_another_depends_on_and_that_is_not_there() -> None:
+def test_a_missing_dependency_is_reported() -> None:
     finding = only(POLICY, needing("planning", "localisation"), needing("localization"))
     assert (finding.severity, finding.field) == ("warning", "spec.dependsOn[0].name")
     assert 'did you mean "localization"?' in finding.message
 
 
-def test_what_is_done_after_a_recovery_needs_what_it_is_done_with() -> None:
+def test_the_action_after_a_recovery_needs_its_procedure() -> None:
     def one(entry: str) -> str:
         return WORKLOAD + f"  dependsOn: [{{name: other, {entry}}}]\n"
 

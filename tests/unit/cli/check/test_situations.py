@@ -24,18 +24,18 @@ LOADED = """\
 """
 
 
-def test_a_policy_with_situations() -> None:
+def test_a_valid_policy_with_situations_has_no_findings() -> None:
     assert found(CARRYING + LOADED, POOL, WORKLOAD) == []
 
 
-def test_a_pool_that_is_not_there_is_told_at_its_place() -> None:
+def test_a_missing_pool_is_reported_at_its_place() -> None:
     finding = only(CARRYING.replace("{name: hot}", "{name: hod}"), POOL, WORKLOAD)
     assert (finding.severity, finding.field) == ("warning", "spec.situations[0].strategies[0].poolRef.name")
     assert 'no FallbackPool "hod" in the given files' in finding.message
     assert finding.place.line == 13
 
 
-def test_a_situation_that_can_never_be_in_force() -> None:
+def test_a_situation_that_can_never_apply_is_reported() -> None:
     again = LOADED.replace(
         "{yaml: {value: {topic: /load, type: std_msgs/msg/Float32, holds: data > 5}}}", "{task: {action: /carry}}"
     )
@@ -44,7 +44,7 @@ def test_a_situation_that_can_never_be_in_force() -> None:
     assert_golden("check", finding.message, "situation carrying")
 
 
-def test_a_pool_that_never_has_a_standby() -> None:
+def test_a_pool_without_standbys_is_reported() -> None:
     finding = only(CARRYING, POOL.replace("perWorkload: 1", "perWorkload: 0"), WORKLOAD)
     assert (finding.severity, finding.field) == ("warning", "spec.situations[0].strategies[0].poolRef.name")
     assert "FallbackPool hot has perWorkload 0" in finding.message
@@ -61,7 +61,7 @@ def test_a_mistake_in_a_procedure_is_placed() -> None:
     assert finding.field.startswith("spec.situations[0].strategies[0].recovery.yaml")
 
 
-def test_what_is_in_force_must_be_said_as_the_policy_says_it() -> None:
+def test_a_situation_must_define_strategies_in_the_way_of_its_policy() -> None:
     finding = only(CARRYING + "      requirements: {taskCriticality: High}\n", POOL, WORKLOAD)
     assert finding.field == "spec.situations[0]"
     assert_golden("check", finding.message, "spec.strategies")

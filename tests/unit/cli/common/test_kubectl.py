@@ -60,7 +60,7 @@ while not os.path.exists(path + ".entered"):
         ("error: You must be logged in to the server (Unauthorized)", "log in again"),
     ],
 )
-def test_what_kubectl_says_is_told_with_the_way_out(
+def test_an_error_of_kubectl_is_reported_with_a_cure(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], said: str, told: str
 ) -> None:
     stand.tell(fleet.fleet(), error=said)
@@ -71,21 +71,21 @@ def test_what_kubectl_says_is_told_with_the_way_out(
     assert told in error
 
 
-def test_a_kubeconfig_without_credentials_is_told_as_that(
-    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_kubeconfig_without_credentials_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(fleet.fleet(), error="error: EOF")
     assert timeline.main([NAME]) == 2
     assert_golden("command_line", capsys.readouterr().err, "understudy timeline: ", "no credentials")
 
 
-def test_what_it_says_itself_is_left_as_it_is(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_error_of_kubectl_is_reported_unchanged(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     stand.tell(fleet.fleet(), error="Unable to connect to the server: net/http: TLS handshake timeout")
     assert timeline.main([NAME]) == 2
     assert_golden("command_line", capsys.readouterr().err, "understudy timeline: ", "TLS handshake timeout")
 
 
-def test_kubectl_is_left_nothing_to_read(stand: FakeKubectl) -> None:
+def test_kubectl_gets_an_empty_standard_input(stand: FakeKubectl) -> None:
     """Or it would wait for a name or a password that nobody knows it asks for, since what it writes is read by the command."""
     program = stand.folder / "kubectl"
     program.write_text(
@@ -113,7 +113,7 @@ def read_until(running: subprocess.Popen[bytes], words: bytes) -> bytes:
     return found
 
 
-def test_a_plugin_that_asks_is_answered_by_who_sits_at_the_terminal(stand: FakeKubectl) -> None:
+def test_the_user_at_the_terminal_can_answer_a_credential_plugin(stand: FakeKubectl) -> None:
     with_plugin(stand, ASKS)
     ours, its = os.openpty()
     with started(its) as running:
@@ -124,7 +124,7 @@ def test_a_plugin_that_asks_is_answered_by_who_sits_at_the_terminal(stand: FakeK
     assert output.decode().startswith(f"fleet/{NAME}: 3 recoveries\n")
 
 
-def test_what_it_does_not_take_is_told(stand: FakeKubectl) -> None:
+def test_an_answer_that_the_plugin_rejects_is_reported(stand: FakeKubectl) -> None:
     with_plugin(stand, ASKS)
     ours, its = os.openpty()
     with started(its) as running:
@@ -135,7 +135,7 @@ def test_what_it_does_not_take_is_told(stand: FakeKubectl) -> None:
     assert_golden("command_line", told.decode(), "login failed with exit code 1")
 
 
-def test_a_plugin_that_waits_for_somebody_is_heard(stand: FakeKubectl) -> None:
+def test_instructions_of_a_waiting_plugin_are_shown(stand: FakeKubectl) -> None:
     with_plugin(stand, WAITS)
     with started(subprocess.DEVNULL) as running:
         assert read_until(running, b"ABC\n") == b"To sign in, enter the code ABC\n"
@@ -145,7 +145,7 @@ def test_a_plugin_that_waits_for_somebody_is_heard(stand: FakeKubectl) -> None:
 
 
 @pytest.mark.parametrize("place", ["a script", "a shell that completes"])
-def test_where_nobody_could_answer_nobody_is_asked(
+def test_a_plugin_does_not_ask_without_a_terminal(
     stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
     with_plugin(stand, ASKS)
@@ -159,7 +159,7 @@ def test_where_nobody_could_answer_nobody_is_asked(
     assert time.monotonic() - begun < 10
 
 
-def test_where_there_is_no_standard_input_nobody_is_asked(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plugin_does_not_ask_without_standard_input(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
     with_plugin(stand, ASKS)
     monkeypatch.setattr(sys, "stdin", None)  # as Python has it after `<&-`
     with pytest.raises(CommandError, match="not a terminal: log in with the kubeconfig's credential plugin"):

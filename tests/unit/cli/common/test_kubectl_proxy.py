@@ -46,19 +46,19 @@ def api(tmp_path: Path) -> Iterator[Api]:
         server.shutdown()
 
 
-def test_an_answer_has_the_server_s_clock_and_the_moments_of_this_machine_s(api: Api) -> None:
+def test_an_answer_contains_the_server_time_and_local_times(api: Api) -> None:
     answer = api.request("GET", "/version")
     assert answer.body["path"] == "/version"
     assert answer.date.endswith(" GMT")
     assert answer.asked <= answer.answered
 
 
-def test_a_patch_says_what_sort_it_is(api: Api) -> None:
+def test_a_patch_has_its_content_type(api: Api) -> None:
     answer = api.request("PATCH", "/pods/one", {"spec": {}}, kind="application/merge-patch+json")
     assert answer.body == {"kind": "application/merge-patch+json", "given": {"spec": {}}}
 
 
-def test_a_refusal_is_told_in_the_server_s_words(api: Api) -> None:
+def test_a_refusal_is_reported_with_the_message_of_the_server(api: Api) -> None:
     with pytest.raises(Refused, match="pods is not found") as refused:
         api.get("/pods/missing")
     assert refused.value.status == 404

@@ -26,7 +26,7 @@ def silent(folder: Path) -> Watch:
     return program(folder, "silent", "time.sleep(600)")[0]
 
 
-def test_each_of_several_watches_tells(tmp_path: Path) -> None:
+def test_each_watch_reports_a_change_once(tmp_path: Path) -> None:
     telling, _ = program(tmp_path, "telling", "sys.stdout.write('changed\\n')\nsys.stdout.flush()\ntime.sleep(600)")
     with waiting(silent(tmp_path), telling) as changed:
         assert changed(LONG)
@@ -35,7 +35,7 @@ def test_each_of_several_watches_tells(tmp_path: Path) -> None:
         assert time.monotonic() - begun >= 0.2
 
 
-def test_one_without_the_right_is_begun_anew_after_a_pause_only_and_tells_nothing(
+def test_a_forbidden_watch_reports_nothing_and_restarts_after_a_pause(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kubectl_watch, "PAUSE", 600.0)
@@ -52,7 +52,7 @@ def test_one_without_the_right_is_begun_anew_after_a_pause_only_and_tells_nothin
         assert log.read_text().startswith("begun begun ")
 
 
-def test_where_the_first_one_ends_something_may_have_changed(tmp_path: Path) -> None:
+def test_the_end_of_the_first_watch_counts_as_a_change(tmp_path: Path) -> None:
     ending, log = program(tmp_path, "ending", "sys.exit()")
     with waiting(ending, silent(tmp_path)) as changed:
         assert changed(0.5)
@@ -60,7 +60,7 @@ def test_where_the_first_one_ends_something_may_have_changed(tmp_path: Path) -> 
         assert log.read_text().count("begun") >= 2
 
 
-def test_none_outlives_the_context(tmp_path: Path) -> None:
+def test_the_watches_end_with_the_context(tmp_path: Path) -> None:
     watches = silent(tmp_path), silent(tmp_path)
     with waiting(*watches):
         assert all(one.output is not None for one in watches)

@@ -36,7 +36,7 @@ MEANT = {
 @pytest.mark.parametrize(
     ("fault", "option"), [(fault, option) for fault in TAKEN for option in OPTIONS if option not in TAKEN[fault]]
 )
-def test_an_option_of_another_fault_is_refused_even_with_the_value_that_it_has_anyway(
+def test_an_option_of_another_fault_is_refused_even_with_its_default_value(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], fault: str, option: str
 ) -> None:
     with pytest.raises(SystemExit, match="2"):
@@ -46,7 +46,7 @@ def test_an_option_of_another_fault_is_refused_even_with_the_value_that_it_has_a
 
 
 @pytest.mark.parametrize(("fault", "option"), [(fault, option) for fault in TAKEN for option in TAKEN[fault]])
-def test_an_option_of_the_fault_is_none_of_those(
+def test_an_option_of_the_fault_is_accepted(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], fault: str, option: str
 ) -> None:
     stand.tell([])
@@ -55,7 +55,7 @@ def test_an_option_of_the_fault_is_none_of_those(
     assert "error: -" not in capsys.readouterr().err
 
 
-def test_every_fault_is_among_those_that_were_tried() -> None:
+def test_the_tests_cover_every_fault() -> None:
     assert set(TAKEN) == set(inject.FAULTS)
 
 
@@ -94,7 +94,7 @@ def test_every_fault_is_among_those_that_were_tried() -> None:
         ),
     ],
 )
-def test_options_of_other_commands_that_exclude_each_other(
+def test_exclusive_options_of_other_commands_are_refused(
     stand: FakeKubectl,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,

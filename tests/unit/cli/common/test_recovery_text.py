@@ -19,7 +19,7 @@ def row(found: list[str], label: str) -> str:
     return next(line for line in found if line.startswith(f"    {label}"))
 
 
-def test_each_part_begins_where_the_one_before_it_ended_and_all_are_to_scale() -> None:
+def test_the_bars_of_the_parts_are_consecutive_and_to_scale() -> None:
     found = told(fleet.recoveries()[1])
     bars = {label: row(found, label) for label in ("detection", "cluster", "start-up", "re-init")}
     room, total = 100 - 27, 0.502 + 1.832 + 0.758 + 0.590
@@ -32,7 +32,7 @@ def test_each_part_begins_where_the_one_before_it_ended_and_all_are_to_scale() -
     assert bars["cluster"].endswith(" 1.83 s")
 
 
-def test_what_failed_who_took_over_and_what_was_tried_in_vain() -> None:
+def test_a_recovery_is_shown_with_its_failure_target_and_failed_attempts() -> None:
     found = told(fleet.recoveries()[1])
     assert_golden("command_line", found[2], "#2", "2026-11-22 13:03:24", "3.68 s by Restart")
     assert_golden("command_line", found[3], "/cmd_vel", "500 ms", "/navigate_to_pose")
@@ -42,7 +42,7 @@ def test_what_failed_who_took_over_and_what_was_tried_in_vain() -> None:
     assert_golden("command_line", row(found, "failed"), "Fallback/Executing", "robot-17-navigation-v4d9s")
 
 
-def test_all_that_are_kept_are_compared_to_one_scale() -> None:
+def test_all_kept_recoveries_share_one_scale() -> None:
     found = told(*fleet.recoveries(), count=12)
     assert_golden("command_line", found[0], "robot-17", "12 recoveries")
     fast, slow = found[2], found[3]
@@ -53,13 +53,13 @@ def test_all_that_are_kept_are_compared_to_one_scale() -> None:
     assert fast.index("░") == slow.index("░")
 
 
-def test_only_the_newest_are_told_one_by_one() -> None:
+def test_only_the_newest_recoveries_are_shown_individually() -> None:
     found = told(*fleet.recoveries(), last=1)
     assert [line[:2] for line in found if line.startswith("#")] == ["#3", "#2", "#1", "#3"]
 
 
 @pytest.mark.parametrize("columns", [60, 80, 140])
-def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+def test_no_line_is_wider_than_the_terminal(columns: int) -> None:
     assert max(map(len, told(*fleet.recoveries(), columns=columns))) <= columns
 
 
@@ -74,12 +74,12 @@ def test_a_failed_recovery_is_shown() -> None:
     assert_golden("command_line", row(found, "failed"), "Restart with robot-17-abc", "60 s")
 
 
-def test_a_hand_over_that_was_planned_and_one_that_another_monitor_finished() -> None:
+def test_planned_and_resumed_recoveries_are_marked() -> None:
     assert "planned switchover in 509 ms" in told(fleet.recovery(1, 5, planned=True))[2]
     assert "the monitor restarted" in row(told(fleet.recovery(1, 5, resumed=True)), "resumed")
 
 
-def test_one_without_parts_and_moments() -> None:
+def test_a_recovery_without_parts_and_moments_is_shown() -> None:
     bare = Recovery(id="r", reason="pod a is gone", result="Failed", moments=Moments())
     assert told(bare, bare, columns=None)[0] == "fleet/robot-17: 2 recoveries"
 

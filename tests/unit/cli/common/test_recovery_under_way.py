@@ -29,7 +29,7 @@ def message(**changes: Any) -> str:
     return found.message
 
 
-def test_what_is_done_why_and_since_when() -> None:
+def test_a_recovery_in_progress_has_its_occasion_start_and_strategy() -> None:
     found = seen(fleet.under_way())
     assert found is not None
     assert (found.occasion, found.since, found.strategy) == ("FailureDetected", fleet.ago(1), "Fallback/Executing")
@@ -38,7 +38,7 @@ def test_what_is_done_why_and_since_when() -> None:
     )
 
 
-def test_as_much_as_is_known_of_how() -> None:
+def test_the_message_contains_what_is_known_about_the_attempt() -> None:
     assert_golden("command_line", message(target=None), "/cmd_vel", "500 ms", "Fallback/Executing")
     assert message(strategy="") == "no /cmd_vel for 500 ms.", "as a monitor of an earlier version commits it"
     waiting = Waiter(workload="w", pool="navigation-spare", since=fleet.NOW - 1, until=fleet.NOW + 60)
@@ -50,7 +50,7 @@ def test_as_much_as_is_known_of_how() -> None:
     )
 
 
-def test_what_came_to_nothing_before_is_named_once() -> None:
+def test_a_failed_strategy_is_listed_once() -> None:
     attempts = [Attempt(strategy="Fallback/Executing", result="NotVerified") for _ in range(2)]
     assert_golden(
         "command_line",
@@ -74,11 +74,11 @@ def test_what_came_to_nothing_before_is_named_once() -> None:
     ],
     ids=["in the status", "older than the last there", "over", "a switchover", "held"],
 )
-def test_what_is_none_or_is_told_by_the_status(changes: dict[str, Any]) -> None:
+def test_a_finished_or_already_reported_recovery_is_ignored(changes: dict[str, Any]) -> None:
     assert seen(fleet.under_way(**changes)) is None
 
 
-def test_without_a_gate_or_a_record_nothing_is_told() -> None:
+def test_without_a_gate_or_a_readable_record_there_is_no_recovery() -> None:
     assert under_way(STATUS, None, fleet.NOW) is None
     assert seen(None) is None
     unreadable: Object = fleet.gate(fleet.well(), None)
@@ -88,17 +88,17 @@ def test_without_a_gate_or_a_record_nothing_is_told() -> None:
     assert under_way(STATUS, unreadable, fleet.NOW) is None
 
 
-def test_one_of_which_the_status_says_nothing_for_long_was_given_up() -> None:
+def test_a_recovery_that_the_status_omits_for_long_counts_as_abandoned() -> None:
     began = fleet.NOW - 1
     assert seen(fleet.under_way(), now=began + LASTS - 0.1) is not None
     assert seen(fleet.under_way(), now=began + LASTS) is None
 
 
-def test_one_of_which_the_status_says_that_it_goes_on_may_take_as_long_as_it_likes() -> None:
+def test_a_recovery_that_the_status_confirms_has_no_time_limit() -> None:
     going_on = STATUS.model_copy(update={"health": "Recovering", "failing_since": fleet.ago(1.5)})
     assert seen(fleet.under_way(), status=going_on, now=fleet.NOW + 600) is not None
 
 
-def test_it_may_be_another_one_than_the_status_says() -> None:
+def test_a_status_about_another_recovery_does_not_confirm_the_gate_record() -> None:
     another = STATUS.model_copy(update={"health": "Recovering", "failing_since": fleet.ago(-500)})
     assert seen(fleet.under_way(), status=another, now=fleet.NOW + 600) is None, "that one has not committed yet"

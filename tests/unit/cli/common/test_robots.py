@@ -19,7 +19,7 @@ def told(*conditions: Any, **more: Any) -> list[tuple[str, str]]:
     return [(problem.about, problem.reason) for problem in found.problems]
 
 
-def test_a_robot_that_is_well() -> None:
+def test_a_healthy_robot_has_no_problems() -> None:
     found = robot(fleet.well())
     assert found.is_well
     assert (found.health, found.active, found.epoch) == ("Healthy", "robot-17-navigation-x8v2m", 41)
@@ -30,25 +30,25 @@ def test_a_robot_that_is_well() -> None:
     assert found.last_recovery.ended == fleet.ago(252.6 - 0.561)
 
 
-def test_one_that_is_degraded_is_driven_and_told() -> None:
+def test_a_degraded_robot_is_well_and_reported() -> None:
     found = robot(fleet.degraded())
     assert found.is_well
     assert [problem.type for problem in found.problems] == ["Degraded"]
 
 
-def test_one_without_a_monitor_is_not_as_its_monitor_has_said_last() -> None:
+def test_a_robot_without_a_monitor_does_not_keep_its_last_health() -> None:
     found = robot(fleet.unwatched())
     assert found.health == UNWATCHED
     assert not found.is_well
 
 
 @pytest.mark.parametrize("health", ["Failed", "Recovering", "Starting", "Unknown"])
-def test_one_that_nobody_drives_is_not_well_however_protected(health: str) -> None:
+def test_a_robot_without_an_active_instance_is_not_well_even_if_protected(health: str) -> None:
     name = "robot-1"
     assert not robot(fleet.workload(name, status=fleet.status(name, "abcde", 1, health=health))).is_well
 
 
-def test_the_same_trouble_is_told_once_and_protection_comes_first() -> None:
+def test_one_cause_is_reported_once_and_protection_comes_first() -> None:
     name = "robot-19-navigation"
     found = robot(fleet.unprotected())
     assert [problem.type for problem in found.problems] == ["Protected"]
@@ -64,33 +64,33 @@ def test_the_same_trouble_is_told_once_and_protection_comes_first() -> None:
     assert robot(fleet.workload(name)).problems[0].reason == "NotSeen"
 
 
-def test_a_recovery_is_a_problem_while_it_runs_and_when_it_came_to_nothing() -> None:
+def test_a_running_or_failed_recovery_is_a_problem() -> None:
     assert told(said("Recovering", "True", "FailureDetected")) == [("recovering", "FailureDetected")]
     assert told(said("Recovering", "False", "NothingVerified")) == [("not recovered", "NothingVerified")]
     assert told(said("Recovering", "False", "HealthyAgain")) == []
 
 
-def test_what_is_only_waited_for_is_none() -> None:
+def test_an_expected_delay_is_not_a_problem() -> None:
     assert told(said("GateEnforced", "Unknown", "Settling"), said("Degraded", "Unknown", "Starting")) == []
     assert told(said("OutputsRead", "Unknown", "NobodyReads")) == []
 
 
-def test_a_condition_of_a_later_version_is_told_by_its_name() -> None:
+def test_an_unknown_condition_is_reported_by_its_name() -> None:
     assert told(said("Painted", "False", "NoPaint")) == [("Painted", "NoPaint")]
 
 
-def test_a_spec_that_the_operator_has_not_seen() -> None:
+def test_an_unobserved_spec_is_reported_as_not_accepted() -> None:
     assert told(observed_generation=fleet.GENERATION - 1) == [("not accepted", "NotSeen")]
 
 
-def test_a_status_of_a_later_version_is_refused_with_what_to_do() -> None:
+def test_a_status_of_a_later_version_is_refused_with_a_cure() -> None:
     item = fleet.well()
     item["status"]["health"] = "Splendid"
     with pytest.raises(CommandError, match=r"fleet/robot-17-navigation: status.health: .*the version of the operator"):
         robot(item)
 
 
-def test_of_a_recovery_the_gate_tells_first_and_who_is_in_control_by_then() -> None:
+def test_the_gate_reports_a_new_recovery_and_the_active_instance_before_the_status() -> None:
     item = fleet.well()
     found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
     assert (found.health, found.active, found.epoch) == ("Recovering", "robot-17-navigation-w7h5k", 42)
@@ -103,13 +103,13 @@ def test_of_a_recovery_the_gate_tells_first_and_who_is_in_control_by_then() -> N
     assert (closed.active, closed.epoch) == ("", 43)
 
 
-def test_a_gate_that_tells_nothing_new_changes_nothing() -> None:
+def test_a_gate_without_news_changes_nothing() -> None:
     item = fleet.well()
     assert robot(item, fleet.gate(item, None), fleet.NOW) == robot(item)
     assert robot(item, fleet.gate(item, fleet.under_way(id="r3")), fleet.NOW) == robot(item)
 
 
-def test_once_the_status_says_so_too_it_is_told_once() -> None:
+def test_a_recovery_in_both_gate_and_status_is_reported_once() -> None:
     name, began = "robot-17-navigation", fleet.NOW - 40
     since = {"health": "Recovering", "failing_since": fleet.ago(40.5)}
     said_too = said("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms", since=40)
@@ -120,7 +120,7 @@ def test_once_the_status_says_so_too_it_is_told_once() -> None:
     assert (found.health, found.active) == ("Recovering", "")
 
 
-def test_where_the_status_says_whom_it_waits_for_that_is_told() -> None:
+def test_a_wait_for_a_pod_in_the_status_replaces_the_message_of_the_gate() -> None:
     name = "robot-17-navigation"
     waits = said(
         "Recovering", "True", "WaitingForPod", "since 14:02:11 UTC it waits, number 2 of 3 that wait", since=40
@@ -131,14 +131,14 @@ def test_where_the_status_says_whom_it_waits_for_that_is_told() -> None:
     assert found.recovering is not None
 
 
-def test_where_nobody_watches_it_nobody_recovers_it_either() -> None:
+def test_an_unwatched_robot_is_not_reported_as_recovering() -> None:
     item = fleet.unwatched()
     found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
     assert (found.health, found.recovering) == (UNWATCHED, None)
     assert [problem.type for problem in found.problems] == ["Protected"]
 
 
-def test_pools_are_short_of_what_they_should_have() -> None:
+def test_a_pool_with_too_few_pods_is_reported() -> None:
     assert pool(fleet.spare()).is_short
     assert not pool(fleet.spare(ready=4)).is_short
     assert not pool(fleet.hot()).is_short, "a standby that drives is one of those that should be there"

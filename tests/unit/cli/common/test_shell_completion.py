@@ -64,12 +64,14 @@ def answered_to_kubectl(*words: str) -> list[str]:
         ("understudy monitor --", []),
     ],
 )
-def test_verbs_options_and_names_are_completed(stand: FakeKubectl, tmp_path: Path, line: str, words: list[str]) -> None:
+def test_verbs_options_and_robot_names_are_completed(
+    stand: FakeKubectl, tmp_path: Path, line: str, words: list[str]
+) -> None:
     assert completed(line, tmp_path) == words
 
 
 @pytest.mark.parametrize("verb", sorted(set(VERBS) - {"operator"}))
-def test_every_verb_is_answered_by_its_own_parser(monkeypatch: pytest.MonkeyPatch, verb: str) -> None:
+def test_every_verb_is_completed_by_its_own_parser(monkeypatch: pytest.MonkeyPatch, verb: str) -> None:
     answered: list[argparse.ArgumentParser] = []
 
     def answer(parser: argparse.ArgumentParser) -> None:
@@ -87,7 +89,7 @@ def test_every_verb_is_answered_by_its_own_parser(monkeypatch: pytest.MonkeyPatc
     assert [parser.format_help() for parser in answered] == [VERBS[verb].format_help()]
 
 
-def test_what_a_verb_reads_is_completed_from_the_folder(
+def test_file_arguments_are_completed_from_the_folder(
     stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "policies").mkdir()
@@ -98,7 +100,7 @@ def test_what_a_verb_reads_is_completed_from_the_folder(
     assert answered_to_kubectl("simulate", "policy.yaml", "--bag", "polici") == ["policies/", ":6"]
 
 
-def test_names_are_those_of_the_namespace_that_the_line_says(stand: FakeKubectl, tmp_path: Path) -> None:
+def test_names_come_from_the_namespace_on_the_command_line(stand: FakeKubectl, tmp_path: Path) -> None:
     completed("understudy explain -n hall-2 --context lab robot", tmp_path)
     assert stand.asked[-1].startswith("--namespace=hall-2 --context=lab get robotworkloads.understudy.dev")
 
@@ -108,13 +110,13 @@ def test_a_cluster_that_does_not_answer_completes_nothing(stand: FakeKubectl, tm
     assert completed("understudy explain robot", tmp_path) == []
 
 
-def test_kubectl_is_answered_in_its_own_way(stand: FakeKubectl) -> None:
+def test_completions_for_kubectl_have_its_format(stand: FakeKubectl) -> None:
     assert answered_to_kubectl("explain", "robot-19") == ["robot-19-navigation", ":4"]
     assert answered_to_kubectl("check", "--str") == ["--strict", ":4"]
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_each_shell_is_told_how_to_ask(capsys: pytest.CaptureFixture[str], shell: str) -> None:
+def test_each_shell_gets_its_completion_script(capsys: pytest.CaptureFixture[str], shell: str) -> None:
     assert completion.main([shell]) == 0
     told = capsys.readouterr().out
     assert "_ARGCOMPLETE" in told

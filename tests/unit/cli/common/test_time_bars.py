@@ -22,7 +22,7 @@ OLD, NEW = "robot-17-navigation-7k2xq", "robot-17-navigation-x8v2m"
         (2.905, "2.90 s"),
     ],
 )
-def test_lengths_of_time(seconds: float, text: str) -> None:
+def test_durations_are_formatted_with_a_suitable_unit(seconds: float, text: str) -> None:
     assert length(seconds) == text
 
 
@@ -43,18 +43,18 @@ def test_bars_are_to_scale(start: float, seconds: float) -> None:
     assert cells * scale == pytest.approx(seconds, abs=scale / 8)
 
 
-def test_no_time_has_no_bar_and_the_least_has_one() -> None:
+def test_zero_has_no_bar_and_the_shortest_time_has_one() -> None:
     assert bar(1.0, 0.0, 0.05) == ""
     assert bar(1.0, 0.0001, 0.05).strip() == "▏"
 
 
-def test_names_are_shortened_where_that_tells_them_apart() -> None:
+def test_names_are_shortened_if_they_stay_distinct() -> None:
     assert short([OLD, NEW]) == {OLD: "…-7k2xq", NEW: "…-x8v2m"}
     assert short(["drive-0", "drive-1"]) == {"drive-0": "drive-0", "drive-1": "drive-1"}
     assert short(["a-7k2xq", "b-7k2xq"]) == {"a-7k2xq": "a-7k2xq", "b-7k2xq": "b-7k2xq"}
 
 
-def test_the_parts_of_one_bar_are_as_long_together_as_their_sum() -> None:
+def test_the_parts_of_a_bar_add_up_to_its_length() -> None:
     parts = {"detection": 0.5, "cluster": 1.04, "startup": 0.5, "reinitialization": 0.26}
     assert list(parts) == list(NAMES)
     assert stacked(parts, 0.1) == "░" * 5 + "█" * 10 + "▓" * 5 + "▒" * 3

@@ -14,7 +14,7 @@ def told(*looks: dict[str, object], colours: bool = False) -> list[str]:
     return list(lines(looks[-1], rates, colours=colours))
 
 
-def test_a_healthy_tree() -> None:
+def test_a_healthy_tree_is_shown() -> None:
     later = state(102.0)
     later["tree"]["children"][0]["received"] = 30
     head, control, empty, *nodes = told(state(), later)
@@ -35,14 +35,14 @@ def test_a_healthy_tree() -> None:
     ]  # fmt: skip
 
 
-def test_before_there_were_two_looks_and_after_a_restart_of_the_monitor_no_rate_is_told() -> None:
+def test_no_rate_is_shown_before_two_samples_or_after_a_monitor_restart() -> None:
     assert "Hz" not in "".join(told(state()))
     anew = state(104.0)
     anew["tree"]["children"][0]["received"] = 1
     assert "Hz" not in "".join(told(state(), state(102.0), anew))
 
 
-def test_a_failure_has_its_reason_and_its_colour() -> None:
+def test_a_failure_is_shown_with_its_reason_and_colour() -> None:
     tree = leaf("scan", "Failed", reason="/scan is silent", age=1.2)
     found = told(state(health="Failed", tree=tree), colours=True)
     assert found[0] == "fleet/robot-1-drive  \x1b[1;31mFailed\x1b[0m"
@@ -50,7 +50,7 @@ def test_a_failure_has_its_reason_and_its_colour() -> None:
     assert "\x1b[1;31mFAILED" in found[3]
 
 
-def test_control_characters_in_foreign_texts_are_escaped() -> None:
+def test_control_characters_are_escaped() -> None:
     tree = leaf("scan\x1b[2J", "Failed", reason="a\nb\r")
     found = "\n".join(told(state(tree=tree, notes=["\x1b]0;gone\x07"], active="\x9b1A")))
     assert not set("\x1b\r\x07\x9b") & set(found)
@@ -58,13 +58,13 @@ def test_control_characters_in_foreign_texts_are_escaped() -> None:
     assert "a\\nb\\r" in found
 
 
-def test_no_tree_and_nobody_in_control() -> None:
+def test_a_workload_without_tree_and_active_instance_is_shown() -> None:
     found = told(state(tree=None, active="", strategy="", policy="", health="Unknown", notes=["/scan: no type"]))
     assert_golden("command_line", found[1], "none (epoch 3)", "policy none", "unknown", "recoveries: 2")
     assert found[3:] == ["There is no health tree to evaluate.", "", "/scan: no type"]
 
 
-def test_what_is_short_of_well_is_told_while_it_is() -> None:
+def test_the_degraded_condition_is_shown_only_while_it_is_true() -> None:
     said = {"type": "Degraded", "status": "True", "reason": "NotWell", "message": "/scan at 8.6 Hz, below 9 Hz\n."}
     found = told(state(health="Degraded", conditions=[said]), colours=True)
     assert found[0] == "fleet/robot-1-drive  \x1b[33mDegraded\x1b[0m"

@@ -21,15 +21,15 @@ from understudy.cli.common.text.wording import age, clock, wrapped
         (183600, "2d3h"),
     ],
 )
-def test_ages_are_told_in_their_two_largest_units(seconds: float, text: str) -> None:
+def test_ages_are_formatted_in_their_two_largest_units(seconds: float, text: str) -> None:
     assert age(ago(seconds), NOW) == text
 
 
-def test_a_clock_that_goes_before_ours_makes_no_negative_age() -> None:
+def test_a_clock_ahead_of_ours_gives_no_negative_age() -> None:
     assert age(ago(-5), NOW) == "0s"
 
 
-def test_moments_are_in_utc() -> None:
+def test_times_are_in_utc() -> None:
     assert clock("2026-11-22T15:02:11.5+01:00") == "2026-11-22 14:02:11Z"
 
 

@@ -43,7 +43,7 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 # -- fence ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fence_closes_the_gate_and_pauses_recovery(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = heard(fleet.well())
     stand.tell(fleet.around(item))
     before = GateRecord.of(stand.item(GATE))
@@ -63,14 +63,16 @@ def test_the_gate_is_closed_and_kept_so_by_a_pause(stand: FakeKubectl, capsys: p
     assert "robotworkloads" in written[0], "a monitor that knows of no pause would open it again"
 
 
-def test_a_gate_that_is_closed_already_is_left_as_it_is(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_closed_gate_is_unchanged(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(fleet.around(heard(fleet.well())))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert fence.main([ROBOT, *REASON, "--yes"]) == 0
     assert_golden("control", capsys.readouterr().out.splitlines()[2], "closed at epoch 42")
 
 
-def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pause_that_the_monitor_does_not_confirm_is_reported(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, "--yes"]) == 1
     assert registry.DEFAULT.let_through(stand.item(GATE)) == (), "it is closed all the same"
@@ -78,7 +80,7 @@ def test_where_the_monitor_says_nothing_that_is_told(stand: FakeKubectl, capsys:
 
 
 @pytest.mark.parametrize("option", ["--reason", "--owner"])
-def test_who_fences_it_says_who_and_why(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], option: str) -> None:
+def test_fence_requires_owner_and_reason(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], option: str) -> None:
     stand.tell(fleet.around(fleet.well()))
     assert fence.main([ROBOT, *REASON, option, " ", "--yes"]) == 2
     assert_golden("control", capsys.readouterr().err, f"{option}")
@@ -98,7 +100,7 @@ class Terminal(io.StringIO):
         ("\n", "not confirmed; nothing was changed"),
     ],
 )
-def test_without_a_yes_nothing_is_written(
+def test_without_confirmation_nothing_is_written(
     stand: FakeKubectl,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -112,13 +114,13 @@ def test_without_a_yes_nothing_is_written(
     assert not any(line.startswith("patch ") for line in stand.asked)
 
 
-def test_a_yes_in_a_terminal_is_enough(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_user_can_confirm_in_a_terminal(stand: FakeKubectl, monkeypatch: pytest.MonkeyPatch) -> None:
     stand.tell(fleet.around(heard(fleet.well())))
     monkeypatch.setattr("sys.stdin", Terminal("yes\n"))
     assert fence.main([ROBOT, *REASON]) == 0
 
 
-def test_where_there_is_no_gate_that_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_gate_is_reported(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell([fleet.well()])
     assert fence.main([ROBOT, *REASON, "--yes"]) == 2
     assert f"{GATE} does not exist" in capsys.readouterr().err
@@ -134,7 +136,7 @@ def given_out(item: dict[str, Any]) -> list[dict[str, Any]]:
     return [item, *maps]
 
 
-def test_both_files_are_given_out_with_where_they_go(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_both_files_are_printed_with_their_paths(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell(given_out(fleet.well()))
     assert robot_profile.main([ROBOT, "--at", "/opt/robot/"]) == 0
     told = capsys.readouterr().out
@@ -148,7 +150,7 @@ def test_both_files_are_given_out_with_where_they_go(stand: FakeKubectl, capsys:
     assert "the discovery server 10.96.0.7:11811" in told
 
 
-def test_files_can_be_had_one_by_one_or_written(
+def test_each_file_can_be_printed_alone_or_written(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     stand.tell(given_out(fleet.well()))
@@ -167,7 +169,7 @@ def test_files_can_be_had_one_by_one_or_written(
         assert yaml.safe_load(capsys.readouterr().out)["ports"] == {"/cmd_vel": 7950}
 
 
-def test_a_robot_with_an_address_and_a_server_of_its_own(
+def test_a_robot_with_its_own_address_and_discovery_server_gets_its_profile(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
     item = fleet.well()
@@ -181,7 +183,7 @@ def test_a_robot_with_an_address_and_a_server_of_its_own(
     assert_golden("control", told, "spec.gate.robots", "10.20.17.4/32", "10.20.0.5:11811")
 
 
-def test_before_the_operator_has_written_anything_there_is_nothing(
+def test_without_a_profile_of_the_operator_nothing_is_printed(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand.tell([fleet.well()])
@@ -189,7 +191,7 @@ def test_before_the_operator_has_written_anything_there_is_nothing(
     assert f"ConfigMap {ROBOT}-robot-env does not exist yet" in (capsys.readouterr().err)
 
 
-def test_the_page_shows_what_is_said_of_a_robot_outside_the_cluster(
+def test_the_page_shows_the_output_for_a_robot_outside_the_cluster(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = (Path(__file__).parents[4] / "docs/how-to/robot-outside-the-cluster.md").read_text()

@@ -16,7 +16,7 @@ from understudy.cli.control import pause, resume
 ROBOT = "robot-17-navigation"
 
 
-def test_it_is_paused_with_reason_owner_and_end(
+def test_pause_records_reason_owner_and_end(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     given = [ROBOT, "-n", "fleet", "--reason", "a new gripper", "--owner", "ann", "--for", "1h30m"]
@@ -34,7 +34,7 @@ def test_it_is_paused_with_reason_owner_and_end(
     )
 
 
-def test_whoever_asks_for_it_is_its_owner_and_it_may_have_no_end(stand: FakeKubectl) -> None:
+def test_the_user_owns_a_pause_by_default_and_its_end_is_optional(stand: FakeKubectl) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", "--until", "2099-01-01T00:00:00+01:00"]) == 0
     assert stand.item(ROBOT)["spec"]["pause"]["owner"] == getpass.getuser()
     assert pause.main([ROBOT, "--reason", "and a new arm"]) == 0
@@ -59,7 +59,7 @@ def test_an_invalid_end_or_an_empty_reason_is_refused(
     assert "pause" not in stand.item(ROBOT)["spec"]
 
 
-def test_resume_ends_it_and_forgets_what_was_spent(
+def test_resume_ends_the_pause_and_resets_the_budget(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", "--owner", "ann"]) == 0

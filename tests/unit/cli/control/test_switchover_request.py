@@ -55,7 +55,9 @@ def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(switchover_request, "LOOK", 0.05)
 
 
-def test_it_asks_waits_and_tells_what_the_robot_saw(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_failover_requests_a_switchover_waits_and_reports_the_gap(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     stand.tell(
         [fleet.well()],
         then=[
@@ -75,7 +77,9 @@ def test_it_asks_waits_and_tells_what_the_robot_saw(stand: FakeKubectl, capsys: 
     assert (found[1], parse(found[2]).kind) == (NAME, "Failover")
 
 
-def test_where_it_comes_to_nothing_the_reason_is_told(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_switchover_that_fails_is_reported_with_its_reason(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     reason = "It couldn't begin for 30 s, and nothing was changed: Fallback/Executing: w-2: no /cmd_vel."
     stand.tell([fleet.well()], then=[phase("Waiting", "w-2: no /cmd_vel."), phase("NotDone", reason)])
     assert failback.main([NAME]) == 1
@@ -83,7 +87,7 @@ def test_where_it_comes_to_nothing_the_reason_is_told(stand: FakeKubectl, capsys
     assert any("understudy.dev/switchover=failback " in line for line in stand.asked)
 
 
-def test_where_the_robot_is_driven_from_home_already_it_is_done(
+def test_failback_is_done_if_the_own_instance_is_already_active(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stand.tell([fleet.well()], then=[phase("Done", "w-1 of the workload's own controller is active already.")])
@@ -92,7 +96,7 @@ def test_where_the_robot_is_driven_from_home_already_it_is_done(
 
 
 @pytest.mark.parametrize("given", ["0", "0s", "-3", "soon", "nan", "inf", ""])
-def test_how_long_it_waits_is_a_duration(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], given: str) -> None:
+def test_the_timeout_must_be_a_duration(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], given: str) -> None:
     with pytest.raises(SystemExit) as ended:
         failover.main([NAME, f"--within={given}"])
     assert ended.value.code == 2
@@ -100,7 +104,7 @@ def test_how_long_it_waits_is_a_duration(stand: FakeKubectl, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize("given", ["0.3", "300ms"])
-def test_it_does_not_wait_for_ever_and_says_how_to_take_it_back(
+def test_after_the_timeout_the_command_explains_how_to_withdraw_the_request(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], given: str
 ) -> None:
     stand.tell([fleet.well()])
@@ -119,7 +123,9 @@ def test_only_one_switchover_runs_at_a_time(stand: FakeKubectl, capsys: pytest.C
     assert not any("annotate" in line for line in stand.asked)
 
 
-def test_where_nobody_would_do_it_nothing_is_asked_for(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_running_monitor_no_switchover_is_requested(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str]
+) -> None:
     item = fleet.well()
     for condition in item["status"]["conditions"]:
         if condition["type"] == "Protected":

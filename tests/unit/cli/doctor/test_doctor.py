@@ -40,7 +40,7 @@ FOUND = [
 ]
 
 
-def test_findings_stand_in_columns_with_the_cure_below() -> None:
+def test_findings_are_printed_in_columns_with_the_cure_below() -> None:
     assert_golden(
         "doctor",
         list(findings.lines(FOUND, columns=70, colours=False)),
@@ -53,14 +53,14 @@ def test_findings_stand_in_columns_with_the_cure_below() -> None:
     )
 
 
-def test_colours_are_only_added_to_words() -> None:
+def test_colours_do_not_change_the_text() -> None:
     plain = list(findings.lines(FOUND, columns=70, colours=False))
     coloured = list(findings.lines(FOUND, columns=70, colours=True))
     assert coloured[0] == plain[0].replace("OK  ", "\x1b[32mOK  \x1b[0m", 1)
     assert [line for line in coloured if "\x1b" not in line] == [plain[2], plain[4], *plain[5:]]
 
 
-def test_a_warning_is_no_failure() -> None:
+def test_a_warning_does_not_fail_the_command() -> None:
     assert findings.is_well(FOUND[:2])
     assert not findings.is_well(FOUND)
     assert findings.summary(FOUND[:1]) == "1 check: no problem found"
@@ -94,7 +94,7 @@ def shown() -> list[Finding]:
     return page
 
 
-def test_the_page_shows_what_is_printed() -> None:
+def test_the_page_shows_the_printed_output() -> None:
     page = (Path(__file__).parents[4] / "docs" / "console.md").read_text()
     (told,) = re.findall(r"```console\n\$ understudy doctor -n fleet\n(.*?)\n```", page, re.DOTALL)
     assert told.splitlines() == list(findings.lines(shown(), columns=110, colours=False))
@@ -112,14 +112,14 @@ def test_the_page_shows_what_is_printed() -> None:
         (deployment("0.0.9"), "WARN", f"version 0.0.9, 2 of 2 ready, and this command is of version {__version__}"),
     ],
 )
-def test_an_operator_is_ready_and_of_this_version(item: Object, level: str, words: str) -> None:
+def test_the_operator_must_be_ready_and_of_this_version(item: Object, level: str, words: str) -> None:
     found = installation_check.operator(Installed(item))
     assert found.level == level
     assert words in found.found
     assert bool(found.cure) == (level != "OK")
 
 
-def test_without_the_right_to_look_for_an_operator_there_is_none() -> None:
+def test_without_the_right_to_list_deployments_no_operator_is_found() -> None:
     server = Server({"*": Refused(403, "deployments.apps is forbidden")})
     assert installation_check.find(server) is None  # type: ignore[arg-type]
     assert installation_check.operator(None).level == "WARN"
@@ -136,7 +136,7 @@ def served(name: str = "robotworkloads") -> Object:
     return found
 
 
-def test_definitions_of_this_version_are_current_whatever_their_words() -> None:
+def test_a_changed_description_does_not_make_a_definition_outdated() -> None:
     for wanted in definitions().values():
         live = copy.deepcopy(wanted)
         live["spec"]["versions"][0]["schema"]["openAPIV3Schema"]["properties"]["spec"]["description"] = "other words"
@@ -144,7 +144,7 @@ def test_definitions_of_this_version_are_current_whatever_their_words() -> None:
         assert installation_check.definition("CRD", wanted, live).level == "OK"
 
 
-def test_what_an_older_definition_has_not_is_named_as_the_user_writes_it() -> None:
+def test_a_field_missing_from_an_older_definition_is_reported_by_its_path() -> None:
     live = served()
     spec = live["spec"]["versions"][0]["schema"]["openAPIV3Schema"]["properties"]["spec"]["properties"]
     del spec["pause"]
@@ -154,7 +154,7 @@ def test_what_an_older_definition_has_not_is_named_as_the_user_writes_it() -> No
     assert "helm upgrade" in found.cure
 
 
-def test_a_field_called_description_is_a_field() -> None:
+def test_a_field_named_description_is_compared_like_any_other() -> None:
     wanted = {"properties": {"description": {"type": "string"}}}
     assert list(installation_check.differences(wanted, {"properties": {}})) == ["description is missing"]
     assert list(installation_check.differences({"maximum": 5}, {"maximum": 4}, "spec.replicas")) == [
@@ -165,7 +165,7 @@ def test_a_field_called_description_is_a_field() -> None:
     ]
 
 
-def test_a_definition_that_is_not_there_or_not_served() -> None:
+def test_a_missing_or_unserved_definition_is_reported() -> None:
     live = served()
     live["spec"]["versions"][0]["served"] = False
     assert "v1alpha1 isn't served" in installation_check.definition("CRD", served(), live).found

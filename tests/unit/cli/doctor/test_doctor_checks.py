@@ -39,7 +39,7 @@ from understudy.ros.rmw import MIDDLEWARE
 # -- rights -----------------------------------------------------------------------------------------------------------
 
 
-def test_rights_that_are_missing_are_named_with_what_they_are_for() -> None:
+def test_missing_rights_are_reported_with_their_purpose() -> None:
     def review(body: Any) -> Any:
         wanted = body["spec"]["resourceAttributes"]
         return {"status": {"allowed": (wanted["resource"], wanted["subresource"]) != ("pods", "exec")}}
@@ -51,7 +51,7 @@ def test_rights_that_are_missing_are_named_with_what_they_are_for() -> None:
     assert all(body["spec"]["resourceAttributes"]["namespace"] == "fleet" for _, body in server.asked)
 
 
-def test_the_operator_s_rights_are_asked_for_in_its_name() -> None:
+def test_the_rights_of_the_operator_are_reviewed_in_its_name() -> None:
     operator = Installed(deployment())
     server = Server({"*": {"status": {"allowed": True}}})
     assert rights_check.of_the_operator(server, "fleet", operator).level == "OK"  # type: ignore[arg-type]
@@ -91,13 +91,13 @@ def test_the_operator_s_rights_are_asked_for_in_its_name() -> None:
         (replace(ENFORCED, closed=None), "WARN", "still came 10.0 s after an open gate was closed"),
     ],
 )
-def test_what_packets_say_of_the_network(seen: GateTest, level: str, words: str) -> None:
+def test_received_packets_determine_the_finding_about_the_network(seen: GateTest, level: str, words: str) -> None:
     found = packet_check.judge(seen)
     assert (found[0].level, words in found[0].found) == (level, True), found
     assert bool(found[0].cure) == (level != "OK")
 
 
-def test_the_pods_are_nothing_that_operator_and_monitors_look_after() -> None:
+def test_test_pods_have_no_label_that_operator_or_monitors_select() -> None:
     made = test_pods.pod("doctor-1", "sender", Images("registry/monitor:1", pull_secrets=("key",)))
     assert not set(made["metadata"]["labels"]) & {
         names.WORKLOAD,
@@ -110,7 +110,7 @@ def test_the_pods_are_nothing_that_operator_and_monitors_look_after() -> None:
     assert made["spec"]["activeDeadlineSeconds"] > 0
 
 
-def test_the_policies_are_the_operator_s_own_with_other_labels() -> None:
+def test_the_test_policies_are_those_of_the_operator_with_other_labels() -> None:
     labels = test_pods.pod("doctor-1", "sender", Images("i"))["metadata"]["labels"]
     ((_, theirs),) = registry.DEFAULT.companions("doctor-1", [], None)
     ours = test_pods.relabelled(theirs)
@@ -131,29 +131,29 @@ def test_the_policies_are_the_operator_s_own_with_other_labels() -> None:
         (-30.0, "FAIL", "the clock of n1 is 30.0 s ahead of the clock of n2"),
     ],
 )
-def test_clocks_are_compared_with_each_other_and_not_with_this_machine_s(ahead: float, level: str, words: str) -> None:
+def test_clocks_are_compared_with_each_other_not_with_the_local_clock(ahead: float, level: str, words: str) -> None:
     away = 100.0  # this machine's clock is nobody's affair
     nodes = {"n1": Clock(away, 0.001), "n2": Clock(away + ahead, 0.001)}
     found = clock_check.judge(nodes, Clock(away + ahead / 2, 0.001))
     assert (found.level, words in found.found) == (level, True), found
 
 
-def test_a_clock_that_was_told_vaguely_is_not_said_to_be_wrong() -> None:
+def test_an_uncertain_clock_is_not_reported_as_wrong() -> None:
     assert clock_check.judge({"n1": Clock(0.0, 0.2), "n2": Clock(0.3, 0.2)}, None).level == "OK"
     assert clock_check.judge({"n1": Clock(0.0, 0.2)}, None).level == "WARN"
 
 
-def test_many_clocks_are_not_all_named() -> None:
+def test_a_long_list_of_clocks_is_shortened() -> None:
     found = clock_check.judge({f"n{number}": Clock(0.0, 0.001) for number in range(9)}, None)
     assert "(n0, n1, n2, n3 and 5 more; this machine's is" in found.found
 
 
-def test_a_clock_that_is_surely_wrong_counts_more_than_one_that_may_be() -> None:
+def test_a_certain_clock_error_is_reported_before_a_possible_one() -> None:
     found = clock_check.judge({"n1": Clock(0.0, 0.001), "n2": Clock(0.6, 0.001), "n3": Clock(0.7, 0.3)}, None)
     assert_golden("doctor", found.found, "n2 is 600 ms", "n1", "2 ms")
 
 
-def test_a_node_s_clock_is_told_by_when_its_lease_comes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_clock_of_a_node_is_measured_by_its_lease_renewal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clock_check, "LOOK", 0.05)
     ahead, begun = 30.0, time.time()
 
@@ -174,7 +174,7 @@ def test_a_node_s_clock_is_told_by_when_its_lease_comes(monkeypatch: pytest.Monk
 # -- discovery --------------------------------------------------------------------------------------------------------
 
 
-def test_a_graph_in_which_somebody_is_found_has_a_server() -> None:
+def test_a_graph_with_a_discovered_node_passes_the_check() -> None:
     found = discovery_check.judge(fleet.well(), {"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}, ["/understudy_monitor"])
     assert (found.check, found.level) == ("discovery of robot-17-navigation", "OK")
     assert_golden("doctor", found.found, "1 node", "10.0.0.7:11811", "/understudy_monitor")
@@ -192,7 +192,7 @@ def test_a_graph_in_which_somebody_is_found_has_a_server() -> None:
         ({"mode": "Multicast"}, "", "use spec.ros.discovery.mode Managed"),
     ],
 )
-def test_an_empty_graph_is_told_with_what_to_look_at(discovery: Any, server: str, cure: str) -> None:
+def test_an_empty_graph_is_reported_with_a_cure(discovery: Any, server: str, cure: str) -> None:
     item = fleet.well()
     item["spec"]["ros"] = {"discovery": discovery}
     found = discovery_check.judge(item, {"ROS_DISCOVERY_SERVER": server} if server else {}, [])
@@ -200,7 +200,7 @@ def test_an_empty_graph_is_told_with_what_to_look_at(discovery: Any, server: str
     assert cure in found.cure
 
 
-def test_a_fleet_that_finds_nobody_is_not_waited_for_to_its_last_robot() -> None:
+def test_the_discovery_check_stops_after_three_empty_graphs() -> None:
     class Pods:
         receiver, api = (
             None,
@@ -221,7 +221,7 @@ def test_a_fleet_that_finds_nobody_is_not_waited_for_to_its_last_robot() -> None
     assert found[-1].found == "2 graphs were not joined, because 3 graphs had no node"
 
 
-def test_a_server_that_does_not_run_is_told_without_a_packet() -> None:
+def test_a_discovery_server_that_does_not_run_is_reported_from_its_pod_status() -> None:
     pod = {
         "metadata": {"name": "robot-17-navigation-discovery-x", "namespace": "fleet"},
         "status": {
@@ -254,7 +254,7 @@ def test_a_server_that_does_not_run_is_told_without_a_packet() -> None:
         ),
     ],
 )  # fmt: skip
-def test_what_a_monitor_says_of_gate_and_readers_is_told_once(
+def test_a_condition_about_gate_or_readers_is_reported_once(
     type_: str, status: Any, reason: str, expected: list[tuple[str, str, str]]
 ) -> None:
     item = fleet.workload(

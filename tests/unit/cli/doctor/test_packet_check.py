@@ -66,7 +66,7 @@ def ports(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(packet_check, "OPEN_PORT", two.getsockname()[1])
 
 
-def test_a_network_that_enforces_nothing_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_without_enforcement_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packet_check, "WITHIN", 1.0)
     pods, said = Here(), list[str]()
     seen = packet_check.measure(pods, said.append)  # type: ignore[arg-type]

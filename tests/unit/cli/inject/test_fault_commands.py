@@ -63,7 +63,7 @@ def made(length: float, percent: int, *, observed: float, undo_after: float | No
     }
 
 
-def test_a_frozen_application_goes_on_by_itself() -> None:
+def test_a_frozen_application_continues_by_itself() -> None:
     seen = made(1.0, 100, observed=3.0)
     assert 0.9 < seen["gap"] < 2.5
     assert seen["last"] < 0.5
@@ -83,7 +83,7 @@ def test_a_fault_can_be_ended_at_once() -> None:
     assert made(30.0, 80, observed=2.0, undo_after=0.3)["last"] < 0.5
 
 
-def test_where_number_one_is_all_there_is_it_says_so() -> None:
+def test_a_container_with_only_process_1_is_reported() -> None:
     done = subprocess.run(
         [*_UNSHARE, "sh", "-c", fault_commands.FREEZE_AND_SLOW, "sh", "1", "1", "0"],
         capture_output=True,

@@ -20,7 +20,7 @@ def namespace(**labels: str) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("labels", [{}, {inject.ALLOWED: "false"}])
-def test_failures_are_made_only_where_the_namespace_allows_it(
+def test_faults_are_injected_only_if_the_namespace_allows_it(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], labels: dict[str, str]
 ) -> None:
     stand.tell([fleet.well(), namespace(**labels)])
@@ -29,7 +29,7 @@ def test_failures_are_made_only_where_the_namespace_allows_it(
     assert not any(line.startswith("delete ") for line in stand.asked)
 
 
-def test_the_pod_in_control_is_killed(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_active_pod_is_killed(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = fleet.well()
     stand.tell([item, namespace(**{inject.ALLOWED: "true"})])
     assert inject.main([ROBOT, "kill", "--yes"]) == 0
@@ -37,7 +37,7 @@ def test_the_pod_in_control_is_killed(stand: FakeKubectl, capsys: pytest.Capture
     assert f"understudy timeline -n fleet {ROBOT}" in capsys.readouterr().out
 
 
-def test_a_freeze_is_ended_by_the_container_itself(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_container_ends_a_freeze_itself(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     item = fleet.well()
     stand.tell([*fleet.around(item), namespace(**{inject.ALLOWED: "true"})])
     assert inject.main([ROBOT, "freeze", "--for", "50ms", "--yes"]) == 0
@@ -62,7 +62,7 @@ def test_the_duration_is_required(
 
 
 @pytest.mark.parametrize("given", ["0", "100", "-1", "half", "50%"])
-def test_a_share_that_is_none_is_refused_in_a_line(capsys: pytest.CaptureFixture[str], given: str) -> None:
+def test_an_invalid_percentage_is_refused_in_one_line(capsys: pytest.CaptureFixture[str], given: str) -> None:
     with pytest.raises(SystemExit) as ended:
         inject.main([ROBOT, "slow", "--yes", f"--percent={given}"])
     assert ended.value.code == 2

@@ -103,7 +103,7 @@ def told(running: subprocess.Popen[str], what: str) -> float:
     return moment
 
 
-def test_flows_that_exist_are_cut_both_ways_and_come_back_after_the_time(talk: Talk) -> None:
+def test_existing_flows_are_cut_in_both_directions_and_restored_after_the_time(talk: Talk) -> None:
     with program(talk.pod, 1.5) as running:
         cut, back = told(running, "cut"), told(running, "back")
     assert running.returncode == 0
@@ -113,7 +113,7 @@ def test_flows_that_exist_are_cut_both_ways_and_come_back_after_the_time(talk: T
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_whatever_ends_it_the_network_is_back(talk: Talk, number: signal.Signals) -> None:
+def test_the_network_is_restored_however_the_cut_ends(talk: Talk, number: signal.Signals) -> None:
     with program(talk.pod, 60) as running:
         cut = told(running, "cut")
         time.sleep(1)
@@ -125,7 +125,7 @@ def test_whatever_ends_it_the_network_is_back(talk: Talk, number: signal.Signals
     assert not any(talk.heard(*way, cut, before - MARGIN) for way in BOTH_WAYS)
 
 
-def test_only_those_that_are_named_are_out_of_reach(talk: Talk) -> None:
+def test_only_the_given_peers_are_unreachable(talk: Talk) -> None:
     with program(talk.pod, 60, f"{MONITOR}/32", "fd00::/8") as running:
         cut = told(running, "cut")
         time.sleep(1)
@@ -160,7 +160,7 @@ def arrives(sender: list[str], receiver: list[str], address: str) -> bool:
     return running.returncode == 0
 
 
-def test_addresses_of_ip_6_count_as_well() -> None:
+def test_ipv6_addresses_are_cut_off_too() -> None:
     with network() as lan:
         pod, robot, monitor = (lan.host(host) for host in (POD, ROBOT, MONITOR))
         for host, address in ((pod, "fd91::1"), (robot, "fd91::2"), (monitor, "fd91::3")):
@@ -175,7 +175,7 @@ def test_addresses_of_ip_6_count_as_well() -> None:
         assert arrives(monitor, pod, "fd91::1")
 
 
-def test_each_of_two_at_the_same_time_ends_by_itself(talk: Talk) -> None:
+def test_two_simultaneous_cuts_end_independently(talk: Talk) -> None:
     with program(talk.pod, 60) as first, program(talk.pod, 60) as second:
         told(first, "cut")
         cut = told(second, "cut")
@@ -199,7 +199,7 @@ here.recv(2048)
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", POD])
-def test_within_the_pod_nothing_is_cut(address: str) -> None:
+def test_traffic_within_the_pod_is_not_cut(address: str) -> None:
     with network() as lan:
         pod = lan.host(POD)
         with program(pod, 60) as running:

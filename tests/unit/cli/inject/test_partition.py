@@ -137,7 +137,7 @@ def without_id(said: str) -> str:
 
 
 @needs_root
-def test_the_pod_is_cut_off_for_so_long(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_pod_is_cut_off_for_the_given_time(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
     with network() as lan:
         cluster.tell(inside=lan.host("10.91.0.1"))
         assert inject.main([ROBOT, "partition", "--for", "500ms", "--yes"]) == 0
@@ -161,7 +161,7 @@ def test_it_can_be_cut_off_from_its_monitor_alone(cluster: Cluster, capsys: pyte
 
 
 @needs_root
-def test_ctrl_c_connects_it_at_once(cluster: Cluster) -> None:
+def test_ctrl_c_reconnects_the_pod_at_once(cluster: Cluster) -> None:
     with network() as lan:
         cluster.tell(inside=lan.host("10.91.0.1"))
         command = [sys.executable, "-m", "understudy", "inject", ROBOT, "partition", "--for", "60s", "--yes"]
@@ -176,7 +176,7 @@ def test_ctrl_c_connects_it_at_once(cluster: Cluster) -> None:
     assert time.monotonic() - cut < 50
 
 
-def test_the_container_has_the_monitors_image_and_one_right(cluster: Cluster) -> None:
+def test_the_container_has_the_image_of_the_monitor_and_one_capability(cluster: Cluster) -> None:
     cluster.tell(inside=["true"])
     inject.main([ROBOT, "partition", "--yes"])
     assert cluster.made is not None
@@ -187,7 +187,7 @@ def test_the_container_has_the_monitors_image_and_one_right(cluster: Cluster) ->
     assert not allowed["allowPrivilegeEscalation"]
 
 
-def test_what_it_says_of_an_error_is_told(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_the_container_is_reported(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
     cluster.tell(inside=["sh", "-c", "echo it is no network to cut off; exit 1"])
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
     assert "was not cut off: it is no network to cut off" in capsys.readouterr().err
@@ -196,7 +196,7 @@ def test_what_it_says_of_an_error_is_told(cluster: Cluster, capsys: pytest.Captu
     assert_golden("inject", capsys.readouterr().err, "not cut off")
 
 
-def test_one_that_does_not_start_is_told_and_cuts_nothing_later(
+def test_a_container_that_does_not_start_is_reported_and_cuts_nothing_later(
     cluster: Cluster, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(partition, "START_WITHIN", 1.0)
@@ -226,7 +226,7 @@ RIGHTS = (
         (RIGHTS, "requires permission to patch pods/ephemeralcontainers"),
     ],
 )
-def test_what_the_cluster_refuses_is_told_with_the_cure(
+def test_a_refusal_of_the_cluster_is_reported_with_a_cure(
     cluster: Cluster, capsys: pytest.CaptureFixture[str], refusal: str, words: str
 ) -> None:
     cluster.tell(refusal=(403, refusal))
@@ -237,7 +237,7 @@ def test_what_the_cluster_refuses_is_told_with_the_cure(
     assert cluster.made is None
 
 
-def test_a_pod_in_its_nodes_network_is_left_alone(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pod_in_the_host_network_is_not_cut_off(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
     cluster.tell(spec={"hostNetwork": True})
     assert inject.main([ROBOT, "partition", "--yes"]) == 2
     assert_golden("inject", capsys.readouterr().err, "(hostNetwork)")

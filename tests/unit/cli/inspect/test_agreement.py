@@ -53,7 +53,7 @@ def a_pod_ready(*, ready: bool) -> objects.World:
     storm=st.one_of(st.none(), st.integers(1, 120)),
     ready=st.booleans(),
 )
-def test_they_agree_on_what_a_limit_would_prevent(
+def test_monitor_and_explain_agree_on_what_a_limit_prevents(
     pause_ends: float | None,
     spent: list[float],
     resumed: float | None,
@@ -119,7 +119,7 @@ def test_they_agree_on_what_a_limit_would_prevent(
         assert protected["reason"] == ("FirstStrategyReady" if ready else "StandbyNotReady")
 
 
-def test_the_limits_that_clear_protected_are_those_that_the_monitor_reports_in_a_condition() -> None:
+def test_limits_that_clear_protected_are_those_that_the_monitor_reports() -> None:
     assert {row.reason for row in LIMITS if not row.protected} == set(protection.LIMIT_CONDITIONS.values())
     assert {row.limit for row in LIMITS if not row.protected} == {Limit.PAUSE, Limit.BUDGET}
 
@@ -130,7 +130,7 @@ def test_the_limits_that_clear_protected_are_those_that_the_monitor_reports_in_a
     reserved=st.integers(0, 2),
     order=st.permutations(["hot", "spare", "Restart"]),
 )
-def test_they_agree_on_which_strategies_could_run(
+def test_monitor_and_explain_agree_on_which_strategies_can_run(
     standbys: list[bool], spare: list[bool], reserved: int, order: list[str]
 ) -> None:
     item, policy = objects.workload(), objects.policy(*order)

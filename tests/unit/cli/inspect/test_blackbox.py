@@ -80,7 +80,7 @@ def here() -> list[str]:
     return sorted(path.name for path in Path().iterdir())
 
 
-def test_they_are_listed(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recordings_are_listed(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "-n", "fleet"]) == 0
     head, *rows = capsys.readouterr().out.splitlines()
     assert head.split() == ["NO", "ID", "FAILED", "AGO", "RESULT", "STRATEGY", "MESSAGES", "SIZE", "REASON"]
@@ -93,20 +93,20 @@ def test_they_are_listed(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.mark.parametrize("form", ["json", "yaml"])
-def test_scripts_have_them_whole(monitor: Monitor, capsys: pytest.CaptureFixture[str], form: str) -> None:
+def test_json_output_contains_all_recordings(monitor: Monitor, capsys: pytest.CaptureFixture[str], form: str) -> None:
     assert main(["robot-1", "-o", form]) == 0
     told = capsys.readouterr().out
     assert told.startswith("{") is (form == "json")
     assert Recordings.model_validate(yaml.safe_load(told)) == monitor.told
 
 
-def test_where_there_are_none_it_is_said_why(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_recording_is_explained(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     monitor.told = Recordings(workload="robot-1", on=False)
     assert main(["robot-1"]) == 1
     assert_golden("blackbox", capsys.readouterr().out, "spec.blackBox", "FailurePolicy")
 
 
-def test_topics_that_are_left_out_are_named() -> None:
+def test_omitted_topics_are_named() -> None:
     found = Recordings(workload="robot-1", on=True, left_out={"/image": "too much"})
     told = list(lines(found, 0.0, columns=None))
     assert_golden("blackbox", told, "/image", "blackBox.memory")
@@ -122,14 +122,16 @@ def test_topics_that_are_left_out_are_named() -> None:
         (["--fetch", "--to", "failure.mcap"], "failure.mcap"),
     ],
 )
-def test_one_is_fetched(monitor: Monitor, capsys: pytest.CaptureFixture[str], arguments: list[str], file: str) -> None:
+def test_a_recording_is_fetched(
+    monitor: Monitor, capsys: pytest.CaptureFixture[str], arguments: list[str], file: str
+) -> None:
     assert main(["robot-1", *arguments]) == 0
     assert Path(file).read_bytes() == FILE
     assert here() == [file]
     assert capsys.readouterr().out.startswith(f"{file}: 1234 messages around failure ")
 
 
-def test_a_recording_that_is_not_there(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_recording_is_reported(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-1", "--fetch", "7"]) == 2
     told = capsys.readouterr().err
     assert_golden("blackbox", told, "recording 7 of robot-1", "3abcdef (failure 3), 2abcdef (failure 2)")
@@ -138,14 +140,14 @@ def test_a_recording_that_is_not_there(monitor: Monitor, capsys: pytest.CaptureF
     assert "there is no recording of robot-1" in capsys.readouterr().err
 
 
-def test_a_number_is_one_whatever_the_ids_begin_with(monitor: Monitor) -> None:
+def test_a_number_selects_a_recording_by_number_not_by_id(monitor: Monitor) -> None:
     newest = recording(3).model_copy(update={"id": "2fe3"})
     monitor.told = Recordings(workload="robot-1", on=True, recordings=[newest, recording(2)])
     assert main(["robot-1", "--fetch", "2"]) == 0
     assert here() == ["robot-1-2.mcap"]
 
 
-def test_the_beginning_of_several_ids_means_none_of_them(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_ambiguous_id_prefix_is_refused(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     both = [recording(number).model_copy(update={"id": f"e{number}"}) for number in (3, 2)]
     monitor.told = Recordings(workload="robot-1", on=True, recordings=both)
     assert main(["robot-1", "--fetch", "e"]) == 2
@@ -153,13 +155,13 @@ def test_the_beginning_of_several_ids_means_none_of_them(monitor: Monitor, capsy
     assert here() == []
 
 
-def test_where_to_without_what_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_target_file_without_fetch_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         main(["robot-1", "--to", "failure.mcap"])
     assert "--to names the file for --fetch" in capsys.readouterr().err
 
 
-def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_recording_is_refused(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     Path("robot-1-3.mcap").write_bytes(b"an earlier one")
     monitor.file.write_bytes(FILE[:-1] + b"?")
     assert main(["robot-1", "--fetch"]) == 2
@@ -168,7 +170,7 @@ def test_one_that_is_damaged_is_not_taken_for_whole(monitor: Monitor, capsys: py
     assert Path("robot-1-3.mcap").read_bytes() == b"an earlier one"
 
 
-def test_one_that_has_gone_meanwhile(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_recording_deleted_meanwhile_is_reported(monitor: Monitor, capsys: pytest.CaptureFixture[str]) -> None:
     del monitor.pages["/3abcdef.mcap"]
     assert main(["robot-1", "--fetch"]) == 2
     assert_golden("blackbox", capsys.readouterr().err, "3abcdef", "gone")

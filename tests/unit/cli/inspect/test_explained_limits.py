@@ -11,7 +11,7 @@ from understudy.api import names
 
 
 @pytest.mark.parametrize(("priority", "waits"), [("Normal", True), ("Safety", False)])
-def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
+def test_the_cooldown_is_explained_unless_the_priority_overrides_it(priority: str, waits: bool) -> None:
     item = fleet.well()
     policy = fleet.policy(limits={"cooldown": "5m"}, priority=priority)
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
@@ -21,7 +21,7 @@ def test_the_pause_that_the_limits_ask_for(priority: str, waits: bool) -> None:
     assert ("limits.cooldown" in first) is waits
 
 
-def test_a_pause_with_who_and_why() -> None:
+def test_a_pause_is_explained_with_owner_and_reason() -> None:
     item = fleet.well()
     item["spec"]["pause"] = {"reason": "a new gripper", "owner": "ann", "until": "2026-11-22T18:00:00Z"}
     first = told(known(item))["If it failed now"][0]
@@ -46,7 +46,7 @@ def test_a_pause_with_who_and_why() -> None:
         ([100, 60], 30, None),
     ],
 )
-def test_what_the_budget_has_left(spent: list[float], resumed: float | None, expected: str | None) -> None:
+def test_an_exhausted_budget_is_explained(spent: list[float], resumed: float | None, expected: str | None) -> None:
     item = fleet.well()
     item["status"]["spent"] = [fleet.ago(seconds) for seconds in spent]
     if resumed is not None:
@@ -57,7 +57,7 @@ def test_what_the_budget_has_left(spent: list[float], resumed: float | None, exp
     assert first.startswith(expected or "✓ 1. Fallback")
 
 
-def test_a_storm_by_which_it_would_be_held() -> None:
+def test_a_storm_that_limits_recoveries_is_explained() -> None:
     item, policy = fleet.well(), fleet.policy(limits={"stormGuard": {}})
     policy["status"] = {
         "conditions": [fleet.said("Storm", "True", "ManyFail", "12 of 20 workloads fail.", since=20).to_wire()]
@@ -69,7 +69,7 @@ def test_a_storm_by_which_it_would_be_held() -> None:
     assert "12 of 20 workloads fail" in first
 
 
-def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing() -> None:
+def test_a_limit_that_prevents_recovery_is_listed_once_as_missing() -> None:
     item = fleet.well()
     text = "Paused by ann: a new gripper."
     item["status"]["conditions"] = [
@@ -85,7 +85,7 @@ def test_what_keeps_it_from_being_recovered_is_told_once_among_what_is_missing()
     assert text in missing
 
 
-def test_a_failure_that_is_held_is_told_and_why() -> None:
+def test_a_held_failure_is_explained_with_its_reason() -> None:
     why = "no /plan for 500 ms; localization, on which this workload depends, is Recovering; that one comes first"
     held = fleet.said("DependencyFailed", "True", "Held", why, since=4)
     item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4, held, health="Failed"))

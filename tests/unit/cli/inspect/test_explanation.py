@@ -14,7 +14,7 @@ from understudy.cli.common.robots import UNWATCHED
 from understudy.cli.inspect.explanation import for_scripts, lines
 
 
-def test_a_robot_whose_protection_is_complete() -> None:
+def test_a_completely_protected_robot_is_explained() -> None:
     found = known(fleet.well())
     text = told(found)
     assert found.is_well
@@ -38,7 +38,7 @@ def test_a_robot_whose_protection_is_complete() -> None:
     assert other == "navigation-spare-z5j7d on node-3: not ready"
 
 
-def test_why_a_pool_whose_size_follows_the_failures_has_as_many() -> None:
+def test_the_size_of_an_automatically_sized_pool_is_explained() -> None:
     why = "12 robots asked for a pod 6 times in 120 robot hours. So the pool keeps 3 pods."
     said = {"type": "Sized", "status": "True", "reason": "Sized", "message": why, "lastTransitionTime": fleet.ago(60)}
     figures = {
@@ -60,7 +60,7 @@ def test_why_a_pool_whose_size_follows_the_failures_has_as_many() -> None:
     assert text[3] == why
 
 
-def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_what_is_done_instead() -> None:
+def test_an_unavailable_strategy_is_reported_with_a_cure_and_the_alternative() -> None:
     item = fleet.unprotected()
     found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
     text = told(found)
@@ -77,7 +77,7 @@ def test_a_strategy_that_could_not_be_carried_out_is_told_with_the_way_out_and_w
     assert missing.startswith("✗ not protected (ImagePullBackOff, 3m12s)")
 
 
-def test_why_it_is_degraded_and_for_how_long() -> None:
+def test_the_reason_and_duration_of_a_degraded_state_are_explained() -> None:
     head, why, tree, _ = told(known(fleet.degraded()))[""]
     assert_golden("explain", [head, why, tree])
     assert tree.endswith("understudy tree -n fleet robot-18-navigation")
@@ -86,7 +86,7 @@ def test_why_it_is_degraded_and_for_how_long() -> None:
     assert told(known(fleet.degraded()))["Missing"][-1] == "✓ Its protection is complete."
 
 
-def test_without_a_monitor_nobody_would_notice() -> None:
+def test_a_missing_monitor_is_reported() -> None:
     item = fleet.unwatched()
     found = known(item, [i for i in fleet.around(item) if "monitor" not in i["metadata"]["name"]])
     text = told(found)
@@ -99,7 +99,7 @@ def test_without_a_monitor_nobody_would_notice() -> None:
     assert text["Missing"][0].startswith("✗ not protected (MonitorNotReady, 9s)")
 
 
-def test_the_cluster_is_believed_where_the_status_is_of_another_time() -> None:
+def test_the_cluster_overrides_an_outdated_status() -> None:
     item = fleet.well()
     items = [i for i in fleet.around(item) if i["metadata"]["name"] != "robot-17-navigation-w7h5k"]
     found = known(item, items)
@@ -109,28 +109,28 @@ def test_the_cluster_is_believed_where_the_status_is_of_another_time() -> None:
     assert missing.startswith("✗ not protected (StandbyNotReady)")
 
 
-def test_a_monitor_that_counts_on_another_strategy_is_told() -> None:
+def test_a_monitor_that_expects_another_strategy_is_reported() -> None:
     item = fleet.well()
     item["status"]["strategy"] = "Restart"
     assert any(line.startswith("! Its monitor says Restart.") for line in told(known(item))["If it failed now"])
     assert not any("Its monitor says" in line for line in told(known(fleet.well()))["If it failed now"])
 
 
-def test_a_takeover_by_the_reflex_counts_as_one_by_its_strategy() -> None:
+def test_a_takeover_by_the_reflex_counts_for_its_strategy() -> None:
     item = fleet.well()
     for recovery in item["status"]["recoveries"]:
         recovery["strategy"] = "Fallback/Executing (reflex)"
     assert told(known(item))["If it failed now"][0].endswith("It took 509 ms, the median of the last 3 times.")
 
 
-def test_nobody_in_control() -> None:
+def test_a_missing_active_instance_is_reported() -> None:
     item = fleet.well()
     gate = world.gate(item, epoch=42)
     others = [i for i in fleet.around(item) if i["kind"] != "NetworkPolicy"]
     assert "In control: nobody (gate epoch 42)." in told(known(item, [*others, gate]))[""]
 
 
-def test_a_policy_that_is_not_there() -> None:
+def test_a_missing_policy_is_reported() -> None:
     item = fleet.well()
     found = known(item, [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"])
     text = told(found)
@@ -140,7 +140,7 @@ def test_a_policy_that_is_not_there() -> None:
     assert "Not covered" not in text
 
 
-def test_a_pool_that_does_not_serve_it() -> None:
+def test_a_pool_that_does_not_serve_the_workload_is_reported() -> None:
     item = fleet.well()
     item["metadata"]["labels"] = {"app": "navigation"}
     text = told(known(item))
@@ -151,7 +151,7 @@ def test_a_pool_that_does_not_serve_it() -> None:
     assert not any(line.startswith("navigation-hot") for line in text["Pools"])
 
 
-def test_a_pool_that_is_short_is_told_unless_its_trouble_is() -> None:
+def test_a_pool_with_too_few_pods_is_reported_unless_the_cause_is() -> None:
     item = fleet.unprotected()
     others = [i for i in fleet.around(item, standby_waits="ImagePullBackOff") if i["kind"] != "FallbackPool"]
     text = told(known(item, [*others, fleet.short_of_one(), fleet.short_of_another()]))
@@ -161,7 +161,7 @@ def test_a_pool_that_is_short_is_told_unless_its_trouble_is() -> None:
     assert all(fact in short for fact in ("(PodsNotReady)", "3 of 4"))
 
 
-def test_no_strategy_could_be_carried_out() -> None:
+def test_a_policy_without_an_available_strategy_is_reported() -> None:
     item = fleet.well()
     policy = fleet.policy({"type": "Fallback", "poolRef": {"name": "elsewhere"}})
     others = [i for i in fleet.around(item) if i["kind"] != "FailurePolicy"]
@@ -171,7 +171,7 @@ def test_no_strategy_could_be_carried_out() -> None:
     assert any("one strategy" in line for line in text["Not covered"])
 
 
-def test_what_the_protection_leaves_out_as_it_is_written() -> None:
+def test_gaps_in_the_configured_protection_are_listed() -> None:
     item = fleet.workload(
         "robot-17-navigation",
         status=fleet.status("robot-17-navigation", "x8v2m", 41),
@@ -197,7 +197,9 @@ def test_what_the_protection_leaves_out_as_it_is_written() -> None:
         ("False", "ReaderWithoutProfile", False),
     ],
 )
-def test_what_is_seen_of_the_outputs_readers_and_is_no_fault(status: Any, reason: str, told_first: bool) -> None:
+def test_output_readers_are_reported_as_missing_only_if_the_condition_is_false(
+    status: Any, reason: str, told_first: bool
+) -> None:
     name, words = "robot-17-navigation", "Of /cmd_vel it is so."
     item = fleet.workload(
         name, status=fleet.status(name, "x8v2m", 41, fleet.said("OutputsRead", status, reason, words))
@@ -207,7 +209,7 @@ def test_what_is_seen_of_the_outputs_readers_and_is_no_fault(status: Any, reason
     assert any(words in line for line in text["Missing"]) is (status == "False")
 
 
-def test_a_pool_that_has_standbys_only_while_degraded_is_left_out_and_told() -> None:
+def test_a_pool_with_standbys_only_while_degraded_is_left_out_and_reported() -> None:
     item = fleet.well()
     warm = {
         "degraded": {
@@ -226,7 +228,7 @@ def test_a_pool_that_has_standbys_only_while_degraded_is_left_out_and_told() -> 
     assert any(line.startswith("Left out: navigation-hot") for line in text["If it failed now"])
 
 
-def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
+def test_the_current_situation_and_its_strategies_are_explained() -> None:
     strategies = [{"type": "Fallback", "poolRef": {"name": "navigation-hot"}}, {"type": "Restart"}]
     carrying = {"name": "carrying", "when": {"task": {"action": "/carry"}}, "strategies": strategies}
     asked = fleet.policy({"type": "Restart"}, situations=[carrying])
@@ -241,7 +243,7 @@ def test_the_situation_that_it_is_in_and_what_is_in_force_by_that() -> None:
     assert text["If it failed now"][0].startswith("✓ 1. Fallback from pool navigation-hot would run")
 
 
-def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() -> None:
+def test_a_situation_whose_standby_is_not_ready_is_listed_as_missing() -> None:
     item = fleet.well()
     words = "The robot is in situation carrying. Until its first strategy is available, the strategies stay Restart."
     item["status"]["conditions"].append(fleet.said("SituationCovered", "False", "StandbyNotReady", words).to_wire())
@@ -250,7 +252,7 @@ def test_a_situation_whose_standby_is_not_ready_is_told_among_what_is_missing() 
     assert "(StandbyNotReady, 4m12s)" in missing
 
 
-def test_the_newest_warnings_and_no_other_events() -> None:
+def test_only_the_newest_warning_events_are_shown() -> None:
     events = [
         fleet.event(900, "StandbyReplaced", "w-1 was ready"),
         fleet.event(30, "GateBlocked", "Packets of w-2", count=3),
@@ -263,13 +265,13 @@ def test_the_newest_warnings_and_no_other_events() -> None:
 
 
 @pytest.mark.parametrize("columns", [60, 80, 140])
-def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+def test_no_line_is_wider_than_the_terminal(columns: int) -> None:
     item = fleet.unprotected()
     found = known(item, fleet.around(item, standby_waits="ImagePullBackOff"))
     assert max(len(line) for line in lines(found, columns=columns, colours=False)) <= columns
 
 
-def test_what_it_depends_on_and_what_depends_on_it() -> None:
+def test_dependencies_and_dependents_are_listed() -> None:
     needs = [{"name": "localization"}, {"name": "maps", "onRecovery": "Restart"}]
     item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
     first = fleet.workload("localization", status=fleet.status("localization", "c5n8r", 2, health="Recovering"))
@@ -283,7 +285,7 @@ def test_what_it_depends_on_and_what_depends_on_it() -> None:
     assert "Dependencies" not in told(known(fleet.well()))
 
 
-def test_a_recovery_that_only_the_gate_tells_of() -> None:
+def test_a_recovery_known_only_from_the_gate_is_explained() -> None:
     item = fleet.well()
     others = [one for one in fleet.around(item) if one["kind"] != "NetworkPolicy"]
     items = [*others, fleet.gate(item, fleet.under_way())]
@@ -298,7 +300,7 @@ def test_a_recovery_that_only_the_gate_tells_of() -> None:
     assert known(item, [one for one in items if "monitor" not in one["metadata"]["name"]]).health == UNWATCHED
 
 
-def test_one_that_it_depends_on_is_recovering_as_soon_as_its_gate_says_so() -> None:
+def test_a_dependency_is_recovering_as_soon_as_its_gate_reports_it() -> None:
     needs = [{"name": "robot-17-navigation"}]
     item = fleet.workload("planning", status=fleet.status("planning", "x8v2m", 4), dependsOn=needs)
     first = fleet.well()

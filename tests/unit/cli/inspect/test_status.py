@@ -31,7 +31,9 @@ LONG = 60.0
 """Seconds that are waited for anything."""
 
 
-def test_the_fleet_on_one_screen(stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None) -> None:
+def test_the_status_shows_the_fleet_on_one_screen(
+    stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
+) -> None:
     assert main(["-n", "fleet", "--context", "lab"]) == 1, "one of them isn't protected"
     told = capsys.readouterr().out
     assert told.startswith("ROBOT ")
@@ -47,7 +49,7 @@ def test_the_fleet_on_one_screen(stand: FakeKubectl, capsys: pytest.CaptureFixtu
     )
 
 
-def test_some_of_them_by_name(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_robots_can_be_selected_by_name(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-17-navigation"]) == 0
     assert capsys.readouterr().out.endswith("1 robot: all protected; 1 healthy\n")
     assert main(["robot-17-navigation", "robot-18-navigation"]) == 0
@@ -55,14 +57,14 @@ def test_some_of_them_by_name(stand: FakeKubectl, capsys: pytest.CaptureFixture[
     assert "POOL" not in capsys.readouterr().out
 
 
-def test_every_namespace(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_status_can_cover_every_namespace(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     main(["-A"])
     assert capsys.readouterr().out.startswith("NAMESPACE  ROBOT ")
     assert all(" -A -o json" in asked for asked in stand.asked)
 
 
 @pytest.mark.parametrize(("output", "read"), [("json", json.loads), ("yaml", yaml.safe_load)])
-def test_everything_for_scripts(
+def test_json_output_contains_everything(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], output: str, read: type
 ) -> None:
     assert main(["-o", output]) == 1
@@ -79,7 +81,7 @@ def recovering(**changes: Any) -> list[dict[str, Any]]:
     return [*fleet.fleet(), fleet.gate(fleet.well(), fleet.under_way(**changes))]
 
 
-def test_a_recovery_is_told_by_the_gate_before_the_status_does(
+def test_a_recovery_is_shown_from_the_gate_before_the_status_reports_it(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     stand.tell(recovering())
@@ -115,7 +117,7 @@ def test_a_recovery_is_told_by_the_gate_before_the_status_does(
 @pytest.mark.parametrize(
     ("others", "expected"), [([], "Recovering"), (["robot-18-navigation"], "Recovering"), (["robot-2"], "not found")]
 )
-def test_of_some_by_name_the_gates_are_asked_for_by_name(
+def test_gates_of_selected_robots_are_requested_by_name(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None, others: list[str], expected: str
 ) -> None:
     stand.tell(recovering())
@@ -126,7 +128,7 @@ def test_of_some_by_name_the_gates_are_asked_for_by_name(
     assert stand.asked[0].startswith(f"get networkpolicies.networking.k8s.io {gates} --ignore-not-found -o json")
 
 
-def test_who_may_not_read_gates_sees_what_the_status_says(
+def test_without_the_right_to_read_gates_the_status_is_shown(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     stand.tell(recovering(), forbidden=["networkpolicies"])
@@ -158,13 +160,13 @@ def test_unavailable_information_is_reported(
     assert words in told.err
 
 
-def test_no_robot_at_all_is_not_all_protected(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_empty_fleet_is_not_reported_as_protected(stand: FakeKubectl, capsys: pytest.CaptureFixture[str]) -> None:
     stand.tell([fleet.spare()])
     assert main([]) == 2
     assert "there is no RobotWorkload in this namespace" in capsys.readouterr().err
 
 
-def test_watching_is_not_for_scripts(stand: FakeKubectl) -> None:
+def test_watch_with_machine_readable_output_is_refused(stand: FakeKubectl) -> None:
     with pytest.raises(SystemExit):
         main(["-w", "-o", "json"])
 
@@ -221,7 +223,7 @@ def watching(request: pytest.FixtureRequest, stand: FakeKubectl) -> Iterator[Wat
     made.close()
 
 
-def test_who_may_not_watch_sees_changes_all_the_same(stand: FakeKubectl) -> None:
+def test_changes_are_shown_without_the_right_to_watch(stand: FakeKubectl) -> None:
     stand.tell(fleet.fleet(), watch=False)
     watching = Watching(terminal=False)
     try:
@@ -232,7 +234,7 @@ def test_who_may_not_watch_sees_changes_all_the_same(stand: FakeKubectl) -> None
         watching.close()
 
 
-def test_an_api_server_that_does_not_answer_is_asked_again(stand: FakeKubectl) -> None:
+def test_an_unavailable_api_server_is_asked_again(stand: FakeKubectl) -> None:
     watching = Watching(terminal=False)
     try:
         watching.until("fleet/robot-19-navigation; Healthy")
@@ -246,7 +248,7 @@ def test_an_api_server_that_does_not_answer_is_asked_again(stand: FakeKubectl) -
 
 
 @pytest.mark.parametrize("watching", [{"terminal": True}], indirect=True)
-def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: FakeKubectl, watching: Watching) -> None:
+def test_the_screen_is_redrawn_when_a_robot_changes(stand: FakeKubectl, watching: Watching) -> None:
     first = watching.until("3 robots: 1 not protected")
     assert first.startswith(BEGIN)
     assert "\x1b[2J" not in first, "a screen that is cleared flickers"
@@ -261,7 +263,7 @@ def test_a_terminal_s_screen_is_written_anew_when_a_robot_changes(stand: FakeKub
 
 
 @pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)
-def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_over(
+def test_a_change_of_the_gate_is_shown_at_once_until_the_status_reports_the_end(
     stand: FakeKubectl, watching: Watching
 ) -> None:
     watching.until("fleet/robot-19-navigation; Healthy")
@@ -282,7 +284,7 @@ def test_a_change_of_a_gate_alone_is_shown_at_once_and_what_the_status_tells_is_
     assert watching.end() == 1
 
 
-def test_who_may_not_read_gates_can_watch_robots(stand: FakeKubectl) -> None:
+def test_robots_can_be_watched_without_the_right_to_read_gates(stand: FakeKubectl) -> None:
     stand.tell(recovering(began=time.time()), forbidden=["networkpolicies"])
     watching = Watching(terminal=False)
     try:
@@ -299,12 +301,12 @@ def test_who_may_not_read_gates_can_watch_robots(stand: FakeKubectl) -> None:
 
 
 @pytest.mark.parametrize("watching", [{"terminal": True, "environment": {"NO_COLOR": "1"}}], indirect=True)
-def test_no_colours_where_none_are_wanted(watching: Watching) -> None:
+def test_colours_can_be_disabled(watching: Watching) -> None:
     assert "\x1b[32m" not in watching.until("3 robots: 1 not protected")
 
 
 @pytest.mark.parametrize("watching", [{"terminal": False}], indirect=True)
-def test_elsewhere_each_change_is_a_line(stand: FakeKubectl, watching: Watching) -> None:
+def test_without_a_terminal_each_change_is_one_line(stand: FakeKubectl, watching: Watching) -> None:
     watching.until("fleet/robot-19-navigation; Healthy; NOT PROTECTED")
     failed = fleet.well()
     failed["status"] |= {"health": "Failed"}

@@ -22,7 +22,7 @@ def told(columns: int | None, **look: bool) -> list[str]:
     return list(lines(ROBOTS, POOLS, dataclasses.replace(LOOK, columns=columns, **look)))
 
 
-def test_who_drives_what_protects_it_and_the_last_recovery() -> None:
+def test_active_instance_protection_and_last_recovery_are_shown() -> None:
     head, first, *_ = told(140)
     assert head.split("  ")[0] == "ROBOT"
     assert re.split(r"\s{2,}", first) == [
@@ -31,7 +31,7 @@ def test_who_drives_what_protects_it_and_the_last_recovery() -> None:
     ]  # fmt: skip
 
 
-def test_a_problem_stands_below_its_robot_with_how_long_it_has_been_so() -> None:
+def test_a_problem_is_shown_below_its_robot_with_its_duration() -> None:
     found = told(140)
     index = next(i for i, line in enumerate(found) if line.startswith("robot-19-navigation"))
     assert "  NO  " in found[index]
@@ -39,23 +39,23 @@ def test_a_problem_stands_below_its_robot_with_how_long_it_has_been_so() -> None
 
 
 @pytest.mark.parametrize("columns", [40, 60, 80, 100, 120, 140])
-def test_nothing_is_wider_than_the_terminal(columns: int) -> None:
+def test_no_line_is_wider_than_the_terminal(columns: int) -> None:
     assert max(map(len, told(columns))) <= columns
 
 
-def test_a_narrow_terminal_has_the_same_robots() -> None:
+def test_a_narrow_terminal_shows_the_same_robots() -> None:
     for columns in (40, 80, 140):
         text = " ".join(" ".join(told(columns)).split())
         assert text.count("not protected (") == 2
         assert "…-x8v2m (41)" in text or "robot-17-navigation-x8v2m (41)" in text
 
 
-def test_where_there_is_no_width_a_problem_is_one_whole_line() -> None:
+def test_without_a_width_a_problem_is_one_line() -> None:
     (problem,) = (line for line in told(None) if "(ImagePullBackOff" in line)
     assert_golden("status", problem, "imagePullSecrets", "pool navigation-spare", "ready (Uninitialized)")
 
 
-def test_a_pool_does_not_say_again_what_is_told_of_a_robot() -> None:
+def test_a_pool_does_not_repeat_the_problem_of_a_robot() -> None:
     found = told(None)
     assert sum("ImagePullBackOff: manifest unknown" in line for line in found) == 1
     assert "  not ready (PodsNotReady, 4s): 3 of 4 are ready." in found
@@ -63,7 +63,7 @@ def test_a_pool_does_not_say_again_what_is_told_of_a_robot() -> None:
     assert any("2 of 3 are ready; pod robot-19-navigation-w7h5k" in line for line in alone)
 
 
-def test_where_not_all_fits_on_the_screen_what_is_not_well_comes_first() -> None:
+def test_robots_with_problems_come_first_if_the_screen_is_too_small() -> None:
     look = dataclasses.replace(LOOK, columns=140)
     everything = told(140)
     assert screenful(ROBOTS, POOLS, look, len(everything)) == everything
@@ -74,7 +74,7 @@ def test_where_not_all_fits_on_the_screen_what_is_not_well_comes_first() -> None
     assert found[-1] == f"… {len(everything) - 9} more lines: enlarge the window, or name robots"
 
 
-def test_no_column_moves_when_a_health_changes() -> None:
+def test_columns_keep_their_place_when_a_health_changes() -> None:
     name = "robot-17-navigation"
     for columns in (80, 100, 140):
         look = dataclasses.replace(LOOK, columns=columns)
@@ -91,23 +91,23 @@ def test_no_column_moves_when_a_health_changes() -> None:
         assert len(heads) == 1
 
 
-def test_colours_add_to_words_and_shift_nothing() -> None:
+def test_colours_do_not_change_text_or_alignment() -> None:
     coloured = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in told(140, colours=True)]
     assert coloured == told(140)
     assert any("\x1b[1;31mNO" in line for line in told(140, colours=True))
 
 
-def test_wide_has_more_and_is_not_narrowed() -> None:
+def test_wide_output_has_more_columns_and_is_not_shortened() -> None:
     head = told(40, wide=True)[0]
     assert head.split()[-5:] == ["RECOVERIES", "NEXT", "SITUATION", "POLICY", "AGE"]
 
 
-def test_namespaces_are_named_where_all_are_shown() -> None:
+def test_namespaces_are_shown_if_all_are_selected() -> None:
     assert told(None, namespaces=True)[1].startswith("fleet      robot-17-navigation")
     assert told(40, namespaces=True)[0].startswith("fleet/robot-17-navigation")
 
 
-def test_nobody_in_control_and_a_recovery_that_came_to_nothing() -> None:
+def test_a_robot_without_active_instance_and_with_failed_recovery_is_shown() -> None:
     name = "robot-1"
     failed = fleet.recovery(1, 60, result="Failed", recovery_seconds=None, strategy="")
     status = fleet.status(name, "", 4, health="Failed", recoveries=[failed], recovery_count=1)
@@ -116,7 +116,7 @@ def test_nobody_in_control_and_a_recovery_that_came_to_nothing() -> None:
     assert "FAILED, 59s ago" in found[1]
 
 
-def test_a_recovery_that_only_the_gate_tells_of() -> None:
+def test_a_recovery_known_only_from_the_gate_is_shown() -> None:
     item = fleet.well()
     found = robot(item, fleet.gate(item, fleet.under_way()), fleet.NOW)
     _, first, second, *_ = lines([found], [], LOOK)
@@ -129,7 +129,7 @@ def test_a_recovery_that_only_the_gate_tells_of() -> None:
     assert_golden("status", in_a_line(found), "FailureDetected", "/cmd_vel", "500 ms", "robot-17-navigation-w7h5k")
 
 
-def test_control_characters_in_foreign_texts_are_escaped() -> None:
+def test_control_characters_are_escaped() -> None:
     bad = fleet.said("Protected", "False", "PoolEmpty", "a\x1b[2Jb\nc")
     status = fleet.status("robot-1", "abcde", 1, bad)
     shown = robot(fleet.workload("robot-1", status=status))
@@ -137,12 +137,12 @@ def test_control_characters_in_foreign_texts_are_escaped() -> None:
         assert not set("\x1b\n") & set(text)
 
 
-def test_all_in_one_line() -> None:
+def test_the_fleet_is_summarized_in_one_line() -> None:
     assert_golden("status", summary(ROBOTS), "4 robots", "2 not protected", "1 degraded", "2 healthy", "1 unwatched")
     assert summary(ROBOTS[:1]) == "1 robot: all protected; 1 healthy"
 
 
-def test_one_robot_in_a_line_of_its_own_says_nothing_of_passing_time() -> None:
+def test_the_line_of_a_robot_contains_no_elapsed_time() -> None:
     found = in_a_line(ROBOTS[2])
     assert_golden(
         "status",

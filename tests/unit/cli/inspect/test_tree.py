@@ -60,7 +60,7 @@ def cluster(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cluster
     thread.join(20)
 
 
-def test_the_tree_is_told_and_kubectl_is_asked_where_it_was_said(
+def test_the_tree_is_printed_and_kubectl_gets_namespace_and_context(
     cluster: Cluster, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["robot-1-drive", "-n", "fleet", "--context", "lab"]) == 0
@@ -74,7 +74,7 @@ def test_the_tree_is_told_and_kubectl_is_asked_where_it_was_said(
 
 
 @pytest.mark.parametrize("form", ["json", "yaml"])
-def test_a_script_is_given_what_the_monitor_says(
+def test_json_output_is_the_answer_of_the_monitor(
     cluster: Cluster, capsys: pytest.CaptureFixture[str], form: str
 ) -> None:
     cluster.state = state(health="Failed")
@@ -94,7 +94,7 @@ def test_a_script_is_given_what_the_monitor_says(
         ({"port": 1}, "the monitor does not answer: "),
     ],
 )  # fmt: skip
-def test_what_is_in_the_way_is_said(
+def test_an_obstacle_is_reported(
     cluster: Cluster, capsys: pytest.CaptureFixture[str], more: dict[str, Any], words: str
 ) -> None:
     cluster.tell(**more)
@@ -105,13 +105,15 @@ def test_what_is_in_the_way_is_said(
     assert words in told.err
 
 
-def test_without_kubectl(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_missing_kubectl_is_reported(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert main(["robot-1-drive"]) == 2
     assert "kubectl is not on the PATH; install it" in capsys.readouterr().err
 
 
-def test_an_older_monitor(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_older_monitor_is_reported(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()

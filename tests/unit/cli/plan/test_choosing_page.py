@@ -23,7 +23,7 @@ def rows(heading: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
 
 
-def test_the_figures_are_those_that_are_reckoned_with() -> None:
+def test_the_page_has_the_figures_of_the_code() -> None:
     found = rows("## The figures")
     assert len(found) == len(PUBLISHED_SECONDS)
     for name, seconds, cpu in found:
@@ -32,7 +32,7 @@ def test_the_figures_are_those_that_are_reckoned_with() -> None:
         assert cpu == (f"{PUBLISHED_CPU[way] * 100:g} %" if way != "Restart" else "")  # type: ignore[index]
 
 
-def test_the_orders_are_those_that_requirements_come_to() -> None:
+def test_the_page_has_the_orders_that_the_requirements_produce() -> None:
     table = rows("With one pool of each readiness and the published figures")
     assert len(table) == len(get_args(Level))
     for usage, *told in table:
@@ -47,7 +47,7 @@ def test_the_orders_are_those_that_requirements_come_to() -> None:
             before = order
 
 
-def test_the_levels_are_as_told() -> None:
+def test_the_page_has_the_levels_and_defaults_of_the_code() -> None:
     assert (SOON["Medium"], SOON["High"], NEGLIGIBLE) == (2.0, 0.5, 0.1)
     levels = {row[0].split("`")[1]: row for row in rows("## What can be required")}
     assert levels["availability"][2:4] == [duration(SOON["Medium"]), duration(SOON["High"])]

@@ -10,11 +10,11 @@ from understudy.cli.plan.text_wrap import wrap_labelled
 PAPER = ["--robots", "1000", "--failures-per-robot-hour", "1", "--recovery-seconds", "6"]
 
 
-def test_without_a_width_it_stays_as_it_is():
+def test_text_is_unchanged_without_a_width():
     assert wrap_labelled("asked for  " + "word " * 40, None) == "asked for  " + "word " * 40
 
 
-def test_what_is_too_long_goes_on_below_the_beginning_of_what_stands_behind_its_label():
+def test_a_long_line_continues_below_the_text_after_its_label():
     assert wrap_labelled("asked for  a recovery within two seconds of it\nnext", 30) == (
         "asked for  a recovery within\n           two seconds of it\nnext"
     )
@@ -30,7 +30,7 @@ def test_a_row_without_a_label_stays_in_one_piece():
     assert wrap_labelled(row, 40) == row
 
 
-def test_all_but_the_table_of_a_size_fits_a_terminal(
+def test_everything_except_the_table_fits_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setenv("COLUMNS", "80")

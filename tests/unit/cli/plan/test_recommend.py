@@ -113,7 +113,7 @@ def answered(capsys: pytest.CaptureFixture[str], *arguments: str, status: int = 
     return found
 
 
-def test_as_yaml_it_is_the_same(file: Callable[..., str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_yaml_output_equals_json_output(file: Callable[..., str], capsys: pytest.CaptureFixture[str]) -> None:
     found = answered(capsys, file())
     assert main([file(), "-o", "yaml"]) == MET
     assert yaml.safe_load(capsys.readouterr().out) == found
@@ -123,7 +123,7 @@ def order(found: dict[str, Any]) -> list[str]:
     return [one["pool"] or one["strategy"] for one in found["order"]]
 
 
-def test_the_trade_off_is_told_as_a_table_with_the_reason_for_each_place(file, capsys):
+def test_the_trade_off_table_gives_the_reason_for_each_rank(file, capsys):
     assert main([file()]) == MET
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "fleet/robot-17, FailurePolicy navigation"
@@ -149,7 +149,7 @@ def test_the_trade_off_is_told_as_a_table_with_the_reason_for_each_place(file, c
     assert_golden("plan", "\n".join(lines), "docs/choosing.md")
 
 
-def test_as_json_everything_is_a_figure(file, capsys):
+def test_json_output_contains_all_figures(file, capsys):
     (found,) = answered(capsys, file())
     assert (found["workload"], found["namespace"], found["policy"], found["auto"]) == (
         "robot-17",
@@ -173,20 +173,20 @@ def test_as_json_everything_is_a_figure(file, capsys):
     assert found["notMet"] == []
 
 
-def test_other_requirements_can_be_tried(file, capsys):
+def test_options_replace_the_requirements(file, capsys):
     (found,) = answered(capsys, file(), "--task-criticality", "High", "--availability", "Low")
     assert order(found) == ["hot", "warm", "spare", "Restart"]
     (found,) = answered(capsys, file(), "--resource-usage", "Low", "--availability", "Low")
     assert order(found) == ["spare", "Restart"]
 
 
-def test_what_can_not_be_had_is_told_and_the_exit_status_says_so(file, capsys):
+def test_unmet_requirements_are_reported_and_set_the_exit_status(file, capsys):
     assert main([file(), "--availability", "High", "--resource-usage", "Low"]) == NOT_MET
     told = capsys.readouterr().out
     assert_golden("plan", told, "availability High", "500 ms", "Uninitialized (spare)")
 
 
-def test_what_a_waiting_instance_was_measured_to_use_counts(file, capsys):
+def test_the_measured_usage_of_a_standby_is_used(file, capsys):
     (found,) = answered(capsys, file(), "--cpu", "Executing=0.3", "--cpu", "Uninitialized=0.6")
     assert order(found)[0] == "hot"
     assert found["order"][0]["cpu"] == {"value": pytest.approx(0.3), "standbys": 1.0, "source": "given"}
@@ -201,14 +201,14 @@ def test_a_shared_pool_costs_each_robot_its_share(file, capsys):
     assert (spare["pool"], spare["cpu"]["value"]) == ("spare", pytest.approx(0.6 * 2 / 24))
 
 
-def test_recoveries_in_a_file_that_kubectl_wrote_count_as_measured(file, capsys):
+def test_recoveries_in_kubectl_output_are_used_as_measurements(file, capsys):
     items = [item | {"status": RECORDED} if item["kind"] == "RobotWorkload" else item for item in _items()]
     (found,) = answered(capsys, file(yaml.safe_dump({"apiVersion": "v1", "kind": "List", "items": items})))
     assert order(found) == ["Restart", "spare"]
     assert found["order"][0]["seconds"] == {"value": 1.2, "source": "measured 3 times"}
 
 
-def test_recoveries_in_the_cluster_count_as_measured(file, cluster, capsys):
+def test_recoveries_in_the_cluster_are_used_as_measurements(file, cluster, capsys):
     items = [item | {"status": RECORDED} for item in _items() if item["kind"] == "RobotWorkload"]
     asked = cluster(f"cat <<'E'\n{json.dumps({'items': items})}\nE")
     (found,) = answered(capsys, file())
@@ -218,7 +218,7 @@ def test_recoveries_in_the_cluster_count_as_measured(file, cluster, capsys):
     assert order(found)[0] == "warm"
 
 
-def test_a_cluster_that_does_not_answer_is_told_and_only_fatal_where_it_was_asked_for(file, cluster, capsys):
+def test_an_unavailable_cluster_is_reported_and_fatal_only_if_requested(file, cluster, capsys):
     cluster("echo 'connection refused' >&2; exit 1")
     assert main([file()]) == MET
     said = capsys.readouterr()
@@ -228,7 +228,7 @@ def test_a_cluster_that_does_not_answer_is_told_and_only_fatal_where_it_was_aske
     assert "understudy recommend: connection refused" in capsys.readouterr().err
 
 
-def test_strategies_that_are_written_out_stand_beside_what_would_be_chosen(file, capsys):
+def test_explicit_strategies_are_printed_next_to_the_recommended_ones(file, capsys):
     written = POLICY.replace("{type: Auto}", "{type: Fallback, poolRef: {name: hot}}\n    - {type: Restart}")
     written = written.replace("  requirements: {availability: Medium}\n", "")
     assert main([file(WORKLOAD, written, POOLS)]) == MET
@@ -236,7 +236,7 @@ def test_strategies_that_are_written_out_stand_beside_what_would_be_chosen(file,
 
 
 @pytest.mark.parametrize("levels", [{}, {"availability": "Low"}, {"taskCriticality": "High"}, {"safety": "Medium"}])
-def test_what_is_recommended_is_what_the_operator_then_chooses(file, capsys, levels):
+def test_the_operator_chooses_the_recommended_strategies(file, capsys, levels):
     status = {"recoveries": [recovery("Fallback/Initialized", seconds) for seconds in (0.4, 0.5, 2.5)]}
     made = chosen.world(chosen.auto(**levels), status=status)
     (found,) = answered(capsys, file(yaml.safe_dump_all([made.workload, *made.others])))
@@ -244,7 +244,7 @@ def test_what_is_recommended_is_what_the_operator_then_chooses(file, capsys, lev
 
 
 @pytest.mark.parametrize("form", ["png", "svg"])
-def test_it_is_drawn(file, capsys, tmp_path, form):
+def test_the_plot_is_drawn(file, capsys, tmp_path, form):
     pytest.importorskip("matplotlib")
     picture = tmp_path / f"tradeoff.{form}"
     assert main([file(), "--plot", str(picture)]) == MET
@@ -285,7 +285,7 @@ def test_impossible_requests_are_reported_with_a_solution(file, capsys, texts, m
 @pytest.mark.parametrize(
     "given", ["Initialised=0.4", "Initialized", "Executing=-1", "Restart=1", "Executing=nan", "Executing=%"]
 )
-def test_what_is_no_share_is_refused_by_name(file, capsys, given):
+def test_an_invalid_cpu_share_is_refused_by_name(file, capsys, given):
     with pytest.raises(SystemExit) as ended:
         main([file(), "--cpu", given])
     assert ended.value.code == 2

@@ -17,7 +17,7 @@ def printed(capsys, *more):
     return capsys.readouterr().out
 
 
-def test_the_papers_example_is_told_with_its_figures_and_what_they_leave_out(capsys):
+def test_the_example_of_the_paper_is_printed_with_its_figures_and_limits(capsys):
     text = printed(capsys, "--fallbacks", "4")
     certain = [line for line in text.splitlines() if "±" not in line]
     assert_golden("plan", certain, "1000 robots", "3.6 s", "8.3", "30 s", "3276", "278256", "1.18 %", "0.40%")
@@ -44,7 +44,7 @@ def test_no_line_is_broken_by_a_terminal_of_80_columns(capsys, monkeypatch, more
     assert sum(line.startswith(("window: ", "loss: ", "waiting: ", "mean wait ")) for line in lines) == 4
 
 
-def test_as_json_everything_is_a_figure(capsys):
+def test_json_output_contains_all_figures(capsys):
     found = json.loads(printed(capsys, "--fallbacks", "4", "-o", "json"))
     assert found["outcome"]["cpu"] == pytest.approx(0.004)
     assert found["outcome"]["loss"] == pytest.approx(found["trial"]["loss"]["mean"], abs=0.01)
@@ -53,14 +53,14 @@ def test_as_json_everything_is_a_figure(capsys):
     assert found["downTimeGainedPerRobotHour"] == pytest.approx(12 - found["outcome"]["down"])
 
 
-def test_waiting_without_end_is_null_in_json_and_said_in_words(capsys):
+def test_endless_waiting_is_null_in_json_and_explained_in_text(capsys):
     found = json.loads(printed(capsys, "--fallbacks", "1", "-o", "json"))
     assert (found["outcome"]["waiting"], found["outcome"]["wait"]) == (1, None)
     assert "unbounded" in printed(capsys, "--fallbacks", "1")
     assert json.loads(printed(capsys, "--fallbacks", "0", "-o", "json"))["trial"]["wait"]["mean"] is None
 
 
-def test_as_yaml_it_is_the_same(capsys):
+def test_yaml_output_equals_json_output(capsys):
     for arguments in (["--fallbacks", "1"], ["--risk", "0.01"]):
         written = yaml.safe_load(printed(capsys, *arguments, "-o", "yaml"))
         assert written == json.loads(printed(capsys, *arguments, "-o", "json"))
@@ -69,7 +69,7 @@ def test_as_yaml_it_is_the_same(capsys):
 @pytest.mark.parametrize(
     ("rate", "seconds"), list(itertools.product(("1e-9", "1e9"), repeat=2)), ids=lambda value: value
 )
-def test_figures_as_far_apart_as_may_be_are_answered(capsys, rate, seconds):
+def test_extreme_figures_give_a_result(capsys, rate, seconds):
     figures = ["--robots", "1", "--failures-per-robot-hour", rate, "--recovery-seconds", seconds, "--fallbacks", "1"]
     assert main(figures) == 0
     assert "loss: a failure finds no fallback" in capsys.readouterr().out
@@ -85,14 +85,14 @@ def test_a_risk_gives_the_size_by_each_measure(capsys):
     assert "for a risk of 1 % (waiting; " in printed(capsys, "--risk", "0.01", "--risk-of", "waiting")
 
 
-def test_a_risk_is_told_as_a_pool_is_asked_to_keep_it(capsys):
+def test_a_risk_is_printed_as_the_sizing_of_a_pool(capsys):
     sizing = "spec.sizing: {risk: 1%, riskOf: Loss, failuresPerRobotHour: 1, refill: 6s, max: 12}"
     assert sizing in printed(capsys, "--risk", "0.01")
     assert "spec.sizing" not in printed(capsys, "--risk", "0.01", "--risk-of", "window")
     assert "spec.sizing" not in printed(capsys, "--fallbacks", "4")
 
 
-def test_what_a_fallback_uses_and_how_fast_the_pool_is_refilled_count(capsys):
+def test_fallback_resources_and_refill_time_change_the_result(capsys):
     slow = json.loads(
         printed(capsys, "--fallbacks", "4", "--fallback-cpu", "0.6", "--refill-seconds", "12", "-o", "json")
     )
@@ -101,7 +101,7 @@ def test_what_a_fallback_uses_and_how_fast_the_pool_is_refilled_count(capsys):
     assert slow["outcome"]["loss"] > quick["outcome"]["loss"]
 
 
-def test_durations_have_names_without_a_unit_too(capsys):
+def test_duration_options_equal_the_options_in_seconds(capsys):
     numbers = ["--recovery-seconds", "0.5", "--refill-seconds", "90", "--restart-seconds", "12"]
     durations = ["--recovery", "500ms", "--refill", "1m30s", "--restart", "12s"]
     plain, same = (printed(capsys, "--fallbacks", "4", *given, "-o", "json") for given in (numbers, durations))
@@ -109,7 +109,7 @@ def test_durations_have_names_without_a_unit_too(capsys):
     assert json.loads(plain)["outcome"]["down"] < 12
 
 
-def test_figures_may_be_written_as_a_pool_s_sizing_has_them(capsys):
+def test_figures_can_be_given_in_the_format_of_pool_sizing(capsys):
     assert main([*PAPER, "--risk", "0.01", "--fallback-cpu", "0.4", "--refill-seconds", "90", "-o", "json"]) == 0
     plain = capsys.readouterr().out
     assert main([*PAPER, "--risk", "1%", "--fallback-cpu", "40%", "--refill-seconds", "1m30s", "-o", "json"]) == 0
@@ -117,7 +117,7 @@ def test_figures_may_be_written_as_a_pool_s_sizing_has_them(capsys):
 
 
 @pytest.mark.parametrize("form", ["png", "svg"])
-def test_it_is_drawn(capsys, tmp_path, form):
+def test_the_plot_is_drawn(capsys, tmp_path, form):
     pytest.importorskip("matplotlib")
     file = tmp_path / f"size.{form}"
     printed(capsys, "--risk", "0.01", "--plot", str(file))

@@ -26,7 +26,7 @@ def read(*robots: fleet.Object, period: Span = DAY) -> Read:
     return Read(written(findings(robots, period)))
 
 
-def test_the_figures_are_those_of_the_records() -> None:
+def test_the_figures_agree_with_the_records() -> None:
     found = findings(fleet.robots(), DAY)
     shown = Read(written(found))
     rows = shown.table("Recoveries that began")
@@ -45,7 +45,7 @@ def test_the_figures_are_those_of_the_records() -> None:
         assert row[8][0] == availability(robot_period.availability)
 
 
-def test_bars_are_as_long_as_the_parts_took() -> None:
+def test_bar_lengths_are_proportional_to_the_durations_of_the_parts() -> None:
     found = findings([fleet.robot("r", [fleet.restart(1, 700.0)])], DAY)
     bars = [e for e in Read(written(found)).all("rect") if (e["class"] or "").startswith("part ")]
     widths = {(bar["class"] or "").split()[1]: float((bar["width"] or "").rstrip("%")) for bar in bars}
@@ -54,7 +54,7 @@ def test_bars_are_as_long_as_the_parts_took() -> None:
         assert widths[part] / widths["cluster"] == pytest.approx(seconds / group.parts["cluster"], rel=1e-3)
 
 
-def test_a_robot_that_missed_nothing_has_a_gap_of_nothing() -> None:
+def test_a_robot_that_missed_no_output_has_a_gap_of_zero() -> None:
     reflex = fleet.switchover(1, 700.0)
     reflex.moments.first_output = reflex.moments.last_output
     (row,) = read(fleet.robot("r", [reflex])).table("Gap by strategy")
@@ -71,7 +71,7 @@ def test_every_figure_is_described_and_has_a_table() -> None:
     assert shown.all("html")[0]["lang"] == "en"
 
 
-def test_what_is_reserved_by_strategy() -> None:
+def test_reserved_resources_are_shown_by_strategy() -> None:
     shown = Read(written(findings([fleet.whole()], DAY, fleet.pods())))
     executing, pool = shown.table("Reserved CPU")
     assert (executing[0][0], [value(cell) for cell in executing[2:6]]) == ("Executing", [0.5, 0.52, 0.1, 0.0])
@@ -81,7 +81,7 @@ def test_what_is_reserved_by_strategy() -> None:
     assert_golden("report", Read(written(findings([fleet.whole()], DAY, pods_unknown=why))).texts_with(why), why)
 
 
-def test_names_and_messages_of_others_are_text() -> None:
+def test_names_and_messages_are_escaped() -> None:
     shown = read(fleet.hostile())
     assert len(shown.all("script")) == 1, "our own"
     assert shown.all("img") == []
@@ -90,7 +90,7 @@ def test_names_and_messages_of_others_are_text() -> None:
     assert "\u202e" not in shown.text
 
 
-def test_nothing_is_fetched_and_no_other_script_would_run() -> None:
+def test_the_page_fetches_nothing_and_permits_no_other_script() -> None:
     text = written(findings(fleet.robots(), DAY))
     assert not re.search(r"""(?:src|href|url\()\s*=?\s*["']?(?!data:)(?:https?:)?//""", text)
     (policy,) = (e["content"] or "" for e in Read(text).all("meta") if e.get("http-equiv") == "Content-Security-Policy")
@@ -100,14 +100,14 @@ def test_nothing_is_fetched_and_no_other_script_would_run() -> None:
         assert f"'sha256-{base64.b64encode(hashlib.sha256(body.encode()).digest()).decode()}'" in policy
 
 
-def test_the_data_can_be_taken_from_the_page() -> None:
+def test_the_data_can_be_downloaded_from_the_page() -> None:
     found = findings(fleet.robots(), DAY)
     links = {e["download"]: e["href"] or "" for e in Read(written(found)).all("a")}
     held = {name: base64.b64decode(link.partition("base64,")[2]).decode() for name, link in links.items()}
     assert held == sheets(found)
 
 
-def test_what_is_not_known_is_said_first() -> None:
+def test_incomplete_data_is_reported_first() -> None:
     assert "The data on this period is incomplete." in read(*fleet.robots()).text
     told = read(fleet.forgetful()).texts_with("of 12", "all 12")
     assert_golden("report", told, "robot-2-drive: 2 of 12", "2026-11-22 04:06:24Z", "all 12 recoveries", "10 are")
@@ -115,7 +115,7 @@ def test_what_is_not_known_is_said_first() -> None:
     assert_golden("report", read(fleet.quiet()).texts_with("no recovery"), "no recovery")
 
 
-def test_only_robots_to_which_something_happened_have_a_lane() -> None:
+def test_only_robots_with_events_have_a_lane() -> None:
     shown = read(*fleet.robots())
     assert shown.texts.count("robot-1-drive") > shown.texts.count("robot-5-drive") == 1, "it is in the table of robots"
     assert "1 robot without an event is not shown." in shown.text
@@ -126,12 +126,12 @@ def test_a_period_without_recoveries_says_so() -> None:
     assert_golden("report", told, "2026-11-22 13:06:24Z", "No recovery", "No interruption")
 
 
-def test_what_failed_is_told_with_all_that_was_tried() -> None:
+def test_a_failed_recovery_is_shown_with_all_attempts() -> None:
     told = read(fleet.in_vain()).texts_with("Fallback/Executing", "Restart with", "FAILED")
     assert_golden("report", told, "Fallback/Executing", "Restart with robot-z9", "60 s", "FAILED")
 
 
-def test_robots_of_several_namespaces_are_told_apart() -> None:
+def test_robots_of_several_namespaces_are_distinguished() -> None:
     other = fleet.quiet()
     other["metadata"]["namespace"] = "lab"
     assert [row[0][0] for row in read(fleet.whole(), other).table("Robots:")] == [

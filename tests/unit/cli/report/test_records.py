@@ -19,7 +19,7 @@ def close(value: float) -> object:
     return pytest.approx(value, abs=1e-4)  # moments have microseconds
 
 
-def test_downtime_is_what_the_recoveries_took() -> None:
+def test_downtime_is_the_sum_of_the_recovery_times() -> None:
     found = robot_period(fleet.whole(), DAY)
     assert found.known == DAY
     assert found.down == close(0.509 + 0.510 + 0.511 + 3.682 + 0.008)
@@ -27,7 +27,7 @@ def test_downtime_is_what_the_recoveries_took() -> None:
     assert not found.down_at_least
 
 
-def test_of_what_was_forgotten_nothing_is_said() -> None:
+def test_the_time_of_forgotten_records_is_excluded() -> None:
     found = findings([fleet.forgetful(), fleet.whole()], DAY)
     forgetful = found.robot_periods[1]
     assert forgetful.known is not None
@@ -37,38 +37,38 @@ def test_of_what_was_forgotten_nothing_is_said() -> None:
     assert found.availability == close(1 - sum(one.down for one in found.robot_periods) / known)
 
 
-def test_records_that_reach_back_beyond_the_period_are_whole() -> None:
+def test_records_older_than_the_period_make_it_complete() -> None:
     found = findings([fleet.forgetful()], Span(NOW - 5.5 * HOUR, NOW))
     assert found.incomplete == []
     assert len(found.entries) == 5
 
 
-def test_where_all_that_is_kept_is_newer_than_the_period_nothing_is_known() -> None:
+def test_a_period_older_than_all_records_is_unknown() -> None:
     found = findings([fleet.forgetful()], Span(NOW - 20 * HOUR, NOW - 15 * HOUR))
     assert found.robot_periods[0].known is None
     assert (found.robot_periods[0].availability, found.availability) == (None, None)
     assert len(found.incomplete) == 1
 
 
-def test_a_robot_is_known_from_when_it_was_made() -> None:
+def test_a_robot_is_known_from_its_creation() -> None:
     found = findings([fleet.quiet()], DAY)
     assert found.robot_periods[0].known == Span(NOW - 2 * HOUR, NOW)
     assert found.robot_periods[0].availability == 1.0
     assert found.incomplete == [], "before that there was nothing to be known"
 
 
-def test_what_failed_counts_until_it_was_healthy_again() -> None:
+def test_downtime_of_a_failed_recovery_lasts_until_the_robot_is_healthy() -> None:
     assert robot_period(fleet.in_vain(), DAY).down == close(HOUR - 1800.0 + 3.682)
 
 
-def test_a_failure_that_is_not_over_counts_until_the_end() -> None:
+def test_downtime_of_an_ongoing_failure_lasts_until_the_end_of_the_period() -> None:
     item = fleet.robot("robot-1-drive", [fleet.failed(1, 500.0)], health="Failed", failing_since=ago(600.0))
     found = robot_period(item, DAY)
     assert (found.down, found.down_at_least) == (close(600.0), False)
     assert robot_period(fleet.robot("r", [], health="Failed", failing_since=ago(60.0)), DAY).down == close(60.0)
 
 
-def test_where_the_end_was_not_recorded_it_is_at_least_so_long() -> None:
+def test_downtime_without_a_recorded_end_is_a_lower_bound() -> None:
     unhealthy = said("Healthy", "False", "NotWell", since=30.0)
     found = robot_period(fleet.robot("robot-1-drive", [fleet.failed(1, 500.0)], unhealthy), DAY)
     assert (found.down, found.down_at_least) == (close(64.0), True)
@@ -78,26 +78,26 @@ def test_where_the_end_was_not_recorded_it_is_at_least_so_long() -> None:
     assert (at_once.down, at_once.down_at_least) == (close(64.0), False)
 
 
-def test_what_began_before_the_period_counts_as_far_as_it_reaches_into_it() -> None:
+def test_a_failure_that_began_before_the_period_counts_only_within_it() -> None:
     found = robot_period(fleet.robot("r", [fleet.restart(1, 102.0)]), Span(NOW - 100.0, NOW))
     assert (found.entries, found.down) == ([], close(1.682))
 
 
-def test_time_that_the_budget_held_it_for_is_in_no_part_and_counts() -> None:
+def test_time_held_by_the_budget_is_downtime_but_in_no_part() -> None:
     held = recovery(1, 500.0)
     held.moments.held, held.moments.released = held.moments.detected, ago(500.0 - 0.503 - 40.0)
     (entry,) = robot_period(fleet.robot("r", [held]), DAY).entries
     assert (entry.held, entry.down) == (close(40.0), close(40.509))
 
 
-def test_the_gap_is_between_outputs() -> None:
+def test_the_gap_is_the_time_between_outputs() -> None:
     found = {entry.recovery.number: entry.gap for entry in robot_period(fleet.whole(), DAY).entries}
     assert found[5] == close(0.509 + 0.031)
     assert found[1] == close(0.040), "of a switchover from the former's last output on"
     assert robot_period(fleet.in_vain(), DAY).entries[0].gap is None
 
 
-def test_what_no_failure_was_the_cause_of_is_compared_apart() -> None:
+def test_recoveries_without_a_failure_of_their_own_form_separate_groups() -> None:
     follows = fleet.restart(1, 700.0, follows=[DependencyRecovery(name="robot-9-drive", recovery="a")])
     found = findings([fleet.whole(), fleet.robot("robot-9-map", [follows])], DAY)
     assert {group.name: len(group.entries) for group in found.groups} == {
@@ -114,12 +114,12 @@ def test_the_parts_of_a_group_add_up_to_its_mean() -> None:
         assert group.spread.least <= group.spread.p50 <= group.spread.p95 <= group.spread.greatest
 
 
-def test_quantiles_lie_linearly_between_the_nearest_values() -> None:
+def test_quantiles_are_interpolated_linearly() -> None:
     assert (Spread.of([3.0, 1.0, 2.0]).p50, Spread.of([3.0, 1.0]).p95) == (2.0, pytest.approx(2.9))
     assert Spread.of([7.0]) == Spread(1, 7.0, 7.0, 7.0, 7.0, 7.0)
 
 
-def test_a_status_that_is_not_understood_is_not_guessed_at() -> None:
+def test_an_unreadable_status_is_not_interpreted() -> None:
     item = fleet.whole()
     item["status"]["recoveries"][0]["result"] = "Sideways"
     with pytest.raises(CommandError, match="Does this command have the version of the operator"):

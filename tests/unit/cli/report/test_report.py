@@ -27,7 +27,9 @@ def written(stand: FakeKubectl, tmp_path: Path) -> Path:
     return tmp_path / "report.html"
 
 
-def test_a_page_and_the_data(stand: FakeKubectl, written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_page_and_csv_files(
+    stand: FakeKubectl, written: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["-n", "fleet", "-o", str(written), "--csv", str(written.parent / "data")]) == 0
     told = capsys.readouterr().out.removeprefix(f"{written}: ")
     assert_golden(
@@ -44,7 +46,7 @@ def test_a_page_and_the_data(stand: FakeKubectl, written: Path, capsys: pytest.C
         assert len(list(csv.DictReader(file))) == 18
 
 
-def test_the_documentation_shows_what_it_says(
+def test_the_documentation_shows_the_printed_output(
     stand: FakeKubectl, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -65,17 +67,19 @@ def test_the_documentation_shows_what_it_says(
         (["--since", "1h", "--to", "2026-11-22T05:00:00Z"], 1),
     ],
 )
-def test_any_period(written: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], count: int) -> None:
+def test_the_period_can_be_selected(
+    written: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], count: int
+) -> None:
     assert main([*arguments, "-o", str(written)]) == 0
     assert f"5 robots, {count} recover" in capsys.readouterr().out
 
 
-def test_one_robot(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_can_cover_one_robot(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["robot-3-drive", "-o", str(written)]) == 0
     assert "<h1>Recoveries of robot-3-drive</h1>" in written.read_text()
 
 
-def test_every_namespace(stand: FakeKubectl, written: Path) -> None:
+def test_the_report_can_cover_every_namespace(stand: FakeKubectl, written: Path) -> None:
     assert main(["-A", "-o", str(written)]) == 0
     assert " -A -o json" in stand.asked[0]
     assert "<h1>Recoveries of all namespaces</h1>" in written.read_text()
@@ -111,7 +115,7 @@ def test_unavailable_information_is_reported(
     assert words in told.err
 
 
-def test_a_place_that_can_not_be_written_to(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unwritable_path_is_reported(written: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written.mkdir()
     assert main(["-o", str(written)]) == 2
     assert_golden("report", capsys.readouterr().err.replace(str(written), "report.html"), "Is a directory")

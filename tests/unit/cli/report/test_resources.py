@@ -10,7 +10,7 @@ from understudy.cli.report.recovery_records import findings
 from understudy.cli.report.reserved_resources import Amounts, requested
 
 
-def test_pods_are_told_by_what_they_are_for() -> None:
+def test_pods_are_grouped_by_purpose() -> None:
     found = findings([fleet.whole()], DAY, fleet.pods())
     executing, pool = found.shares
     assert (executing.name, executing.count) == ("Executing", 1)
@@ -24,12 +24,12 @@ def test_pods_are_told_by_what_they_are_for() -> None:
     assert (pool.name, pool.count, pool.total) == ("pool spare", 2, Amounts(2.0, 2 * 256 * 2.0**20))
 
 
-def test_of_several_robots_it_is_the_mean() -> None:
+def test_reservations_of_several_robots_are_averaged() -> None:
     executing, _ = findings([fleet.whole(), fleet.quiet()], DAY, fleet.pods()).shares
     assert (executing.count, executing.total.cpu) == (2, pytest.approx(0.56))
 
 
-def test_what_has_ended_or_is_about_to_is_left_out() -> None:
+def test_finished_and_terminating_pods_are_left_out() -> None:
     pods = fleet.pods()
     pods[0]["status"]["phase"] = "Succeeded"
     pods[1]["metadata"]["deletionTimestamp"] = "2026-11-22T14:06:00Z"

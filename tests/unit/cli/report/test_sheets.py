@@ -18,7 +18,7 @@ def rows(text: str) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(text, newline="")))
 
 
-def test_what_is_read_from_them_is_what_the_records_say() -> None:
+def test_the_csv_files_contain_the_values_of_the_records() -> None:
     found = findings(fleet.robots(), DAY)
     read = rows(sheets(found)["recoveries.csv"])
     assert len(read) == len(found.entries) == 18
@@ -34,7 +34,7 @@ def test_what_is_read_from_them_is_what_the_records_say() -> None:
             assert row["reason"] == recovery.reason
 
 
-def test_robots_and_strategies() -> None:
+def test_the_csv_files_list_robots_and_strategies() -> None:
     found = findings(fleet.robots(), DAY)
     data = sheets(found)
     robots = {row["robot"]: row for row in rows(data["robots.csv"])}

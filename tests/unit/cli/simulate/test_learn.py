@@ -42,7 +42,7 @@ def failures(bag: Path, tree: dict[str, Any]) -> list[str]:
         return [one.reason for one in replay(load(tree), 0.0, opened).evaluation.detections]
 
 
-def test_what_is_learnt_holds_there_and_fails_where_it_is_slower_faster_or_silent(
+def test_learnt_leaves_pass_their_recording_and_fail_slower_faster_or_silent_ones(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     good = write(tmp_path / "good", [*jittery("/a", 40, 20), *every("/b", TWIST, 0, 40, 5)])
@@ -63,7 +63,7 @@ def test_what_is_learnt_holds_there_and_fails_where_it_is_slower_faster_or_silen
         assert re.fullmatch(reason, found[0]), (name, found)
 
 
-def test_bounds_that_the_recording_itself_breaks_are_said_and_end_with_1(
+def test_bounds_that_the_recording_violates_are_reported_with_status_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = [*every("/a", TWIST, 0, 30, 40), *every("/a", TWIST, 32, 60, 40)]
@@ -80,7 +80,7 @@ def test_bounds_that_the_recording_itself_breaks_are_said_and_end_with_1(
         (["--topic", "/few"], "the bag has 3 messages of /few; at least 20 are required"),
     ],
 )
-def test_what_cannot_be_learnt_ends_with_2(
+def test_input_without_anything_to_learn_ends_with_status_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
 ) -> None:
     bag = write(tmp_path / "bag", [*every("/a", TWIST, 0, 30, 10), *every("/few", TWIST, 0, 3, 1)])
@@ -99,7 +99,7 @@ def test_numbers_out_of_range_are_refused(capsys: pytest.CaptureFixture[str]) ->
 
 @settings(max_examples=50, deadline=None)
 @given(gaps=st.lists(st.integers(1, 900), min_size=30, max_size=60), window=st.sampled_from([0.5, 2.0]))
-def test_the_extremes_are_those_that_the_leaf_sees(gaps: list[int], window: float) -> None:
+def test_the_extremes_equal_the_rates_that_the_leaf_measures(gaps: list[int], window: float) -> None:
     times = [total / 1000 for total in itertools.accumulate(gaps)]
     slowest, fastest = extremes(times, window)
     moments = [at for at in sorted({*times, *(at + window for at in times)}) if times[0] + window <= at <= times[-1]]
@@ -113,7 +113,7 @@ def test_the_extremes_are_those_that_the_leaf_sees(gaps: list[int], window: floa
 
 @settings(max_examples=25, deadline=None)
 @given(gaps=st.lists(st.integers(1, 300), min_size=100, max_size=200))
-def test_a_rate_that_is_proposed_holds_all_through_what_it_was_learnt_from(gaps: list[int]) -> None:
+def test_a_proposed_rate_holds_for_the_whole_recording(gaps: list[int]) -> None:
     times = [total / 1000 for total in itertools.accumulate(gaps)]
     bounds = proposed(times, measured(times), FACTOR, MARGIN)
     if bounds.band is None:

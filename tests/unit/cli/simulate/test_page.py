@@ -17,7 +17,7 @@ PAGE = Path(__file__).resolve().parents[4] / "docs" / "trying.md"
 COMMANDS: dict[str, Callable[[list[str]], int]] = {"simulate": simulate.main, "learn": learn.main}
 
 
-def test_the_recording_is_judged_as_the_page_says(
+def test_the_recording_gives_the_results_on_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -32,9 +32,7 @@ def test_the_recording_is_judged_as_the_page_says(
 
 
 @pytest.mark.parametrize("command", [simulate.main, learn.main])
-def test_help_says_what_the_exit_status_means(
-    command: Callable[[list[str]], int], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_help_explains_the_exit_status(command: Callable[[list[str]], int], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         command(["--help"])
     assert "Exit status: 0 if" in capsys.readouterr().out

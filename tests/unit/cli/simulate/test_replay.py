@@ -63,7 +63,7 @@ class Tried:
 
 
 @pytest.mark.parametrize("storage", BOTH)
-def test_a_silence_is_detected_at_its_gap_and_over_with_the_next_message(tmp_path: Path, storage: Storage) -> None:
+def test_a_silence_is_detected_after_its_gap_and_ends_with_the_next_message(tmp_path: Path, storage: Storage) -> None:
     said = [*clock(8), *every("/cmd_vel", TWIST, 0, 3, 20), *every("/cmd_vel", TWIST, 5, 8, 20)]
     found = Tried(tmp_path, said, "{topic: {name: /cmd_vel, gap: 500ms}}", storage).only()
     assert found.detected == unix(2.95) + 0.5
@@ -72,7 +72,7 @@ def test_a_silence_is_detected_at_its_gap_and_over_with_the_next_message(tmp_pat
 
 
 @pytest.mark.parametrize("storage", BOTH)
-def test_a_rate_that_drops_is_detected_though_messages_come(tmp_path: Path, storage: Storage) -> None:
+def test_a_dropped_rate_is_detected_although_messages_arrive(tmp_path: Path, storage: Storage) -> None:
     said = [*every("/odom", "nav_msgs/msg/Odometry", 0, 5, 30), *every("/odom", "nav_msgs/msg/Odometry", 5, 12, 10)]
     tried = Tried(tmp_path, said, "{topic: {name: /odom, rate: '> 20 Hz', window: 2s}}", storage)
     assert tried.states("odom") == ["Starting", "Healthy", "Failed"]
@@ -81,7 +81,7 @@ def test_a_rate_that_drops_is_detected_though_messages_come(tmp_path: Path, stor
 
 
 @pytest.mark.parametrize("storage", BOTH)
-def test_a_value_is_read_out_of_the_messages(tmp_path: Path, storage: Storage) -> None:
+def test_a_value_is_read_from_the_messages(tmp_path: Path, storage: Storage) -> None:
     levels = [(0, 0.5), (1, 0.2), (2, 0.1), (3, 0.09), (4, 0.4), (5, 0.4)]
     said = [Said(at, "/battery", BATTERY, {"percentage": level}) for at, level in levels]
     tree = f'{{value: {{topic: /battery, type: {BATTERY}, holds: "percentage > 0.15"}}}}'
@@ -90,7 +90,7 @@ def test_a_value_is_read_out_of_the_messages(tmp_path: Path, storage: Storage) -
     assert_golden("simulate", found.reason, "percentage > 0.15", "/battery", "percentage was 0.1")
 
 
-def test_fields_of_fields_arrays_and_truths_are_as_ros_has_them(tmp_path: Path) -> None:
+def test_nested_fields_arrays_and_booleans_are_decoded_as_in_ros(tmp_path: Path) -> None:
     said = [
         Said(
             0,
@@ -111,7 +111,7 @@ def test_fields_of_fields_arrays_and_truths_are_as_ros_has_them(tmp_path: Path) 
     assert found.detected == unix(1)
 
 
-def test_diagnostics_ages_and_transforms_are_judged_as_live(tmp_path: Path) -> None:
+def test_diagnostics_ages_and_transforms_are_evaluated_as_in_a_live_graph(tmp_path: Path) -> None:
     def diagnostics(at: float, level: int) -> Said:
         return Said(
             at, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"status": [{"name": "camera", "level": level}]}
@@ -147,7 +147,7 @@ def test_diagnostics_ages_and_transforms_are_judged_as_live(tmp_path: Path) -> N
     ]
 
 
-def test_what_a_monitor_said_itself_was_no_evidence(tmp_path: Path) -> None:
+def test_diagnostics_that_a_monitor_published_are_not_evidence(tmp_path: Path) -> None:
     def diagnostics(at: float, name: str, level: int) -> Said:
         return Said(
             at, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"status": [{"name": name, "level": level}]}
@@ -161,7 +161,7 @@ def test_what_a_monitor_said_itself_was_no_evidence(tmp_path: Path) -> None:
     assert tried.only().detected == unix(3.5) + 2.0
 
 
-def test_a_task_is_told_by_the_status_of_its_action(tmp_path: Path) -> None:
+def test_the_status_of_an_action_determines_whether_a_task_is_active(tmp_path: Path) -> None:
     said = [*clock(20), goals(4, 1), goals(5, 1, 2), goals(15, 4), *every("/cmd_vel", TWIST, 5.5, 10, 10)]
     tree = "{while: {task_active: {action: /go}}, do: {topic: {name: /cmd_vel, gap: 500ms}}}"
     tried = Tried(tmp_path, said, tree)
@@ -170,7 +170,7 @@ def test_a_task_is_told_by_the_status_of_its_action(tmp_path: Path) -> None:
     assert tried.only().recovered == unix(15), "it isn't needed any more"
 
 
-def test_what_fails_for_less_than_the_debounce_is_passed_over(tmp_path: Path) -> None:
+def test_a_failure_shorter_than_the_debounce_is_not_detected(tmp_path: Path) -> None:
     said = [*clock(9), *(Said(at, "/cmd_vel", TWIST) for at in (0, 1, 2.2, 3, 6, 7, 8))]
     tried = Tried(tmp_path, said, "{topic: {name: /cmd_vel, gap: 1s}}", debounce="300ms")
     assert tried.only().failed == unix(3) + 1.0
@@ -179,13 +179,13 @@ def test_what_fails_for_less_than_the_debounce_is_passed_over(tmp_path: Path) ->
     assert [(one.failed, one.recovered) for one in passed] == [(unix(1) + 1.0, unix(2.2))]
 
 
-def test_what_was_never_received_fails_with_the_grace_counted_from_the_bag_s_start(tmp_path: Path) -> None:
+def test_a_topic_that_never_arrives_fails_when_the_grace_time_from_the_bag_start_ends(tmp_path: Path) -> None:
     tried = Tried(tmp_path, clock(9), "{topic: {name: /scan, gap: 1s}}", also={"/scan": SCAN}, grace="5s")
     assert tried.only().detected == unix(0) + 5.0
     assert tried.found.evaluation.healthy is None
 
 
-def test_what_gets_better_by_time_alone_is_noted_at_its_moment(tmp_path: Path) -> None:
+def test_a_recovery_without_a_message_is_recorded_at_its_time(tmp_path: Path) -> None:
     said = [*clock(9), *every("/odom", TWIST, 0, 3, 10), *every("/odom", TWIST, 3, 4, 30)]
     tried = Tried(tmp_path, said, "{topic: {name: /odom, rate: '<= 20 Hz', window: 1s}}")
     last = max(one.at for one in said if one.topic == "/odom")
@@ -194,7 +194,7 @@ def test_what_gets_better_by_time_alone_is_noted_at_its_moment(tmp_path: Path) -
     assert unix(last) < recovered < unix(last) + 1.0, "no message came then"
 
 
-def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
+def test_leaves_that_a_bag_cannot_answer_are_left_out_and_reported(tmp_path: Path) -> None:
     tree = (
         "{parallel: [{topic: {name: /scan, gap: 1s}}, {topic: {name: /imu, gap: 1s}}, {publisher: {topic: /scan}}, "
         "{name: sent, age: {topic: /scan, most: 1s, by: source}}, {pod: {condition: Ready}}, "
@@ -214,7 +214,7 @@ def test_what_a_bag_cannot_tell_is_left_out_and_said(tmp_path: Path) -> None:
     assert "--include-hidden-topics" in told["driving/scan"]
 
 
-def test_with_nothing_to_judge_there_is_no_verdict(tmp_path: Path) -> None:
+def test_a_tree_without_answerable_leaves_gives_no_verdict(tmp_path: Path) -> None:
     with pytest.raises(
         CommandError,
         match="this bag contains nothing that the policy's tree can evaluate\nimu: the bag does not contain /imu",
@@ -228,7 +228,7 @@ steps = st.lists(st.integers(1, 1500), min_size=1, max_size=40)
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=steps, gap=st.integers(50, 900), debounce=st.integers(0, 400), storage=st.sampled_from(BOTH))
-def test_each_gap_is_detected_exactly_when_it_has_lasted(
+def test_each_gap_is_detected_exactly_when_its_duration_ends(
     tmp_path_factory: pytest.TempPathFactory, steps: list[int], gap: int, debounce: int, storage: Storage
 ) -> None:
     times = [0.0, *(total / 1000 for total in itertools.accumulate(steps))]

@@ -32,7 +32,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_it_says_what_and_when_and_ends_with_1(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_detections_are_printed_with_their_times_and_the_exit_status_is_1(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["policy.yaml", "--bag", "bag"]) == 1
     told = capsys.readouterr()
     assert told.err == ""
@@ -54,20 +56,18 @@ def test_it_says_what_and_when_and_ends_with_1(folder: Path, capsys: pytest.Capt
     )
 
 
-def test_it_ends_with_0_where_nothing_would_have_been_detected(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_exit_status_is_0_without_detections(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["patient.yaml", "--bag", "bag"]) == 0
     assert "\nNothing was detected.\n" in capsys.readouterr().out
 
 
-def test_a_single_file_of_a_bag_is_enough(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_single_file_of_a_bag_is_accepted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["policy.yaml", "--bag", "bag/bag.mcap"]) == 1
     write(folder / "lite", every("/cmd_vel", TWIST, 0, 3, 10), "sqlite3")
     assert main(["policy.yaml", "--bag", "lite/lite.db3"]) == 0
 
 
-def test_for_programs_it_is_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_output_contains_the_detections(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["policy.yaml", "--bag", "bag", "-o", "json", "--onset", "2.95"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["bag"] == {
@@ -104,21 +104,23 @@ def test_for_programs_it_is_json(folder: Path, capsys: pytest.CaptureFixture[str
         (["6"], "Given failure at 6.000 s: NOT DETECTED\nDetected at 3.400 s: matches no given failure\n"),
     ],
 )
-def test_onsets_that_are_given_are_told_beside_their_detections(
+def test_given_onsets_are_printed_next_to_their_detections(
     folder: Path, capsys: pytest.CaptureFixture[str], onsets: list[str], told: str
 ) -> None:
     assert main(["policy.yaml", "--bag", "bag", *(part for one in onsets for part in ("--onset", one))]) == 1
     assert told in capsys.readouterr().out
 
 
-def test_another_grace_for_what_was_up_before(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_grace_option_replaces_the_grace_time_of_the_policy(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     write(folder / "late", [*every("/odom", TWIST, 0, 8, 10), *every("/cmd_vel", TWIST, 4, 8, 10)])
     assert main(["policy.yaml", "--bag", "late"]) == 0
     assert main(["policy.yaml", "--bag", "late", "--grace", "0s"]) == 1
     assert "no /cmd_vel within 0 ms of the start" in capsys.readouterr().out
 
 
-def test_it_draws_detections_and_failed_times(folder: Path) -> None:
+def test_the_plot_shows_detections_and_failed_times(folder: Path) -> None:
     assert main(["policy.yaml", "--bag", "bag", "--plot", "drawn.png"]) == 1
     assert main(["patient.yaml", "--bag", "bag", "--plot", "fine.png"]) == 0
     red, rosy = (179, 38, 30), (242, 184, 176)
@@ -180,7 +182,7 @@ def test_it_draws_detections_and_failed_times(folder: Path) -> None:
         (["field.yaml", "--bag", "bag"], "geometry_msgs/msg/Twist has no field 'linnear', did you mean 'linear'?"),
     ],
 )
-def test_what_cannot_be_used_ends_with_2_and_a_way_out(
+def test_unusable_input_ends_with_status_2_and_a_cure(
     folder: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], told: str
 ) -> None:
     (folder / "no.mcap").write_bytes(b"not a recording at all, of whatever kind" * 9)
@@ -201,7 +203,7 @@ def test_what_cannot_be_used_ends_with_2_and_a_way_out(
     assert told in printed.err
 
 
-def test_one_of_several_policies_is_chosen_by_its_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_option_selects_one_of_several_policies_by_name(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     both = [
         policy(f"{{topic: {{name: /cmd_vel, gap: {gap}}}}}", name=name)
         for name, gap in (("fast", "500ms"), ("slow", "3s"))
@@ -211,7 +213,7 @@ def test_one_of_several_policies_is_chosen_by_its_name(folder: Path, capsys: pyt
     assert main(["both.yaml", "--bag", "bag", "--policy", "fast"]) == 1
 
 
-def test_a_policy_may_be_xml_and_come_by_standard_input(
+def test_a_policy_in_xml_is_read_from_standard_input(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tree = '\'<root BTCPP_format="4"><BehaviorTree ID="Healthy"><Topic topic="/cmd_vel" gap="500ms"/></BehaviorTree></root>\''
@@ -240,7 +242,7 @@ data:
 """
 
 
-def test_a_tree_may_be_in_a_config_map_of_the_same_file_or_in_the_policy_s_status(
+def test_a_tree_is_read_from_a_config_map_in_the_file_or_from_the_policy_status(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "both.yaml").write_text(f"{LENDING}---{REFERRING}")
@@ -265,7 +267,7 @@ def unknown(folder: Path) -> None:
             writer.write(connection, ns(at), b"\0\1\0\0\1\0\0\0")
 
 
-def test_a_type_that_nobody_knows_can_be_counted_but_not_looked_into(
+def test_messages_of_an_unknown_type_are_counted_but_not_decoded(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     unknown(folder)
@@ -276,7 +278,7 @@ def test_a_type_that_nobody_knows_can_be_counted_but_not_looked_into(
     assert_golden("simulate", capsys.readouterr().err, "acme_msgs", "/arm")
 
 
-def test_the_bag_s_own_definitions_count(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_message_definitions_in_the_bag_are_used(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with Writer(folder / "own", version=9) as writer:
         connection = writer.add_connection("/arm", "acme_msgs/msg/Arm", msgdef="int32 joints\n", rihs01="RIHS01_00")
         for at, joints in enumerate((6, 6, 2)):
@@ -286,7 +288,9 @@ def test_the_bag_s_own_definitions_count(folder: Path, capsys: pytest.CaptureFix
     assert "joints > 3 of /arm does not hold (joints was 2)" in capsys.readouterr().out
 
 
-def test_what_messages_say_does_not_move_the_cursor(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_in_messages_do_not_reach_the_terminal(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     status = {"status": [{"name": "camera", "level": 2, "message": "\x1b[2Jgone\x07"}]}
     write(folder / "bad", [Said(0, "/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", status)])
     (folder / "d.yaml").write_text(policy("{diagnostics: {name: camera, worst: WARN}}", grace="0s"))
@@ -305,7 +309,7 @@ def run(program: str, folder: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize(("missing", "extra"), [("rosbags", "bags"), ("matplotlib", "plots")])
-def test_without_an_extra_it_says_which(folder: Path, missing: str, extra: str) -> None:
+def test_a_missing_extra_is_reported_by_name(folder: Path, missing: str, extra: str) -> None:
     program = (
         f"import sys; sys.modules['{missing}'] = sys.modules['rclpy'] = None;"
         "sys.argv = ['understudy', 'simulate', 'policy.yaml', '--bag', 'bag', '--plot', 'a.png'];"
@@ -316,7 +320,7 @@ def test_without_an_extra_it_says_which(folder: Path, missing: str, extra: str) 
     assert f"pip install '.[{extra}]'" in done.stderr
 
 
-def test_it_is_a_command_of_understudy_and_needs_no_ros(folder: Path) -> None:
+def test_simulate_runs_as_a_subcommand_without_ros(folder: Path) -> None:
     program = (
         "import sys; sys.modules['rclpy'] = None; sys.argv = ['understudy', 'simulate', 'policy.yaml', '--bag', 'bag'];"
         "from understudy.main import main; sys.exit(main())"

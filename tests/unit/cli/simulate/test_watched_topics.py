@@ -126,7 +126,7 @@ def watch(graph: Any, tmp_path: Path) -> Iterator[Callable[..., Command]]:
         command.process.wait()
 
 
-def test_a_silence_is_seen_and_so_is_its_end(
+def test_the_start_and_end_of_a_silence_are_reported(
     publish: Callable[[str], Publishing], watch: Callable[..., Command]
 ) -> None:
     first = publish("/chat")
@@ -152,19 +152,19 @@ def test_a_run_without_failures_ends_with_status_0(
     assert (status, said) == (0, "understudy watch: no failure was detected\n")
 
 
-def test_it_ends_by_itself_and_says_what_never_came(watch: Callable[..., Command]) -> None:
+def test_the_command_ends_after_its_time_and_reports_topics_that_never_arrived(watch: Callable[..., Command]) -> None:
     status, said = watch("{topic: {name: /never, type: std_msgs/msg/String, gap: 1s}}", "--for", "300ms").ended()
     assert status == 0
     assert_golden("simulate", said, "/never", "30 s")
 
 
-def test_another_grace_than_the_policy_s(watch: Callable[..., Command]) -> None:
+def test_the_grace_option_replaces_the_grace_time_of_the_policy(watch: Callable[..., Command]) -> None:
     command = watch("{topic: {name: /never, type: std_msgs/msg/String, gap: 1s}}", "--grace", "200ms")
     command.until("DETECTED never: no /never within 200 ms of the start")
     assert command.ended(signal.SIGINT)[0] == 1
 
 
-def test_it_says_what_it_does_not_watch_and_why(watch: Callable[..., Command]) -> None:
+def test_unwatched_topics_are_reported_with_the_reason(watch: Callable[..., Command]) -> None:
     tree = "{parallel: [{topic: {name: /a, gap: 1s}}, {topic: {name: /b, type: acme_msgs/msg/Arm, gap: 1s}}]}"
     command = watch(tree)
     command.until("/b: acme_msgs/msg/Arm is not installed")
@@ -172,7 +172,7 @@ def test_it_says_what_it_does_not_watch_and_why(watch: Callable[..., Command]) -
     assert command.ended(signal.SIGINT)[0] == 0
 
 
-def test_what_only_the_cluster_tells_is_left_out_and_said(
+def test_leaves_that_need_the_cluster_are_left_out_and_reported(
     publish: Callable[[str], Publishing], watch: Callable[..., Command]
 ) -> None:
     publish("/chat")
@@ -182,7 +182,7 @@ def test_what_only_the_cluster_tells_is_left_out_and_said(
     assert command.ended(signal.SIGINT)[0] == 0
 
 
-def test_where_nothing_else_is_left_that_is_said(watch: Callable[..., Command]) -> None:
+def test_a_tree_of_cluster_leaves_only_is_refused(watch: Callable[..., Command]) -> None:
     status, said = watch("{pod: {restarts: 2, window: 10m}}").ended()
     assert status == 2
     assert_golden("simulate", said, "pod.restarts")
@@ -208,7 +208,7 @@ def test_watching_only_subscribes_and_never_publishes(
     assert command.ended(signal.SIGINT)[0] == 0
 
 
-def test_a_terminal_shows_the_whole_tree_and_gets_its_screen_back(
+def test_a_terminal_shows_the_whole_tree_and_is_restored_at_the_end(
     publish: Callable[[str], Publishing], watch: Callable[..., Command]
 ) -> None:
     publish("/chat")
@@ -245,7 +245,7 @@ def test_unusable_input_ends_with_status_2(tmp_path: Path, capsys: pytest.Captur
     assert_golden("simulate", capsys.readouterr().err.splitlines()[-1], "'30'")
 
 
-def test_without_ros_it_says_which_extra(tmp_path: Path) -> None:
+def test_without_ros_the_missing_extra_is_reported(tmp_path: Path) -> None:
     (tmp_path / "policy.yaml").write_text(policy("{topic: {name: /chat, gap: 1s}}"))
     program = (
         "import sys; sys.modules['rclpy'] = None; sys.argv = ['understudy', 'watch', 'policy.yaml'];"
