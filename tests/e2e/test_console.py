@@ -42,7 +42,8 @@ def test_the_console_shows_a_robot_before_and_after_a_failure(executing: Robot, 
     explained = understudy(kubectl, "explain", name)
     assert explained.returncode == 0, explained.stderr
     assert f"In control: {active} on " in explained.stdout
-    assert "1. Fallback from pool quickstart-executing would run: pod " in explained.stdout
+    written = " ".join(explained.stdout.split())  # lines end where the terminal ends
+    assert "1. Fallback from pool quickstart-executing would run: pod " in written
     assert understudy(kubectl, "timeline", name).stdout.strip().endswith("no recoveries yet")
 
     judged_as_it_is(executing, tmp_path / "fleet.yaml")
