@@ -238,7 +238,11 @@ def test_a_bad_status_is_refused(cluster: Cluster, make, status: Object, field: 
         ("robotworkload", ["One application of one robot", "spec\t<Object> -required-"]),
         (
             "rw.spec",
-            ["failurePolicyRef\t<Object> -required-", "outputs\t<[]Object> -required-", "The gate controls all of them"],
+            [
+                "failurePolicyRef\t<Object> -required-",
+                "outputs\t<[]Object> -required-",
+                "The gate controls all of them",
+            ],
         ),
         ("rw.spec.outputs", ["type\t<string> -required-", "ROS type, such as geometry_msgs/msg/Twist"]),
         ("rw.spec.ros.discovery", ["enum: Managed, External, Multicast", "runs a Fast DDS discovery server"]),
