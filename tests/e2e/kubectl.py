@@ -111,7 +111,9 @@ class Kubectl:
 
     def get(self, kind: str, name: str) -> Object:
         """An object. Raises Failed where it isn't there."""
-        return reader(self.kubeconfig).read(self.namespace, kind, name)
+        found = reader(self.kubeconfig).read(self.namespace, kind, name)
+        found["metadata"].pop("managedFields", None)  # as kubectl does
+        return found
 
     def find(self, kind: str, name: str) -> Object | None:
         """An object, or None."""
