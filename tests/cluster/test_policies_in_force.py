@@ -149,7 +149,8 @@ def test_requirements_decide_which_standbys_are_kept(fleet: Fleet, operator: Ope
 def test_a_pool_that_comes_later_is_chosen_from(fleet: Fleet, operator: Operator) -> None:
     fleet.create(requiring(availability="High", resourceUsage="High"), workload())
     said = fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "RequirementsNotMet")
-    assert "availability High requires" in said["message"]
+    assert "Not met: availability High requires a recovery within 500 ms" in said["message"]
+    assert "the first, Restart, takes" in said["message"]
     fleet.create(hot())
     fleet.wait_condition("RobotWorkload", "w", "StrategiesChosen", "Chosen", "True")
     until(lambda: chosen(fleet) == ["hot", "Restart"], "the monitor to be told")
