@@ -17,7 +17,7 @@ def _run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
 
 
 @pytest.mark.parametrize("asked", ["--help", "-h", "help"])
-def test_help_has_a_line_for_each_verb_that_people_type(
+def test_help_lists_each_verb_for_users(
     asked: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(monkeypatch, asked) == 0
@@ -25,7 +25,7 @@ def test_help_has_a_line_for_each_verb_that_people_type(
     assert sorted(listed) == sorted(verb.name for verb in command.VERBS if not verb.in_pods)
 
 
-def test_without_a_verb_the_same_is_an_error(
+def test_a_missing_verb_is_an_error_with_the_help_text(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(monkeypatch) == 2
@@ -41,19 +41,19 @@ def test_without_a_verb_the_same_is_an_error(
         ("frobnicate", "unknown verb 'frobnicate'; understudy --help lists all verbs"),
     ],
 )
-def test_a_verb_that_is_not_there_is_told_by_its_name(
+def test_an_unknown_verb_is_reported_with_a_similar_one(
     typed: str, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert _run(monkeypatch, typed) == 2
     assert capsys.readouterr().err == f"understudy: {said}\n"
 
 
-def test_it_says_which_version_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     assert _run(monkeypatch, "--version") == 0
     assert capsys.readouterr().out == f"understudy {__version__}\n"
 
 
-def test_what_a_part_is_made_of_is_not_looked_through_for_garbage() -> None:
+def test_imported_modules_are_excluded_from_garbage_collection() -> None:
     code = (
         "import gc\n"
         "from understudy import main\n"

@@ -23,21 +23,21 @@ def _normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def test_constraints_are_versions_and_nothing_else() -> None:
+def test_every_constraint_is_a_pinned_version() -> None:
     assert CONSTRAINTS
     odd = [line for line in CONSTRAINTS if not re.fullmatch(r"[a-z0-9-]+==[0-9][0-9A-Za-z.+!]*", line)]
     assert odd == []
 
 
 @pytest.mark.parametrize("group", ["dependencies", *PROJECT["optional-dependencies"]])
-def test_everything_that_is_asked_for_is_pinned(group: str) -> None:
+def test_every_dependency_is_pinned(group: str) -> None:
     asked = PROJECT["dependencies"] if group == "dependencies" else PROJECT["optional-dependencies"][group]
     pinned = {line.partition("==")[0] for line in CONSTRAINTS}
     names = {_normal(re.split(r"[<>=!~;\[ ]", text, maxsplit=1)[0]) for text in asked}
     assert names - pinned == set(), "run scripts/constraints"
 
 
-def test_the_chart_is_of_the_package_s_version() -> None:
+def test_the_chart_has_the_version_of_the_package() -> None:
     chart = yaml.safe_load((REPOSITORY / "charts" / "understudy" / "Chart.yaml").read_text())
     assert chart["version"] == chart["appVersion"] == understudy.__version__
 
@@ -54,14 +54,14 @@ def test_an_unknown_suite_is_refused() -> None:
     assert "lint, unit, cluster, e2e or all" in done.stderr
 
 
-def test_the_ci_runs_all() -> None:
+def test_the_ci_runs_all_suites() -> None:
     text = (REPOSITORY / ".ci" / "run").read_text()
     assert "scripts/test all" in text
     for path in (".ci/run", "scripts/test", "scripts/generate", "scripts/constraints"):
         assert (REPOSITORY / path).stat().st_mode & 0o111, f"{path} must be executable"
 
 
-def test_the_journals_of_both_examples_stay_the_same() -> None:
+def test_the_journals_of_both_examples_are_equal() -> None:
     """Each image is made of its example's folder alone, as a reader would copy it, so that one module can't be in both."""
     files = ("navigation/src/navigation_robot/journal.py", "quickstart/src/understudy_quickstart/journal.py")
     (ones, others) = ((REPOSITORY / "examples" / file).read_text().splitlines() for file in files)

@@ -22,7 +22,7 @@ def f(name: str) -> str:
 '''
 
 
-def test_comments_and_docstrings_keep_their_lines() -> None:
+def test_comments_and_docstrings_keep_their_line_numbers() -> None:
     found = [text.lines for text in python_texts(SOURCE) if text.kind == "comments"]
     assert ((3, "Why it is so,"), (4, "in two lines.")) in found
     assert ((1, "A module."),) in found
@@ -30,7 +30,7 @@ def test_comments_and_docstrings_keep_their_lines() -> None:
     assert any((12, "    More of it.") in lines for lines in found)
 
 
-def test_sentences_in_code_are_messages_and_keys_are_not() -> None:
+def test_sentences_in_code_are_messages_and_identifiers_are_not() -> None:
     found = [text.lines for text in python_texts(SOURCE) if text.kind == "messages"]
     assert found == [((15, "the pod X is not readyand it waits"),)]
 

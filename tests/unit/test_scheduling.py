@@ -46,7 +46,7 @@ def test_a_process_and_its_later_threads_get_short_slices() -> None:
     assert told == ["True", str(cpu_scheduling.SLICE), str(cpu_scheduling.SLICE)]
 
 
-def test_a_refusal_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_of_the_kernel_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     class Refusing:
         def __init__(self, *_: object, **__: object) -> None: ...
 

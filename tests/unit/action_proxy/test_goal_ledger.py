@@ -216,7 +216,7 @@ class TestSwitch:
         assert world.cancelled[0].code == CANCEL_OK
         assert world.results[goal][0] == CANCELED
 
-    def test_two_switches_in_a_row_and_back(self, world: World) -> None:
+    def test_a_goal_is_sent_again_with_another_id_after_two_switches(self, world: World) -> None:
         goal = world.ask()
         world.switch("b")
         world.switch("a")
@@ -281,7 +281,7 @@ class TestSwitch:
 
 
 class TestPolicies:
-    def test_abort(self) -> None:
+    def test_on_failover_abort_aborts_the_goals_at_a_switch(self) -> None:
         world = World("Abort")
         world.switch("a")
         goal = world.ask()
@@ -290,7 +290,7 @@ class TestPolicies:
         assert world.results == {goal: (ABORTED, "")}
         assert world.instances["b"].starts == []
 
-    def test_tree_sends_them_when_it_asks_behind_the_closed_gate(self) -> None:
+    def test_on_failover_tree_sends_the_goals_when_the_procedure_requests_it(self) -> None:
         world = World("Tree")
         world.switch("a")
         goal = world.ask()
@@ -304,7 +304,7 @@ class TestPolicies:
         assert status(world, goal) == EXECUTING
         assert world.instances["b"].starts == [goal]
 
-    def test_tree_without_a_leaf_sends_them_when_the_recovery_is_over(self) -> None:
+    def test_on_failover_tree_without_the_leaf_sends_the_goals_after_the_recovery(self) -> None:
         world = World("Tree")
         world.switch("a")
         goal = world.ask()
@@ -322,7 +322,7 @@ class TestMirrors:
         made.switch("a")
         return made
 
-    def test_a_standby_that_runs_in_full_has_the_goal_and_keeps_it(self, world: World) -> None:
+    def test_an_executing_standby_receives_the_goal_and_keeps_it_at_the_switch(self, world: World) -> None:
         goal = world.ask()
         assert world.instances["b"].starts == [goal]
         world.switch("b")

@@ -21,7 +21,7 @@ __all__ = ["world"]  # fixtures
 
 class TestRestart:
     @pytest.mark.parametrize("step", range(6))
-    def test_at_any_step_no_goal_is_lost_and_every_answer_is_given(self, step: int) -> None:
+    def test_a_restart_at_any_step_loses_no_goal_and_no_answer(self, step: int) -> None:
         world = World()
         world.switch("a")
         goal = world.ask(work=False)

@@ -183,7 +183,7 @@ def executed(pod: Pod) -> list[int]:
     return [line["order"] for line in pod.application.said("executing")]
 
 
-async def test_a_client_sees_one_goal_although_the_instance_dies_and_another_takes_over(monitor, pods, start):
+async def test_a_client_sees_one_goal_although_another_instance_takes_over(monitor, pods, start):
     first, second = pods("robot-1", STEP="0.1"), pods("robot-2", STEP="0.1")
     monitor.switch(first, first.peer(), second.peer())
     client = start("client", ACTION, "100", "500")
@@ -230,7 +230,7 @@ async def test_the_proxy_is_killed_and_no_client_notices(monitor, pods, start, j
     await eventually(lambda: after.said("ended", status=SUCCEEDED))
 
 
-async def test_cancel_reject_preempt_and_a_client_that_goes_away(monitor, pods, start):
+async def test_goals_are_cancelled_rejected_preempted_and_survive_their_client(monitor, pods, start):
     pod, spare = pods("robot-1", "preempt"), pods("robot-2")
     monitor.switch(pod, pod.peer(), spare.peer())
     client = start("client", ACTION, "400", "2000", "401", ONE_BY_ONE="1")

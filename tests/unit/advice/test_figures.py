@@ -25,7 +25,7 @@ def recovery(by: str, seconds: float, **more: Any) -> Recovery:
     return Recovery(id="r", reason="gone", **{"result": "Recovered", "strategy": by, "parts": parts, **more})
 
 
-def test_the_median_of_what_comes_after_the_detection_counts():
+def test_a_measured_time_is_the_median_after_the_detection():
     found = measured_times([recovery("Fallback/Executing", seconds) for seconds in (0.02, 0.03, 0.9)])
     assert found == {"Executing": Figure(pytest.approx(0.03), "measured 3 times")}
 
@@ -49,11 +49,11 @@ def test_two_recoveries_are_too_few_for_a_measurement():
     ],
     ids=lambda other: next(iter(other)),
 )
-def test_what_tells_nothing_of_a_strategys_time_is_left_out(other):
+def test_recoveries_without_evidence_about_a_strategy_are_omitted(other):
     assert measured_times([recovery("Restart", 1.0, **other) for _ in range(5)]) == {}
 
 
-def test_a_strategy_without_means_took_no_time():
+def test_a_strategy_that_was_not_available_took_no_time():
     passed = [Attempt(strategy="Fallback/Executing", result="NotAvailable")]
     assert (
         measured_times([recovery("Restart", 1.0, attempts=passed) for _ in range(3)])["Restart"].source
@@ -61,14 +61,14 @@ def test_a_strategy_without_means_took_no_time():
     )
 
 
-def test_what_was_not_measured_is_as_published_and_says_so():
+def test_an_unmeasured_time_is_the_published_one_and_marked_so():
     known = Figures(measured_seconds={"Restart": Figure(1.5, "measured 4 times")})
     assert (known.seconds("Restart").value, known.seconds("Restart").source) == (1.5, "measured 4 times")
     assert (known.seconds("Executing").value, known.seconds("Executing").source) == (0.05, "published")
     assert known.cpu("Uninitialized") == Figure(0.0)
 
 
-def test_the_published_figures_are_near_those_of_the_last_bench():
+def test_the_published_figures_are_close_to_those_of_the_last_bench():
     """Near and not the same: a bench that is run again is no reason to choose otherwise."""
     figures = json.loads(RESULTS.read_text())["figures"]
 

@@ -21,13 +21,13 @@ def test_the_figures_of_the_paper_are_reproduced():
 @pytest.mark.parametrize(
     ("fallbacks", "window", "interval"), [(4, 6, 12), (5, 3, 12), (6, 2, 10), (2, 20, 12), (7, 1, 9)]
 )
-def test_ways_are_counted_as_if_each_were_written_down(fallbacks, window, interval):
+def test_the_counted_ways_equal_an_enumeration(fallbacks, window, interval):
     argument = estimate(RATE * 3, window, fallbacks, interval)
     ways = list(combinations_with_replacement(range(interval), argument.remaining))
     within = [way for way in ways if not way or way[-1] - way[0] < window]
     assert (argument.together, argument.ways) == (len(within), len(ways))
 
 
-def test_nothing_remains_where_there_are_as_many_fallbacks():
+def test_no_failures_remain_with_enough_fallbacks():
     argument = estimate(RATE, 6.0, 9)
     assert (argument.remaining, argument.chance) == (0, 1.0)

@@ -80,7 +80,7 @@ def test_the_size_does_not_oscillate_for_a_steady_fleet(seed):
 
 @settings(deadline=None)
 @given(st.integers(0, 500), st.floats(0.001, 10), st.integers(0, 30), st.floats(0, 1e5))
-def test_it_is_always_within_its_limits_and_never_below_what_is_needed(robots, rate, size, age):
+def test_the_size_stays_within_its_limits_and_covers_the_need(robots, rate, size, age):
     found = decide_size(AIM, robots, estimate_rate(rate, 3, 100.0), CurrentSize(size, since=0.0), age)
     assert AIM.least <= found.size <= AIM.most
     assert found.size >= min(found.needed, AIM.most)

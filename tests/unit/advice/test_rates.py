@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from understudy.advice.failure_rate import estimate_rate
 
 
-def test_what_was_assumed_is_the_rate_while_nothing_was_seen():
+def test_the_assumed_rate_counts_without_observations():
     rate = estimate_rate(2.0, 0, 0.0)
     assert rate.expected == pytest.approx(2.0)
     assert (rate.low, rate.high) == (pytest.approx(2.0 * 0.0513, rel=1e-3), pytest.approx(2.0 * 2.9957, rel=1e-3))
@@ -23,18 +23,18 @@ def test_what_was_assumed_is_the_rate_while_nothing_was_seen():
         (49, 77.929 / 2, 124.342 / 2),
     ],
 )
-def test_the_limits_are_those_of_the_tables(failures, low, high):
+def test_the_limits_equal_tabulated_quantiles(failures, low, high):
     rate = estimate_rate(1.0, failures, 99.0)
     assert (rate.low, rate.high) == (pytest.approx(low / 100, rel=1e-3), pytest.approx(high / 100, rel=1e-3))
 
 
-def test_a_fleet_that_does_not_fail_is_taken_to_fail_less_and_less():
+def test_the_rate_falls_while_a_fleet_does_not_fail():
     rates = [estimate_rate(1.0, 0, hours).high for hours in (0, 10, 100, 1000)]
     assert rates == sorted(rates, reverse=True)
     assert rates[-1] < 0.01
 
 
-def test_what_was_assumed_soon_does_not_matter_any_more():
+def test_observations_soon_outweigh_the_assumed_rate():
     low, high = estimate_rate(0.01, 100, 1000.0).expected, estimate_rate(10.0, 100, 1000.0).expected
     assert low == pytest.approx(high, rel=0.11)
 

@@ -44,7 +44,7 @@ def test_an_order_is_never_empty_and_always_contains_a_restart(asked, offered, k
 
 @tried
 @given(requirements, pools, figures)
-def test_every_pool_is_in_it_once_or_is_said_to_be_left_out(asked, offered, known):
+def test_every_pool_is_chosen_once_or_reported_as_left_out(asked, offered, known):
     found = order_strategies(asked, offered, known)
     told = [one.candidate for one in (*found.chosen, *found.costly, *found.spared)]
     assert sorted(told, key=repr) == sorted([*offered, Candidate("Restart")], key=repr)
@@ -83,7 +83,7 @@ def test_a_more_critical_task_never_gives_a_slower_first_strategy(asked, offered
 
 @tried
 @given(requirements, pools, figures)
-def test_no_strategy_costs_more_than_may_be_spent(asked, offered, known):
+def test_no_strategy_exceeds_the_resource_limit(asked, offered, known):
     found = order_strategies(asked, offered, known)
     if effective_resource_usage(asked) == "Low":
         assert all(one.cost <= NEGLIGIBLE for one in found.chosen)
@@ -95,7 +95,7 @@ def test_no_strategy_costs_more_than_may_be_spent(asked, offered, known):
 
 @tried
 @given(requirements, pools, figures)
-def test_safety_high_lets_one_that_was_seen_to_be_healthy_go_first_whatever_it_costs(asked, offered, known):
+def test_with_safety_high_an_executing_standby_is_first_at_any_cost(asked, offered, known):
     found = order_strategies(asked.model_copy(update={"safety": "High"}), offered, known)
     if any(one.way == "Executing" for one in offered):
         assert found.first.candidate.way == "Executing"
@@ -111,7 +111,7 @@ def _up(offered: list[Candidate]) -> int:
 
 @tried
 @given(requirements, pools, figures, levels)
-def test_safety_medium_lets_one_that_is_up_go_first_where_it_may_be_kept(asked, offered, known, usage):
+def test_with_safety_medium_a_running_standby_within_the_limit_is_first(asked, offered, known, usage):
     asked = asked.model_copy(update={"safety": "Medium", "resource_usage": usage})
     found = order_strategies(asked, offered, known)
     left = {one.candidate for one in found.costly}
@@ -129,42 +129,42 @@ def test_exactly_the_unmet_requirements_are_reported(asked, offered, known):
 # -- the paper's own cases ----------------------------------------------------------------------------------------------
 
 
-def test_expensive_goods_are_worth_a_second_instance():
+def test_expensive_goods_justify_a_second_instance():
     """Section IV.D: time-critical tasks with expensive goods employ a fallback in execution mode."""
     found = short(*ALL, task_criticality="High", resource_usage="Low")
     assert found.split(", ") == ["Executing (hot)", "Initialized (warm)", "Uninitialized (spare)", "Restart"]
 
 
-def test_a_cluster_without_resources_to_spare_restarts():
+def test_a_cluster_without_spare_resources_restarts():
     """Section IV.D: with less strict requirements regarding down-time the workload is started from scratch."""
     assert short(HOT, WARM, availability="Low", resource_usage="Low") == "Restart"
 
 
-def test_an_uninitialized_fallback_is_a_good_balance_for_a_fleet():
+def test_a_fleet_with_low_availability_uses_an_uninitialized_fallback():
     assert short(*ALL, availability="Low") == "Uninitialized (spare), Restart"
 
 
-def test_by_default_the_cheapest_that_only_stops_for_a_moment():
+def test_the_default_is_the_cheapest_strategy_with_a_short_interruption():
     assert short(*ALL).split(", ") == ["Initialized (warm)", "Uninitialized (spare)", "Restart"]
 
 
-def test_high_availability_gets_the_one_standby_that_it_takes():
+def test_high_availability_uses_one_executing_standby():
     assert short(*ALL, availability="High") == "Executing (hot), Uninitialized (spare), Restart"
 
 
-def test_high_availability_has_to_be_paid_for():
+def test_high_availability_with_low_resource_usage_is_reported_as_unmet():
     found = order(*ALL, availability="High", resource_usage="Low")
     assert one_line(found) == "Uninitialized (spare), Restart"
     (told,) = unmet_requirements(found)
     assert_golden("advice", told, "High", "500 ms", "Uninitialized (spare)", "3.96 s", "Executing (hot)")
 
 
-def test_all_that_there_is_is_kept_where_resources_are_no_object():
+def test_with_high_resource_usage_all_strategies_are_used():
     found = short(*ALL, availability="Low", resource_usage="High")
     assert found.split(", ") == ["Executing (hot)", "Initialized (warm)", "Uninitialized (spare)", "Restart"]
 
 
-def test_safety_high_wants_safe_commands_too():
+def test_safety_high_requires_safe_commands():
     found = order_strategies(Requirements(safety="High"), ALL, PUBLISHED, safe_commands=False)
     assert_golden("advice", unmet_requirements(found), "safety High", "spec.safety")
 
@@ -183,7 +183,7 @@ def test_measured_figures_take_precedence_over_published_ones():
     assert_golden("advice", explain(found), "Restart", "1.2 s, measured 4 times")
 
 
-def test_the_reason_says_what_was_asked_for_and_what_was_left_out():
+def test_the_reason_explains_the_chosen_and_the_omitted_strategies():
     assert_golden(
         "advice",
         explain(order(*ALL)),

@@ -12,7 +12,7 @@ from understudy.advice.monte_carlo import _arrivals, _estimate, _share, losses, 
 FLEET = Demand(1000, 1.0, 6.0)
 
 
-def test_failures_take_what_is_there_and_go_without_what_is_not():
+def test_a_failure_without_a_free_fallback_is_a_loss():
     assert losses([0, 1, 2, 6, 6.5], 2, lambda: 6.0) == [0, 0, 1, 0, 1]
 
 
@@ -22,7 +22,7 @@ def test_failures_are_served_in_order():
 
 
 @pytest.mark.parametrize("fallbacks", [1, 4, 7])
-def test_drawn_failures_lose_and_crowd_as_the_formulas_say(fallbacks):
+def test_simulated_losses_and_windows_match_the_formulas(fallbacks):
     trial = simulate(FLEET, fallbacks, 30.0, failures=60_000)
     for estimate, expected in (
         (trial.loss, shortage_risk.loss_risk(FLEET.offered, fallbacks)),
@@ -33,7 +33,7 @@ def test_drawn_failures_lose_and_crowd_as_the_formulas_say(fallbacks):
 
 
 @pytest.mark.parametrize("fallbacks", [3, 4])
-def test_drawn_failures_wait_as_the_formulas_say_where_refills_vary_as_these_take_it(fallbacks):
+def test_simulated_waits_match_the_formulas_for_exponential_refills(fallbacks):
     draw = Random(7)
     times = list(_arrivals(FLEET.rate, 60_000, draw))
     waited = wait_times(times, fallbacks, lambda: draw.expovariate(1 / FLEET.refill))
@@ -45,13 +45,13 @@ def test_drawn_failures_wait_as_the_formulas_say_where_refills_vary_as_these_tak
         assert estimate.mean == pytest.approx(expected, abs=3 * estimate.within)
 
 
-def test_refills_that_always_take_the_same_time_make_for_less_waiting():
+def test_refills_of_constant_time_cause_less_waiting():
     assert simulate(FLEET, 4, 30.0, failures=60_000).wait.mean < 0.7 * shortage_risk.mean_wait(
         FLEET.offered, 4, FLEET.refill
     )
 
 
-def test_an_interval_is_crowded_at_least_as_often_as_one_of_its_windows():
+def test_an_interval_is_crowded_at_least_as_often_as_a_window():
     trial = simulate(FLEET, 4, 30.0, failures=60_000)
     assert trial.interval.mean > trial.window.mean
 
@@ -61,13 +61,13 @@ def test_equal_trials_give_equal_results():
 
 
 @pytest.mark.parametrize("number", [1, 19, 20, 21, 997])
-def test_a_share_of_spells_is_what_it_is_with_each_of_them_written_down(number):
+def test_the_estimate_of_a_share_equals_that_of_the_written_out_values(number):
     found = [index for index in range(number) if index % 7 in (0, 3)]
     written = _estimate([float(index in found) for index in range(number)])
     assert _share(found, number) == written
 
 
-def test_robots_that_seldom_fail_and_are_soon_back_cost_no_memory():
+def test_trials_with_rare_failures_use_little_memory():
     """Of windows as long as a refill there are millions then, and failures in few."""
     tracemalloc.start()
     try:

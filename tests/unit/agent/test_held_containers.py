@@ -87,7 +87,7 @@ def test_a_held_container_waits_and_then_executes_its_command(hold, tmp_path):
     assert (tmp_path / "out").read_text() == f"hello one two words\n{process.pid}\n"
 
 
-def test_start_is_quick(hold, tmp_path):
+def test_a_held_container_starts_within_half_a_second(hold, tmp_path):
     process = hold(["true"])
     wait_until((tmp_path / "waiting-app").exists)
     write_env(tmp_path, {})
@@ -155,7 +155,7 @@ def test_a_restart_of_the_agent_wakes_no_container(hold, tmp_path):
     assert cpu_ticks(process.pid) == before
 
 
-def test_fifo_has_no_reader_once_started(hold, tmp_path):
+def test_a_started_container_no_longer_reads_the_fifo(hold, tmp_path):
     hold(["sleep", "60"])
     wait_until((tmp_path / "waiting-app").exists)
     write_env(tmp_path, {})

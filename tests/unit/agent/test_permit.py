@@ -69,7 +69,9 @@ EVENTS = [silence, answer, go, stay, apiserver_alone]
 
 @pytest.mark.parametrize("state", TABLE)
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.__name__)
-def test_every_event_in_every_state(state: State, event: Callable[[Permit], None]) -> None:
+def test_every_event_in_every_state_leads_to_the_state_in_the_table(
+    state: State, event: Callable[[Permit], None]
+) -> None:
     found = permit_in(state)
     event(found)
     assert found.state == TABLE[state][EVENTS.index(event)]

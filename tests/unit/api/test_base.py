@@ -22,19 +22,19 @@ from understudy.api.kinds.robot_workload import RobotWorkloadSpec
         ("1h0m0.5s250ms", 3600.75),
     ],
 )
-def test_durations_in_seconds(text: str, length: float) -> None:
+def test_durations_are_converted_to_seconds(text: str, length: float) -> None:
     assert seconds(text) == pytest.approx(length)
 
 
 @pytest.mark.parametrize("text", ["", "5", "5 s", "s", "-1s", "1d", ".5s", "1,5s", "1e3s", "5S", "500ms\n"])
-def test_what_is_not_a_duration(text: str) -> None:
+def test_an_invalid_duration_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="is not a duration: write a number with ms, s, m or h"):
         seconds(text)
     with pytest.raises(ValidationError):
         Limits(cooldown=text)
 
 
-def test_fields_are_camel_case_on_the_wire_and_empty_ones_are_left_out() -> None:
+def test_fields_are_camel_case_on_the_wire_and_empty_ones_are_omitted() -> None:
     strategy = Strategy.model_validate({"type": "Restart", "verifyWithin": "2s"})
     assert strategy.verify_within == "2s"
     assert strategy.to_wire() == {"type": "Restart", "verifyWithin": "2s"}
@@ -48,7 +48,7 @@ def test_unknown_fields_of_a_newer_version_are_ignored() -> None:
     }
 
 
-def test_parts_that_nobody_gave_have_their_defaults() -> None:
+def test_omitted_parts_have_their_defaults() -> None:
     spec = RobotWorkloadSpec.model_validate(
         {
             "workloadRef": {"kind": "Deployment", "name": "nav2"},
@@ -60,20 +60,20 @@ def test_parts_that_nobody_gave_have_their_defaults() -> None:
     assert spec.outputs[0].name == "/cmd_vel"
 
 
-def test_rules_name_the_field_where_one_is_given() -> None:
+def test_a_rule_names_the_field_if_one_is_given() -> None:
     assert rules(("a", "b"), ("c", "d", ".e"))["x-kubernetes-validations"] == [
         {"rule": "a", "message": "b"},
         {"rule": "c", "message": "d", "fieldPath": ".e"},
     ]
 
 
-def test_a_pattern_is_refused_with_what_was_found() -> None:
+def test_the_message_of_a_pattern_contains_the_refused_value() -> None:
     (rule,) = pattern_rule("^a+$", "write as")["x-kubernetes-validations"]
     assert rule["rule"] == "self.matches(r'^a+$')"
     assert rule["messageExpression"] == """'"' + self + '": write as'"""
 
 
-def test_models_are_read_by_either_name() -> None:
+def test_a_model_accepts_both_names_of_a_field() -> None:
     class Example(Model):
         """An example."""
 

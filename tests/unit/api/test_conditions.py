@@ -16,37 +16,37 @@ def _old(type_: str, status: bool) -> Condition:
     return condition(type_, status, "Before", "old", generation=1).model_copy(update={"last_transition_time": LONG_AGO})
 
 
-def test_now_is_written_as_kubernetes_does() -> None:
+def test_now_is_formatted_as_in_kubernetes() -> None:
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", now())
 
 
 @pytest.mark.parametrize(
     ("given", "status"), [(True, "True"), (False, "False"), ("Unknown", "Unknown"), ("True", "True")]
 )
-def test_a_truth_becomes_a_status(given: object, status: str) -> None:
+def test_a_boolean_becomes_a_status(given: object, status: str) -> None:
     assert condition("Ready", given, "Tested").status == status  # type: ignore[arg-type]
 
 
-def test_the_same_status_keeps_its_time_and_takes_the_rest() -> None:
+def test_an_unchanged_status_keeps_its_time_and_takes_the_other_fields() -> None:
     (result,) = merged([_old("Ready", True)], [condition("Ready", True, "After", "new", generation=2)])
     assert result.last_transition_time == LONG_AGO
     assert (result.reason, result.message, result.observed_generation) == ("After", "new", 2)
 
 
-def test_another_status_takes_the_time_of_now() -> None:
+def test_a_changed_status_takes_the_present_time() -> None:
     (result,) = merged([_old("Ready", True)], [condition("Ready", False, "After")])
     assert result.last_transition_time != LONG_AGO
     assert result.status == "False"
 
 
-def test_new_types_come_in_and_old_ones_go() -> None:
+def test_new_types_are_added_and_old_ones_removed() -> None:
     result = merged(
         [_old("Gone", True), _old("Ready", True)], [condition("Ready", True, "R"), condition("New", True, "R")]
     )
     assert [c.type for c in result] == ["Ready", "New"]
 
 
-def test_merging_leaves_what_was_given_alone() -> None:
+def test_merging_does_not_change_its_input() -> None:
     new = condition("Ready", True, "After")
     before = new.last_transition_time
     merged([_old("Ready", True)], [new])
@@ -54,12 +54,12 @@ def test_merging_leaves_what_was_given_alone() -> None:
 
 
 @pytest.mark.parametrize("reason", ["", "two words", "9Lives", "Trailing:"])
-def test_a_reason_is_one_word(reason: str) -> None:
+def test_a_reason_must_be_one_word(reason: str) -> None:
     with pytest.raises(ValidationError):
         condition("Ready", True, reason)
 
 
-def test_on_the_wire() -> None:
+def test_a_condition_is_serialized_for_the_wire() -> None:
     assert _old("Ready", True).to_wire() == {
         "type": "Ready",
         "status": "True",
@@ -70,7 +70,7 @@ def test_on_the_wire() -> None:
     }
 
 
-def test_of_words_that_are_too_long_the_beginning_is_told() -> None:
+def test_a_message_that_is_too_long_is_cut() -> None:
     found = condition("Reconciled", False, "Refused", "It is refused: " + "x" * 100_000)
     assert len(found.message) == MESSAGE_MOST
     assert found.message.startswith("It is refused: x")

@@ -66,22 +66,22 @@ def test_references_are_inlined_with_the_description_of_the_field(schema: dict[s
     assert schema["properties"]["maybe"]["properties"]["size"]["maximum"] == 9
 
 
-def test_optional_fields_are_simply_not_required(schema: dict[str, Any]) -> None:
+def test_optional_fields_are_not_required(schema: dict[str, Any]) -> None:
     assert schema["required"] == ["choice"]
     note = schema["properties"]["inner"]["properties"]["note"]
     assert note == {"type": "string", "description": "A note."}
 
 
-def test_an_object_of_defaults_is_there_by_default(schema: dict[str, Any]) -> None:
+def test_an_object_with_only_defaults_has_a_default(schema: dict[str, Any]) -> None:
     assert schema["properties"]["inner"]["default"] == {"size": 3}
 
 
-def test_an_object_that_may_be_left_out_has_no_default(schema: dict[str, Any]) -> None:
+def test_an_optional_or_incomplete_object_has_no_default(schema: dict[str, Any]) -> None:
     assert "default" not in schema["properties"]["maybe"]
     assert "default" not in schema["properties"]["demanding"]
 
 
-def test_literals_are_enumerations(schema: dict[str, Any]) -> None:
+def test_literals_become_enumerations(schema: dict[str, Any]) -> None:
     assert schema["properties"]["choice"]["enum"] == ["A", "B"]
     assert schema["properties"]["only"] == {"type": "string", "default": "Only", "enum": ["Only"]}
 
@@ -91,14 +91,14 @@ def test_free_objects_are_preserved(schema: dict[str, Any]) -> None:
     assert schema["properties"]["labels"]["additionalProperties"] == {"type": "string"}
 
 
-def test_rules_stay_and_a_pattern_said_in_words_is_not_said_twice(schema: dict[str, Any]) -> None:
+def test_rules_are_kept_and_replace_their_pattern(schema: dict[str, Any]) -> None:
     assert schema[VALIDATIONS] == [{"rule": "true", "message": "never"}]
     duration = schema["properties"]["waitFor"]
     assert "pattern" not in duration
     assert "500ms" in duration[VALIDATIONS][0]["message"]
 
 
-def test_what_a_structural_schema_cannot_say_is_an_error() -> None:
+def test_a_model_that_a_structural_schema_cannot_express_is_an_error() -> None:
     class Union(Model):
         """Two types at once."""
 
@@ -126,12 +126,12 @@ def test_every_node_has_a_type_and_every_field_a_description(kind: Kind) -> None
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_status_has_no_defaults(kind: Kind) -> None:
+def test_the_status_has_no_defaults(kind: Kind) -> None:
     status = root(kind)["properties"]["status"]
     assert [path for path, node in _nodes(status) if "default" in node] == []
 
 
-def test_descriptions_state_the_default_because_kubectl_explain_prints_nothing_else_of_it() -> None:
+def test_descriptions_state_the_default_for_kubectl_explain() -> None:
     (version,) = definition(BY_NAME["FailurePolicy"])["spec"]["versions"]
     monitoring = version["schema"]["openAPIV3Schema"]["properties"]["spec"]["properties"]["monitoring"]["properties"]
     assert monitoring["startupGrace"]["description"].endswith(" Default: 30s.")
@@ -145,7 +145,7 @@ def test_conditions_are_a_map_by_type(kind: Kind) -> None:
     assert conditions["x-kubernetes-list-map-keys"] == ["type"]
 
 
-def test_the_order_and_what_is_kept_and_how_old_it_is_are_in_the_wide_columns() -> None:
+def test_wide_columns_show_the_strategies_the_situation_and_kept_state() -> None:
     (version,) = definition(BY_NAME["RobotWorkload"])["spec"]["versions"]
     wide = {
         c["name"]: (c["jsonPath"], c["type"]) for c in version["additionalPrinterColumns"] if c.get("priority") == 1
@@ -166,7 +166,7 @@ def test_the_order_and_what_is_kept_and_how_old_it_is_are_in_the_wide_columns() 
         ("FallbackPool", "fbp", ["Readiness", "Desired", "Ready", "Claimed", "Age"]),
     ],
 )
-def test_names_columns_and_subresources(kind: str, short: str, columns: list[str]) -> None:
+def test_definitions_have_names_columns_and_subresources(kind: str, short: str, columns: list[str]) -> None:
     found = definition(BY_NAME[kind])
     names = found["spec"]["names"]
     assert names["shortNames"] == [short]
@@ -179,14 +179,14 @@ def test_names_columns_and_subresources(kind: str, short: str, columns: list[str
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_columns_show_fields_that_there_are(kind: Kind) -> None:
+def test_columns_refer_to_existing_fields(kind: Kind) -> None:
     paths = {path for path, _ in _nodes(root(kind))}
     for column in kind.columns:
         if column.path.startswith((".spec.", ".status.")):
             assert column.path.partition("[")[0] in paths, column.name
 
 
-def test_derived_names_fit() -> None:
+def test_derived_names_are_short_enough() -> None:
     longest = "w" * LONGEST_NAME
     derived = [make(longest) for make in (gate, standby, standby_reference, discovery, held)]
     derived.append(f"{longest}-x7k2q")
@@ -195,7 +195,7 @@ def test_derived_names_fit() -> None:
     assert len(longest + MONITOR_ACCOUNT_ENDING) <= 253
 
 
-def test_every_kind_has_its_file() -> None:
+def test_every_kind_has_a_file() -> None:
     assert list(definitions()) == [
         "understudy.dev_robotworkloads.yaml",
         "understudy.dev_failurepolicies.yaml",

@@ -149,7 +149,7 @@ def container(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Contai
     found.end()
 
 
-def test_all_processes_stop_at_once_and_go_on_as_the_same_ones(container: Container) -> None:
+def test_all_processes_stop_and_the_same_processes_continue(container: Container) -> None:
     container.start()
     container.goes_on()
     processes = container.application()
@@ -164,7 +164,7 @@ def test_all_processes_stop_at_once_and_go_on_as_the_same_ones(container: Contai
     assert container.application() == processes, "nothing was begun anew"
 
 
-def test_one_that_starts_while_it_is_held_waits(container: Container) -> None:
+def test_an_application_that_starts_while_it_is_held_waits(container: Container) -> None:
     (container.folder / freeze_script.HELD_NAME).touch()
     container.start(begun=False)
     time.sleep(0.4)
@@ -173,7 +173,7 @@ def test_one_that_starts_while_it_is_held_waits(container: Container) -> None:
     container.goes_on()
 
 
-def test_a_wish_that_changed_while_nobody_looked_is_found_at_the_next_look(container: Container) -> None:
+def test_the_last_of_several_changes_counts(container: Container) -> None:
     container.start()
     container.goes_on()
     for _ in range(3):
@@ -184,7 +184,7 @@ def test_a_wish_that_changed_while_nobody_looked_is_found_at_the_next_look(conta
     within(lambda: all(state(pid) == "T" for pid in container.application()))
 
 
-def test_who_ends_a_held_one_ends_it_for_good(container: Container) -> None:
+def test_a_held_application_can_be_terminated(container: Container) -> None:
     container.start()
     processes = container.application()
     container.hold()
@@ -197,7 +197,7 @@ def test_who_ends_a_held_one_ends_it_for_good(container: Container) -> None:
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 7), (signal.SIGINT, 8)])
-def test_signals_and_the_exit_code_are_passed_on(container: Container, number: signal.Signals, code: int) -> None:
+def test_signals_and_the_exit_code_are_forwarded(container: Container, number: signal.Signals, code: int) -> None:
     ending = f"""
 import signal, sys, time
 signal.signal({int(signal.SIGTERM)}, lambda *_: sys.exit(7))
@@ -214,13 +214,13 @@ while True: time.sleep(0.05)
     assert container.process.wait(25) == code
 
 
-def test_a_command_that_ends_by_itself_ends_the_container_with_its_code(container: Container) -> None:
+def test_a_command_that_ends_ends_the_container_with_its_exit_code(container: Container) -> None:
     container.start("import sys; print('up', flush=True); sys.exit(3)")
     assert container.process is not None
     assert container.process.wait(25) == 3
 
 
-def test_without_the_fifo_the_script_goes_out_of_the_way(tmp_path: Path) -> None:
+def test_without_the_fifo_the_script_replaces_itself_by_the_command(tmp_path: Path) -> None:
     container = Container(tmp_path, ["/bin/sh"], "own", fifo=False)
     container.start()
     try:
@@ -230,7 +230,7 @@ def test_without_the_fifo_the_script_goes_out_of_the_way(tmp_path: Path) -> None
         container.end()
 
 
-def test_in_a_shared_process_namespace_only_its_own_control_groups_stop(tmp_path: Path) -> None:
+def test_in_a_shared_process_namespace_only_own_control_groups_stop(tmp_path: Path) -> None:
     groups = own_group(tmp_path)
     if groups is None:
         pytest.skip("no control group can be made here")
@@ -284,6 +284,6 @@ def test_an_empty_command_is_refused() -> None:
         freeze_script.fenced_command("drive", [], ["--fast"], scope="all")
 
 
-def test_the_kubelet_finds_nothing_to_expand() -> None:
+def test_the_script_has_nothing_that_the_kubelet_expands() -> None:
     assert "$(" not in freeze_script.FENCE_SCRIPT
     assert "$$" not in freeze_script.FENCE_SCRIPT

@@ -29,7 +29,7 @@ def copy(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_what_is_checked_in_is_what_the_models_say() -> None:
+def test_generated_files_are_up_to_date() -> None:
     stale = [
         str(path)
         for path, text in outputs(REPOSITORY).items()
@@ -38,7 +38,7 @@ def test_what_is_checked_in_is_what_the_models_say() -> None:
     assert not stale, "run scripts/generate and commit the result"
 
 
-def test_check_passes_when_nothing_changed_and_writes_nothing(copy: Path) -> None:
+def test_the_check_passes_without_changes_and_writes_nothing(copy: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in copy.rglob("*")}
     done = _generate("--check", "--root", str(copy))
     assert (done.returncode, done.stderr) == (0, "")
@@ -53,7 +53,7 @@ def test_check_passes_when_nothing_changed_and_writes_nothing(copy: Path) -> Non
     ],
     ids=["definition", "table-of-values"],
 )
-def test_check_names_the_file_that_drifted_and_writing_mends_it(copy: Path, path: str, was: str, became: str) -> None:
+def test_the_check_names_an_outdated_file_and_generate_repairs_it(copy: Path, path: str, was: str, became: str) -> None:
     good = (copy / path).read_text()
     assert was in good
     (copy / path).write_text(good.replace(was, became))
@@ -65,7 +65,7 @@ def test_check_names_the_file_that_drifted_and_writing_mends_it(copy: Path, path
     assert (copy / path).read_text() == good
 
 
-def test_check_names_a_file_that_is_missing(copy: Path) -> None:
+def test_the_check_names_a_missing_file(copy: Path) -> None:
     missing = "crds/understudy.dev_fallbackpools.yaml"
     (copy / missing).unlink()
     done = _generate("--check", "--root", str(copy))
@@ -73,7 +73,7 @@ def test_check_names_a_file_that_is_missing(copy: Path) -> None:
     assert missing in done.stderr
 
 
-def test_the_reference_has_every_field_and_every_refusal() -> None:
+def test_the_reference_contains_fields_and_rules() -> None:
     page = reference.page()
     for kind in KINDS:
         assert f"## {kind.name}\n" in page
@@ -86,7 +86,7 @@ def test_the_reference_has_every_field_and_every_refusal() -> None:
         assert text in page
 
 
-def test_values_are_documented_by_the_comments_above_them() -> None:
+def test_values_are_documented_by_their_comments() -> None:
     table = values.table("# -- How\n# many.\nreplicas: 2\nimage:\n  # -- Its tag.\n  tag: a\n")
     assert table.splitlines()[2:] == ["| `replicas` | How many. | `2` |", '| `image.tag` | Its tag. | `"a"` |']
 

@@ -29,11 +29,11 @@ ALL = [
         ("Starting", "Healthy: Failed"),
     ],
 )
-def test_each_health_has_a_condition_that_says_why(health: str, words: str) -> None:
+def test_each_health_is_explained_by_a_condition(health: str, words: str) -> None:
     assert why(health, "a", ALL) == words
 
 
-def test_what_is_over_and_what_is_of_another_instance_explain_nothing() -> None:
+def test_conditions_of_the_past_and_of_another_instance_explain_nothing() -> None:
     past = [said("Recovering", "False", "Recovered"), said("Healthy", "False", "Failed")]
     assert why("Failed", "a", past) == "Healthy: Failed"
     assert why("Failed", "", past) == "it has failed"

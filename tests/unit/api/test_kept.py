@@ -27,7 +27,7 @@ OLD = NotRestored("/plan", "too old", failed=False)
 KEPT = KeptState((POSE, MAP), (PARAMETERS,), (STATE,), (OLD,))
 
 
-def test_state_and_report_survive_the_wire() -> None:
+def test_state_and_report_are_unchanged_by_encoding_and_decoding() -> None:
     assert KeptState.from_wire(json.loads(json.dumps(KEPT.to_wire()))) == KEPT
     report = RestoreReport((Restored("/amcl_pose", 10.5),), (OLD, NotRestored("/x", "no")))
     assert RestoreReport.from_wire(json.loads(json.dumps(report.to_wire()))) == report
@@ -48,26 +48,26 @@ def test_the_largest_message_fits_into_a_line() -> None:
         {"lifecycle": 7},
     ],
 )
-def test_what_is_no_state_is_refused(wire: dict[str, object]) -> None:
+def test_invalid_state_is_refused(wire: dict[str, object]) -> None:
     with pytest.raises(ProtocolError, match="not a kept"):
         KeptState.from_wire(wire)
 
 
-def test_a_node_has_its_parameters_and_its_state_reported_apart() -> None:
+def test_parameters_and_lifecycle_state_of_a_node_are_reported_separately() -> None:
     assert PARAMETERS.name != STATE.name
     assert RestoreReport((Restored(PARAMETERS.name, 1.0),)).merged(RestoreReport((Restored(STATE.name, 1.0),))) == (
         RestoreReport((Restored(PARAMETERS.name, 1.0), Restored(STATE.name, 1.0)))
     )
 
 
-def test_only_some_of_it_by_topic_or_by_what_it_is_restored_to() -> None:
+def test_state_is_selected_by_topic_restore_target_or_node() -> None:
     assert KEPT.only(["/amcl_pose"]).samples == KEPT.only(["/initialpose"]).samples == (POSE,)
     assert KEPT.only(["/controller"]) == KeptState((), (PARAMETERS,), (STATE,))
     assert KEPT.only(["/plan"]).left_out == (OLD,)
     assert KEPT.only([]) == KEPT
 
 
-def test_only_what_has_changed() -> None:
+def test_only_changed_state_is_selected() -> None:
     given = KEPT.contents() | {"/amcl_pose": b"elsewhere"}
     given.pop(STATE.name)
     changed = KEPT.changed_from(given)
@@ -75,7 +75,7 @@ def test_only_what_has_changed() -> None:
     assert not KEPT.changed_from(KEPT.contents())
 
 
-def test_in_batches_everything_comes_once() -> None:
+def test_batches_contain_everything_once() -> None:
     big = [KeptSample(f"/t{i}", "t", 1.0, bytes(size), to="/x") for i, size in enumerate((40, 50, 60, 200, 10))]
     batches = KeptState(tuple(big), (PARAMETERS,), (STATE,), (OLD,)).batches(100)
     assert [[len(s.data) for s in batch.samples] for batch in batches] == [[40, 50], [60], [200], [10]]
@@ -83,13 +83,13 @@ def test_in_batches_everything_comes_once() -> None:
     assert KeptState().batches(100) == [KeptState()]
 
 
-def test_what_none_of_was_given_is_all_in_the_report() -> None:
+def test_the_report_about_state_that_was_not_given_lists_all_of_it() -> None:
     report = KEPT.not_given("gone")
     assert_golden("api", report.problem, "/amcl_pose", "/controller")
     assert OLD in report.not_restored
 
 
-def test_what_was_tried_again_counts_as_it_ended_last() -> None:
+def test_the_last_result_of_a_repeated_restoration_counts() -> None:
     first = RestoreReport((), (NotRestored("/a", "no"), NotRestored("/b", "no")))
     assert first.merged(RestoreReport((Restored("/a", 1.0),))) == RestoreReport(
         (Restored("/a", 1.0),), (NotRestored("/b", "no"),)

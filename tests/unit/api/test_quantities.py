@@ -27,17 +27,17 @@ from understudy.api.quantities import amount
         ("1000000n", "1m"),
     ],
 )
-def test_what_is_the_same(one: str, same: str) -> None:
+def test_equal_quantities_compare_equal(one: str, same: str) -> None:
     assert amount(one) == amount(same)
 
 
 @pytest.mark.parametrize(("less", "more"), [("999m", "1"), ("1G", "1Gi"), ("128Mi", "0.2Gi"), ("50m", "0.051")])
-def test_what_is_less(less: str, more: str) -> None:
+def test_quantities_are_ordered_by_their_amount(less: str, more: str) -> None:
     assert amount(less) < amount(more)
 
 
 @pytest.mark.parametrize("text", ["", "m", "1 Gi", "1GiB", "one", "1e9999", "1.2.3", "0x10", "1K"])
-def test_what_is_none(text: str) -> None:
+def test_an_invalid_quantity_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="is not a quantity: write a number"):
         amount(text)
 

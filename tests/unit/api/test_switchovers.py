@@ -10,13 +10,13 @@ AT = 1795356131.123456
 
 
 @pytest.mark.parametrize(("verb", "kind"), [("failover", "Failover"), ("failback", "Failback")])
-def test_what_is_written_is_read(verb: Verb, kind: str) -> None:
+def test_a_request_is_unchanged_by_encoding_and_decoding(verb: Verb, kind: str) -> None:
     text = request(verb, AT)
     found = parse(text)
     assert (found.text, found.kind, found.at) == (text, kind, pytest.approx(AT, abs=1e-6))
 
 
-def test_no_two_are_alike() -> None:
+def test_two_requests_are_never_equal() -> None:
     assert request("failover", AT) != request("failover", AT + 1e-5)
 
 
@@ -28,11 +28,11 @@ def test_no_two_are_alike() -> None:
         "  failover   2026-11-22T15:02:11+01:00 ",
     ],
 )
-def test_times_as_other_programs_write_them(text: str) -> None:
+def test_times_in_formats_of_other_programs_are_read(text: str) -> None:
     assert round(parse(text).at) == 1795356131
 
 
 @pytest.mark.parametrize("text", ["", "failover", "fence 2026-11-22T14:02:11Z", "failover tomorrow", "failover 1 2"])
-def test_anything_else_is_refused_with_what_would_be_right(text: str) -> None:
+def test_an_invalid_request_is_refused_with_an_example(text: str) -> None:
     with pytest.raises(ValueError, match='write failover or failback and the current time, such as "failover 20'):
         parse(text)

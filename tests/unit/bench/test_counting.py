@@ -10,14 +10,14 @@ from understudy.trees.core.rate_window import Band, Window
 STEADY = [n / 10 for n in range(100)]
 
 
-def test_the_worst_gap_is_the_longest_that_ends_after_a_moment():
+def test_the_worst_gap_is_the_longest_that_ends_after_the_given_moment():
     assert worst_gap([0.0, 3.0, 4.0, 6.0], 0.0) == 3.0
     assert worst_gap([0.0, 3.0, 4.0, 6.0], 3.0) == 2.0
     assert worst_gap([0.0, 3.0], 2.0) == 3.0, "it began before"
     assert worst_gap([], 0.0) == worst_gap([1.0], 0.0) == worst_gap([1.0, 2.0], 5.0) == 0.0
 
 
-def test_counts_are_the_least_and_the_greatest_of_all_windows():
+def test_counts_are_the_minimum_and_maximum_of_all_windows():
     assert least_count(STEADY, 0.95, 2.0) == 9
     assert most_count(STEADY, 0.95, 2.0) == 10
     missing = [time for time in STEADY if not 5.0 <= time < 5.5]
@@ -37,7 +37,7 @@ def test_counts_are_the_least_and_the_greatest_of_all_windows():
         ([0.0, 1.0, 2.0], 5, 0.0, None),
     ],
 )
-def test_a_rate_falls_when_one_leaves_before_another_comes(times, least, since, moment):
+def test_a_rate_falls_when_a_sample_leaves_before_the_next_arrives(times, least, since, moment):
     assert falls_below(times, least, 3.0, since) == moment
 
 
@@ -46,7 +46,7 @@ def test_a_rate_falls_when_one_leaves_before_another_comes(times, least, since, 
     st.integers(1, 20),
     st.sampled_from([0.25, 0.5, 1.0]),
 )
-def test_a_rate_falls_at_the_moment_that_the_tree_says(steps, hertz, length):
+def test_a_rate_falls_at_the_moment_that_the_tree_determines(steps, hertz, length):
     times = [sum(steps[: n + 1]) / 64 for n in range(len(steps))]  # of which floats are exact
     window = Window(Band.parse(f">= {hertz} Hz"), length)
     moment = falls_below(times, window.least, window.length, times[0])
@@ -59,7 +59,7 @@ def test_a_rate_falls_at_the_moment_that_the_tree_says(steps, hertz, length):
     assert window.holds(known, moment - 1 / 256)
 
 
-def test_the_first_from_a_moment_on():
+def test_the_first_time_from_a_moment_on_is_found():
     assert first_from([1.0, 2.0], 1.0) == 1.0
     assert first_from([1.0, 2.0], 1.5) == 2.0
     assert first_from([1.0, 2.0], 2.5) is None

@@ -18,7 +18,7 @@ def loaded():
     return load(tree())
 
 
-def test_the_tree_has_twenty_leaves_of_these_paths_on_these_topics(loaded):
+def test_the_tree_has_twenty_leaves_with_these_paths_and_topics(loaded):
     assert len(loaded.leaves) == 20
     assert [leaf.name for leaf in loaded.leaves] == list(BY_PATH)
     for leaf in loaded.leaves:
@@ -28,7 +28,7 @@ def test_the_tree_has_twenty_leaves_of_these_paths_on_these_topics(loaded):
     assert {topic.name for topic in loaded.topics if topic.heard} == {*topics(), status}
 
 
-def test_what_is_judged_is_published_in_its_type_by_the_process_that_it_is_about(loaded):
+def test_the_topic_of_a_leaf_is_published_with_its_type_by_its_process(loaded):
     types = {topic.name: topic.type for topic in loaded.topics}
     for leaf in LEAVES:
         if leaf.topic and leaf.kind not in ("log", "lifecycle"):
@@ -36,7 +36,7 @@ def test_what_is_judged_is_published_in_its_type_by_the_process_that_it_is_about
             assert types[leaf.topic] == stream.type
 
 
-def test_every_failure_has_its_leaf_and_is_as_frequent_as_the_others():
+def test_every_failure_has_a_leaf_and_all_are_equally_frequent():
     assert {failure.leaf for failure in FAILURES} <= BY_PATH.keys()
     for count in (1, 18, 100):
         planned = Counter(failure.leaf + failure.kind for failure in plan(count, random.Random(1)))
@@ -56,12 +56,12 @@ def test_every_failure_has_its_leaf_and_is_as_frequent_as_the_others():
         ("state/battery", {"spoil": "empty"}, 10.3, [9.8, 10.001, 10.2], None),
     ],
 )
-def test_a_failure_is_one_from_the_moment_that_its_limit_says(path, failure, begun, arrivals, moment):
+def test_a_failure_counts_from_the_moment_that_its_limit_gives(path, failure, begun, arrivals, moment):
     found = due(BY_PATH[path], Failure("some", path, failure), begun, {"arrivals": arrivals, "onset": 9.99})
     assert found == (pytest.approx(moment) if moment is not None else None)
 
 
-def test_what_is_gone_from_the_graph_is_so_from_its_end():
+def test_a_node_that_was_removed_is_missing_from_that_moment():
     failure = Failure(detection.GRAPH, "state/speaker", do="remove_node")
     assert due(BY_PATH["state/speaker"], failure, 10.0, {"arrivals": []}) == 10.0
 
@@ -85,11 +85,11 @@ def sends(*times, lag=0.001):
         ("sensors/lidar_age", sends(9.9, lag=0.2), ""),
     ],
 )
-def test_an_alarm_is_true_where_its_sender_was_late_by_its_own_clock(path, sent, fault):
+def test_an_alarm_is_true_if_the_sender_was_late_by_its_own_clock(path, sent, fault):
     assert own_fault(BY_PATH[path], sent, 10.01) == fault
 
 
-def test_the_manipulators_policy_is_judged_as_it_stands_and_with_all_topics():
+def test_the_tree_of_the_manipulator_uses_all_published_topics():
     judged = load(manipulator.monitoring()["yaml"])
     heard = {topic.name: topic for topic in judged.topics if not topic.task}
     assert {name: topic.type for name, topic in heard.items()} == {one.topic: one.type for one in manipulator.STREAMS}

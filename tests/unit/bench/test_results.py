@@ -15,7 +15,7 @@ def report():
     return made.note("load", "5 topics")
 
 
-def test_file_has_figures_raw_values_machine_date_and_commit(report, tmp_path):
+def test_the_file_has_figures_raw_values_machine_date_and_commit(report, tmp_path):
     found = json.loads(report.write(tmp_path / "results").read_text())
     figure = found["figures"]["late"]
     assert figure["values"] == [3.0, 1.0, 2.0]
@@ -35,14 +35,14 @@ def test_file_has_figures_raw_values_machine_date_and_commit(report, tmp_path):
     assert found["notes"] == {"load": "5 topics"}
 
 
-def test_table_shows_figures_bounds_baselines_and_notes(report):
+def test_the_table_shows_figures_bounds_baselines_and_notes(report):
     table = report.table()
     assert "p95 <= 5: ok, paper: 500" in table
     assert "late (callbacks, same run)" in table
     assert "load: 5 topics" in table
 
 
-def test_missed_bound_is_seen(report):
+def test_a_missed_bound_is_reported(report):
     assert report.held
     report.figure("slow", [9.0], unit="ms", must={"max": 5.0})
     assert not report.held
@@ -50,12 +50,12 @@ def test_missed_bound_is_seen(report):
     assert report.json()["figures"]["slow"]["held"] is False
 
 
-def test_nothing_measured_is_no_figure():
+def test_a_figure_without_values_is_refused():
     with pytest.raises(ValueError, match="'late' has no values"):
         Report("sample").figure("late", [], unit="ms")
 
 
-def test_unknown_bound_is_refused():
+def test_an_unknown_bound_is_refused():
     with pytest.raises(ValueError, match="must bounds p99; known are n, p50"):
         Report("sample").figure("late", [1.0], unit="ms", must={"p99": 1.0})
 

@@ -35,7 +35,7 @@ def counted(**more: float) -> Reading:
 # -- counting ------------------------------------------------------------------------------------------------------------
 
 
-def test_samples_are_summed_by_their_labels():
+def test_samples_are_summed_by_label():
     found = counted()
     assert found.total(counting.EVENTS) == 42
     assert found.total(counting.EVENTS, resource="pods") == 40
@@ -45,17 +45,17 @@ def test_samples_are_summed_by_their_labels():
     assert found.total("another", said='a \\"quoted\\", word') == 1
 
 
-def test_only_what_is_asked_for_is_read():
+def test_only_requested_metrics_are_read():
     assert read(TEXT, {counting.CPU}).samples == {(counting.CPU, ()): 15.0}
 
 
-def test_what_came_since_counts_anew_where_a_counter_began_anew():
+def test_a_counter_that_restarted_counts_from_zero():
     before = Reading({("a", ()): 5.0, ("b", ()): 9.0})
     now = Reading({("a", ()): 7.0, ("b", ()): 2.0, ("c", ()): 1.0})
     assert now.since(before).samples == {("a", ()): 2.0, ("b", ()): 2.0, ("c", ()): 1.0}
 
 
-def test_every_kind_of_write_has_a_schema_that_its_count_is_found_by():
+def test_every_kind_of_write_has_its_own_flow_schema():
     made = {schema["metadata"]["name"]: schema["spec"] for schema in counting.schemas(["fleet-0", "fleet-1"], "system")}
     for who, kinds in (("monitor", counting.MONITOR), ("operator", counting.OPERATOR)):
         for kind in [*kinds, "other"]:
@@ -69,7 +69,7 @@ def test_every_kind_of_write_has_a_schema_that_its_count_is_found_by():
             assert precedences[0] < precedences[1] or kind == "other", "what is left is looked at last"
 
 
-def test_neither_the_lease_nor_a_dry_run_is_a_write():
+def test_leases_and_dry_runs_are_not_writes():
     line = f'{counting.REQUESTS}{{dry_run="All",resource="pods",verb="POST"}} 4'
     found = read(
         "\n".join([TEXT, line, f'{counting.DISPATCHED}{{flow_schema="bench-operator-pods"}} 5']), counting.NAMES
@@ -78,7 +78,7 @@ def test_neither_the_lease_nor_a_dry_run_is_a_write():
     assert counting.writes(found, "monitor") == {"claims": 7}
 
 
-def test_schemas_tell_monitors_from_the_operator():
+def test_flow_schemas_distinguish_monitors_from_the_operator():
     groups = {
         schema["metadata"]["name"].split("-")[1]: {
             subject["group"]["name"] for rule in schema["spec"]["rules"] for subject in rule["subjects"]
@@ -94,7 +94,7 @@ def test_schemas_tell_monitors_from_the_operator():
 # -- arrivals ------------------------------------------------------------------------------------------------------------
 
 
-def test_arrivals_have_their_rate_and_are_as_irregular_as_independent_ones():
+def test_arrivals_follow_a_poisson_process():
     times = poisson(100.0, 200.0, random.Random(7))
     assert times == sorted(times)
     assert 0 < times[0] < times[-1] < 200
@@ -114,14 +114,14 @@ def test_a_robot_fails_again_only_after_all_others():
 # -- fleets --------------------------------------------------------------------------------------------------------------
 
 
-def test_robots_come_in_fleets_and_the_last_may_be_smaller():
+def test_robots_are_divided_into_fleets_and_the_last_may_be_smaller():
     found = fleets(25, 10)
     assert [len(fleet.robots) for fleet in found] == [10, 10, 5]
     assert len({robot.key for fleet in found for robot in fleet.robots}) == 25
     assert all(robot.namespace == fleet.namespace for fleet in found for robot in fleet.robots)
 
 
-def test_what_is_made_is_what_the_product_takes():
+def test_generated_manifests_pass_the_check():
     items = [*shared(7), workload(fleets(1, 1)[0].robots[0])]
     found = check([("bench", yaml.safe_dump_all(items).encode())])
     assert found.checked == 3
@@ -143,7 +143,7 @@ def pod(uid: str, claim: str) -> dict[str, object]:
     return {"metadata": {"uid": uid, "annotations": {scale.cluster.names.CLAIM: claim}}}
 
 
-def test_claims_that_are_as_they_were_acknowledged_are_neither_double_nor_lost():
+def test_acknowledged_claims_are_neither_double_nor_lost():
     assert scale.exclusive([("1", "a"), ("2", "b")], [pod("1", "a"), pod("2", "b")]) == (0, 0)
 
 
@@ -157,7 +157,7 @@ def test_claims_that_are_as_they_were_acknowledged_are_neither_double_nor_lost()
         ([], [pod("1", "a")], 0, 1),
     ],
 )
-def test_claims_that_were_made_twice_or_lost_are_counted(acknowledged, pods, double, lost):
+def test_double_and_lost_claims_are_counted(acknowledged, pods, double, lost):
     assert scale.exclusive(acknowledged, pods) == (double, lost)
 
 
@@ -165,24 +165,24 @@ def test_claims_that_were_made_twice_or_lost_are_counted(acknowledged, pods, dou
 
 
 @pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
-def test_a_power_is_found_again(power: float):
+def test_the_exponent_of_a_power_law_is_fitted(power: float):
     sizes = [100.0, 300.0, 1000.0]
     assert exponent(sizes, [3 * size**power for size in sizes]) == pytest.approx(power)
 
 
-def test_there_is_no_power_of_nothing():
+def test_zero_values_have_no_exponent():
     assert exponent([100, 1000], [0.0, 5.0]) is None
     assert exponent([100], [5.0]) is None
 
 
-def test_what_grows_in_proportion_goes_on_so():
+def test_proportional_growth_is_extrapolated_proportionally():
     assert extrapolated([100, 300, 1000], [10, 30, 100], 10_000) == pytest.approx((1000, 1000))
 
 
-def test_a_fixed_part_is_between_the_line_and_the_power():
+def test_growth_with_a_fixed_part_is_between_the_power_law_and_the_line():
     least, most = extrapolated([100, 1000], [100 + 100, 100 + 1000], 10_000)
     assert least < 100 + 10_000 == pytest.approx(most)
 
 
-def test_what_shrinks_is_not_taken_to_go_on_shrinking():
+def test_a_decreasing_figure_is_not_extrapolated():
     assert extrapolated([100, 1000], [20, 10], 10_000) == (10, 10)

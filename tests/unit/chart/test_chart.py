@@ -16,15 +16,17 @@ from understudy.api import names
 from understudy.api.schema.definitions import definitions
 
 
-@pytest.mark.parametrize("values", [(), ("--values", str(CHART / "production.yaml"))], ids=["as-it-is", "production"])
-def test_lint_is_clean(helm: str, values: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "values", [(), ("--values", str(CHART / "production.yaml"))], ids=["default-values", "production"]
+)
+def test_helm_lint_reports_nothing(helm: str, values: tuple[str, ...]) -> None:
     done = subprocess.run([helm, "lint", "--strict", str(CHART), *values], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout
     assert "[WARNING]" not in done.stdout
     assert "[ERROR]" not in done.stdout
 
 
-def test_the_definitions_are_those_of_the_models(render: Render) -> None:
+def test_the_definitions_equal_those_of_the_models(render: Render) -> None:
     rendered = {item["metadata"]["name"]: item for item in render() if item["kind"] == "CustomResourceDefinition"}
     expected = {definition["metadata"]["name"]: definition for definition in definitions().values()}
     assert rendered.keys() == expected.keys()
@@ -32,12 +34,12 @@ def test_the_definitions_are_those_of_the_models(render: Render) -> None:
         assert rendered[name]["spec"] == definition["spec"]
 
 
-def test_the_operator_is_asked_for_metrics_where_it_listens(render: Render) -> None:
+def test_the_metrics_port_is_the_one_that_the_operator_uses(render: Render) -> None:
     (container,) = one(render(), "Deployment")["spec"]["template"]["spec"]["containers"]
     assert container["ports"] == [{"name": "metrics", "containerPort": names.METRICS_PORT}]
 
 
-def test_the_rights_in_named_namespaces_and_in_the_cluster_are_together_those_of_everywhere(render: Render) -> None:
+def test_roles_in_watched_namespaces_and_the_cluster_role_grant_the_same_rights_together(render: Render) -> None:
     everywhere = one(render(), "ClusterRole", "understudy-operator")["rules"]
     items = render("watchNamespaces={fleet-a,fleet-b}")
     of_cluster = one(items, "ClusterRole", "understudy-operator")["rules"]
@@ -46,11 +48,11 @@ def test_the_rights_in_named_namespaces_and_in_the_cluster_are_together_those_of
     assert all([*role["rules"], *of_cluster] == everywhere for role in roles)
 
 
-def test_helm_test_runs_as_an_account_that_the_admission_policy_means(render: Render) -> None:
+def test_helm_test_uses_an_account_that_the_admission_policy_recognizes(render: Render) -> None:
     assert one(render(tests=True), "Pod")["spec"]["serviceAccountName"].endswith(names.MONITOR_ACCOUNT_ENDING)
 
 
-def test_the_admission_policy_means_the_names_that_the_code_means(render: Render) -> None:
+def test_the_admission_policy_uses_the_names_of_the_code(render: Render) -> None:
     text = yaml.safe_dump(one(render(), "ValidatingAdmissionPolicy"), width=10_000)
     assert f"endsWith('{names.MONITOR_ACCOUNT_ENDING}')" in text.replace("''", "'")
     for label in (names.WORKLOAD, names.INSTANCE, names.HELD):
@@ -64,7 +66,7 @@ def test_an_old_kubernetes_is_refused(helm: str) -> None:
     assert "requires kubeVersion: >=1.30" in done.stderr
 
 
-def test_every_value_in_the_schema_is_in_the_values() -> None:
+def test_the_values_contain_every_property_of_the_schema() -> None:
     schema = json.loads((CHART / "values.schema.json").read_text())
     values = yaml.safe_load((CHART / "values.yaml").read_text())
 

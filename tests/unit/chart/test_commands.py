@@ -39,7 +39,7 @@ def rendering(line: str) -> list[str]:
 
 
 @pytest.mark.parametrize("line", list(helms()))
-def test_what_is_installed_has_the_values_that_are_said(helm: str, line: str) -> None:
+def test_documented_helm_commands_set_the_documented_values(helm: str, line: str) -> None:
     arguments = rendering(line)
     command = [helm, "template", *arguments, "--kube-version", "1.34"]
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=60)
@@ -52,11 +52,11 @@ def test_what_is_installed_has_the_values_that_are_said(helm: str, line: str) ->
         assert container["image"].startswith(f"{repository}:")
 
 
-def test_there_are_such_commands() -> None:
+def test_the_pages_contain_helm_commands() -> None:
     assert len(list(helms())) >= 6
 
 
-def test_a_value_that_there_is_not_is_refused(helm: str) -> None:
+def test_an_unknown_value_is_refused(helm: str) -> None:
     line = "helm install understudy charts/understudy --set monitors.rollout=10"
     done = subprocess.run(
         [helm, "template", *rendering(line)], cwd=REPOSITORY, capture_output=True, text=True, timeout=60
@@ -66,13 +66,13 @@ def test_a_value_that_there_is_not_is_refused(helm: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_images_are_of_this_version(page: Any) -> None:
+def test_documented_images_have_the_present_version(page: Any) -> None:
     tags = re.findall(r"understudy[-/](?:operator|monitor|\$\w+):(\d[\w.]*)", page.read_text())
     assert set(tags) <= {__version__}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_scripts_and_files_that_are_named_are_there(page: Any) -> None:
+def test_documented_scripts_and_files_exist(page: Any) -> None:
     for line in typed(page):
         words = shlex.split(line.partition("<<")[0], comments=True) if line.count("'") % 2 == 0 else line.split()
         if not words:

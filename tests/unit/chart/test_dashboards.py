@@ -37,7 +37,7 @@ def targets() -> Iterator[Object]:
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
-def test_panels_have_ids_of_their_own_and_do_not_overlap(board: Object) -> None:
+def test_panels_have_unique_ids_and_fill_the_grid_without_overlap(board: Object) -> None:
     panels = board["panels"]
     assert len({panel["id"] for panel in panels}) == len(panels)
     taken: dict[tuple[int, int], str] = {}
@@ -51,7 +51,7 @@ def test_panels_have_ids_of_their_own_and_do_not_overlap(board: Object) -> None:
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
-def test_every_variable_is_used_and_every_one_that_is_used_is_there(board: Object) -> None:
+def test_every_variable_is_used_and_every_used_variable_is_defined(board: Object) -> None:
     there = {variable["name"] for variable in board["templating"]["list"]}
     texts = [json.dumps(board["panels"]), *(json.dumps(variable) for variable in board["templating"]["list"])]
     used = {name for text in texts for name in re.findall(r"\$\{?(\w+)", text)}
@@ -59,7 +59,7 @@ def test_every_variable_is_used_and_every_one_that_is_used_is_there(board: Objec
 
 
 @pytest.mark.parametrize("panel", PANELS)
-def test_a_panel_says_of_which_unit_it_is_and_from_where(panel: Object) -> None:
+def test_each_panel_has_a_unit_and_a_data_source(panel: Object) -> None:
     assert panel["type"] in ("timeseries", "stat", "table", "state-timeline")
     assert panel["datasource"] == {"type": "prometheus", "uid": "${datasource}"}
     assert panel["type"] == "state-timeline" or panel["fieldConfig"]["defaults"]["unit"]
@@ -67,14 +67,14 @@ def test_a_panel_says_of_which_unit_it_is_and_from_where(panel: Object) -> None:
 
 
 @pytest.mark.parametrize("panel", PANELS)
-def test_what_is_said_of_now_is_not_what_was_so_last_in_the_time_shown(panel: Object) -> None:
+def test_stats_and_tables_use_instant_queries(panel: Object) -> None:
     now = panel["type"] in ("stat", "table")
     assert {bool(target.get("instant")) for target in panel["targets"]} == {now}
     assert {target.get("format") == "table" for target in panel["targets"]} == {panel["type"] == "table"}
 
 
 @pytest.mark.parametrize("panel", PANELS)
-def test_an_override_is_of_something_that_the_panel_has(panel: Object) -> None:
+def test_an_override_refers_to_an_existing_series_or_column(panel: Object) -> None:
     columns = {n for t in panel.get("transformations", ()) for n in t["options"].get("renameByName", {}).values()}
     names = columns | {target["legendFormat"] for target in panel["targets"]}
     if "{{health}}" in names:
@@ -85,7 +85,7 @@ def test_an_override_is_of_something_that_the_panel_has(panel: Object) -> None:
 
 
 @pytest.mark.parametrize("panel", [p for p in PANELS if p.values[0]["type"] == "table"])  # type: ignore[index]
-def test_a_table_s_columns_are_what_its_queries_give(panel: Object) -> None:
+def test_the_columns_of_a_table_come_from_its_queries(panel: Object) -> None:
     (organize,) = (t["options"] for t in panel["transformations"] if t["id"] == "organize")
     grouped = {label for target in panel["targets"] for label in _grouped(target["expr"])}
     several = len(panel["targets"]) > 1
@@ -94,7 +94,7 @@ def test_a_table_s_columns_are_what_its_queries_give(panel: Object) -> None:
     assert several == any(t["id"] == "merge" for t in panel["transformations"])
 
 
-def test_a_legend_is_made_of_labels_that_there_are() -> None:
+def test_a_legend_uses_existing_labels() -> None:
     labels = {
         name: set(re.findall(r"`(\w+)`", told))
         for name, told in re.findall(r"(?m)^\| `(\w+)` \| \w+ \| (.*?) \|", page())
@@ -105,7 +105,7 @@ def test_a_legend_is_made_of_labels_that_there_are() -> None:
         assert set(re.findall(r"\{\{(\w+)\}\}", target["legendFormat"])) <= there, target["expr"]
 
 
-def test_states_have_the_same_colours_everywhere_and_none_is_left_out() -> None:
+def test_every_state_has_the_same_colour_in_all_panels() -> None:
     by_health, timeline = (_titled(title) for title in ("Robots by health", "Health, and conditions"))
     colours = {
         override["matcher"]["options"]: override["properties"][0]["value"]["fixedColor"]
@@ -120,7 +120,7 @@ def test_states_have_the_same_colours_everywhere_and_none_is_left_out() -> None:
     assert all(numbers[number] == told["text"] for number, told in mapped["options"].items() if number in numbers)
 
 
-def test_a_gate_of_which_nothing_can_be_known_is_not_drawn_as_open() -> None:
+def test_a_gate_in_an_unknown_state_is_not_shown_as_open() -> None:
     (alert,) = (alert for alert in alerts() if alert["alert"] == "UnderstudyGateNotEnforced")
     (left_out,) = re.findall(r'reason!~"[^"]+"', alert["expr"])
     asked = [target["expr"] for target in targets() if 'condition="GateEnforced"' in target["expr"]]
@@ -150,7 +150,7 @@ def _increase(metric: str, where: str, ago: str, begin: str) -> str:
     )
 
 
-def test_every_recovery_is_counted_also_the_first_after_a_start_of_a_monitor() -> None:
+def test_panels_count_the_first_recovery_after_a_monitor_start() -> None:
     counting = [target["expr"] for target in targets() if re.search(COUNTED, target["expr"])]
     assert len(counting) > 10
     for expression in counting:
@@ -170,7 +170,7 @@ def _alive_of_all(expression: str) -> str:
     )
 
 
-def test_the_fleet_that_is_drawn_tells_what_there_is_and_all_that_is_asked_for() -> None:
+def test_the_fleet_of_the_dashboard_tests_exports_every_queried_metric() -> None:
     end = 1e9
     operator = fleet(end)
     sources: list[Source] = [*operator.robots, operator]

@@ -8,7 +8,7 @@ from understudy.cli.doctor import installation_check, rights_check
 from understudy.cli.doctor.installation_check import Installed
 
 
-def test_the_chart_s_deployment_is_found_and_says_of_what_pods_are_made(render: Render) -> None:
+def test_doctor_finds_the_deployment_of_the_chart_and_reads_its_settings(render: Render) -> None:
     found = Installed(one(render("images.monitorPullSecrets[0].name=key"), "Deployment"))
     labels = found.item["metadata"]["labels"]
     assert all(
@@ -22,7 +22,7 @@ def test_the_chart_s_deployment_is_found_and_says_of_what_pods_are_made(render: 
     assert found.images.pull_secrets == ("key",)
 
 
-def test_the_operator_is_asked_for_no_right_that_the_chart_doesn_t_give(render: Render) -> None:
+def test_doctor_requires_only_rights_that_the_chart_grants(render: Render) -> None:
     rules = one(render(), "ClusterRole", "understudy-operator")["rules"]
     given = {
         (group, resource, verb)

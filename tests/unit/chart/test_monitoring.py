@@ -28,21 +28,21 @@ def expressions() -> list[str]:
 
 
 @pytest.mark.parametrize("expression", expressions())
-def test_every_series_that_is_asked_for_is_told_by_someone(expression: str) -> None:
+def test_every_queried_metric_is_exported(expression: str) -> None:
     asked = set(re.findall(r"\b(?:understudy|process)_[a-z_]+", expression))
     assert asked
     assert asked <= exposed() | OTHERS
 
 
 @pytest.mark.parametrize("expression", expressions())
-def test_states_and_conditions_that_are_asked_for_are_those_that_there_are(expression: str) -> None:
+def test_queried_states_and_conditions_exist(expression: str) -> None:
     for label, known in (("health", get_args(Health)), ("condition", fleet_metrics.CONDITIONS)):
         for value in re.findall(rf'\b{label}=~?"([^"$]+)"', expression):
             assert set(value.split("|")) <= set(known)
 
 
 @pytest.mark.parametrize("alert", alerts(), ids=lambda alert: alert["alert"])
-def test_an_alert_says_how_grave_it_is_and_where_to_look(alert: Object) -> None:
+def test_an_alert_has_a_severity_a_description_and_documentation(alert: Object) -> None:
     assert alert["labels"]["severity"] in ("critical", "warning")
     assert alert["annotations"]["summary"].endswith(".")
     assert alert["annotations"]["description"]
@@ -50,13 +50,13 @@ def test_an_alert_says_how_grave_it_is_and_where_to_look(alert: Object) -> None:
 
 
 @pytest.mark.parametrize("alert", alerts(), ids=lambda alert: alert["alert"])
-def test_each_alert_is_seen_to_fire_by_promtool(alert: Object) -> None:
+def test_each_alert_has_a_promtool_test_in_which_it_fires(alert: Object) -> None:
     suite = yaml.safe_load((CHART.parents[1] / "tests" / "e2e" / "prometheus" / "alerts_test.yaml").read_text())
     expected = [case for test in suite["tests"] for case in test["alert_rule_test"]]
     assert [case for case in expected if case["alertname"] == alert["alert"] and case["exp_alerts"]]
 
 
-def test_a_gate_of_which_nothing_can_be_known_is_no_alert() -> None:
+def test_a_gate_in_an_unknown_state_raises_no_alert() -> None:
     active, held = Instance(name="w-1", uid="1", running=True), Instance(name="w-2", uid="2", running=True)
     last = {"1": 99.0}
     unknown = [
@@ -71,7 +71,7 @@ def test_a_gate_of_which_nothing_can_be_known_is_no_alert() -> None:
     assert sorted(left_out.split("|")) == sorted(reason for _, reason, _ in unknown)
 
 
-def test_every_monitor_is_selected_and_says_of_which_workload_it_is(render: Render) -> None:
+def test_the_pod_monitor_selects_every_monitor_and_labels_it_with_its_workload(render: Render) -> None:
     watching = one(render("metrics.podMonitors.enabled=true"), "PodMonitor", "understudy-monitors")["spec"]
     assert watching["selector"]["matchLabels"].items() <= monitor_deployment.labels("w").items()
     (relabelled,) = watching["podMetricsEndpoints"][0]["relabelings"]
@@ -79,11 +79,11 @@ def test_every_monitor_is_selected_and_says_of_which_workload_it_is(render: Rend
     assert relabelled["sourceLabels"] == [f"__meta_kubernetes_pod_label_{discovered}"]
 
 
-def test_the_rules_are_the_file_as_it_is(render: Render) -> None:
+def test_the_rules_in_the_chart_equal_the_file(render: Render) -> None:
     assert one(render("metrics.rules.enabled=true"), "PrometheusRule")["spec"] == ALERTS
 
 
-def test_the_dashboards_are_the_files_as_they_are(render: Render) -> None:
+def test_the_dashboards_in_the_chart_equal_the_files(render: Render) -> None:
     found = one(render("metrics.dashboards.enabled=true"), "ConfigMap")
     told: dict[str, Any] = {name.removeprefix("understudy-"): json.loads(text) for name, text in found["data"].items()}
     assert told == DASHBOARDS

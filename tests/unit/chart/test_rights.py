@@ -72,31 +72,31 @@ def _used() -> set[Right]:
     return found
 
 
-def test_everything_that_is_granted_to_monitors_is_held(held: set[Right]) -> None:
+def test_the_operator_has_all_rights_that_it_grants_to_monitors(held: set[Right]) -> None:
     assert _granted() - held == set()
 
 
-def test_everything_that_the_code_asks_for_is_held(held: set[Right]) -> None:
+def test_the_operator_has_all_rights_that_its_code_uses(held: set[Right]) -> None:
     assert _used() - held == set()
 
 
-def test_monitors_see_no_nodes_and_hold_up_no_evictions() -> None:
+def test_monitors_have_no_rights_to_nodes_or_disruption_budgets() -> None:
     assert not {resource for _, resource, _ in _granted()} & {"nodes", "poddisruptionbudgets"}
 
 
-def test_nodes_are_only_looked_at(held: set[Right]) -> None:
+def test_the_operator_may_only_read_nodes(held: set[Right]) -> None:
     assert {verb for _, resource, verb in held if resource == NODES.plural} == {"get", "list", "watch"}
 
 
-def test_monitors_resize_nothing() -> None:
+def test_monitors_may_not_resize_pods() -> None:
     assert not any(resource == f"{PODS.plural}/{RESIZE}" for _, resource, _ in _granted())
 
 
-def test_nothing_is_held_that_is_neither_used_nor_granted(held: set[Right]) -> None:
+def test_the_operator_has_no_rights_that_are_neither_used_nor_granted(held: set[Right]) -> None:
     assert held - _used() - _granted() == set()
 
 
-def test_nobody_can_be_given_more_than_that(held: set[Right]) -> None:
+def test_the_operator_has_no_wildcards_and_cannot_escalate_or_change_specs(held: set[Right]) -> None:
     assert not any("*" in right for right in held)
     assert not {verb for _, _, verb in held} & {"escalate", "bind", "impersonate", "deletecollection"}
     # The spec is the user's.
@@ -107,13 +107,13 @@ def test_nobody_can_be_given_more_than_that(held: set[Right]) -> None:
     }
 
 
-def test_the_lease_is_in_the_operator_s_own_namespace(render: Render) -> None:
+def test_the_lease_is_in_the_namespace_of_the_operator(render: Render) -> None:
     role = one(render(), "Role", "understudy-operator")
     assert role["metadata"]["namespace"] == "system"
     assert _rights(role["rules"]) == _each(LEASES, "get", "create", "patch")
 
 
-def test_people_s_roles_cover_the_three_kinds(render: Render) -> None:
+def test_the_roles_for_users_cover_the_three_kinds(render: Render) -> None:
     items = render()
     view, edit = (one(items, "ClusterRole", f"understudy-{name}") for name in ("view", "edit"))
     assert view["metadata"]["labels"]["rbac.authorization.k8s.io/aggregate-to-view"] == "true"

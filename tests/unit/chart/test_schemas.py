@@ -24,7 +24,7 @@ from tests.unit.chart.conftest import CHART, Run
 REPOSITORY = CHART.parents[1]
 EXAMPLES = sorted((REPOSITORY / "examples").rglob("*.yaml"))
 
-ALL_THAT_CAN_BE_SAID = (
+ALL_VALUES = (
     "admission.enabled=false",
     "crds.keep=false",
     "images.monitorPullSecrets[0].name=registry",
@@ -79,8 +79,8 @@ def conform(tmp_path_factory: pytest.TempPathFactory) -> Conform:
 
 @pytest.mark.parametrize(
     ("settings", "values"),
-    [((), None), ((), CHART / "production.yaml"), (ALL_THAT_CAN_BE_SAID, None)],
-    ids=["as-it-is", "production", "all-that-can-be-said"],
+    [((), None), ((), CHART / "production.yaml"), (ALL_VALUES, None)],
+    ids=["default-values", "production", "all-values"],
 )
 def test_the_chart_conforms(run: Run, conform: Conform, settings: tuple[str, ...], values: Path | None) -> None:
     judged = conform(run(*settings, values=values, tests=True).stdout)
@@ -146,7 +146,7 @@ spec:
         (POD_MONITOR, "interval: 15s", "interval: often", "does not match pattern"),
     ],
 )
-def test_what_does_not_conform_is_named(
+def test_a_manifest_that_does_not_conform_is_reported(
     conform: Conform, manifest: str, written: str, instead: str, problem: str
 ) -> None:
     assert written in manifest

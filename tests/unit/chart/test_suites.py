@@ -15,7 +15,7 @@ SUITES = sorted((CHART / "tests").glob("*_test.yaml"))
 
 
 @pytest.mark.parametrize("suite", SUITES, ids=lambda suite: suite.stem.removesuffix("_test"))
-def test_the_templates_do_what_a_suite_says(suite: Path) -> None:
+def test_the_templates_pass_their_suites(suite: Path) -> None:
     command = [program("helm-unittest"), "--strict", "--file", f"tests/{suite.name}", str(CHART)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -28,7 +28,7 @@ def test_every_template_has_a_suite() -> None:
     assert {name for name in templates if name not in told} == {"_helpers.tpl"}
 
 
-def test_the_suites_stay_at_home(helm: str, tmp_path: Path) -> None:
+def test_the_packaged_chart_does_not_contain_the_suites(helm: str, tmp_path: Path) -> None:
     subprocess.run([helm, "package", str(CHART), "--destination", str(tmp_path)], capture_output=True, check=True)
     (package,) = tmp_path.iterdir()
     with tarfile.open(package) as file:

@@ -32,7 +32,7 @@ def mounts(container: Object) -> dict[str, str]:
 
 
 class TestPods:
-    def test_the_application_and_its_agent_read_the_profiles_with_the_pods_name(self) -> None:
+    def test_the_application_and_the_agent_read_the_profiles_of_their_pod(self) -> None:
         spec = instance_pod.build(TEMPLATE, RECIPE)["spec"]
         for container in spec["containers"]:
             path = env(container, MIDDLEWARE.settings_variable)["value"]
@@ -42,7 +42,7 @@ class TestPods:
         assert volume["configMap"]["name"] == "w-instance-profiles"
         assert "initContainers" not in spec
 
-    def test_what_only_the_pod_knows_is_put_in_before_its_processes_start(self) -> None:
+    def test_the_init_container_prepares_profiles_that_contain_values_of_the_pod(self) -> None:
         recipe = dataclasses.replace(RECIPE, profiles=PROFILES + f"<!-- ${{{names.STRENGTH_VARIABLE}}} -->")
         template = copy.deepcopy(TEMPLATE)
         template["spec"]["initContainers"] = [{"name": "mine", "image": "app"}]
@@ -53,12 +53,12 @@ class TestPods:
             assert env(container, MIDDLEWARE.settings_variable)["value"] == "/understudy/profiles.xml"
             assert mounts(container)[names.AGENT_VOLUME] == "/understudy"
 
-    def test_other_profiles_are_other_pods(self) -> None:
+    def test_other_profiles_change_the_template_hash(self) -> None:
         other = dataclasses.replace(RECIPE, profiles=PROFILES.replace("goto", "dock"))
         hashes = {instance_pod.template_hash(instance_pod.build(TEMPLATE, recipe)) for recipe in (RECIPE, other)}
         assert len(hashes) == 2
 
-    def test_a_container_keeps_profiles_of_its_own_and_it_is_said(self) -> None:
+    def test_a_container_keeps_its_own_profiles_and_the_problem_is_reported(self) -> None:
         template = copy.deepcopy(TEMPLATE)
         template["spec"]["containers"][0]["env"] = [{"name": MIDDLEWARE.settings_variable, "value": "/mine.xml"}]
         app = instance_pod.build(template, RECIPE)["spec"]["containers"][0]
@@ -75,7 +75,7 @@ class TestPods:
 
 class TestWorkloads:
     @pytest.mark.parametrize("tasks", [[], TASKS])
-    def test_the_proxy_and_the_profiles_are_there_only_with_tasks(self, tasks: list[Object]) -> None:
+    def test_the_proxy_and_the_profiles_exist_only_for_a_workload_with_tasks(self, tasks: list[Object]) -> None:
         world = World(workload("w", tasks=tasks), policy("hot"), hot())
         plan = world.plan()
         pod = applied(plan, "deployments")["w-monitor"]["spec"]["template"]["spec"]
@@ -97,7 +97,7 @@ class TestWorkloads:
             )
             assert config["w-instance-profiles"]["data"]["profiles.xml"] == PROFILES
 
-    def test_a_referred_controllers_pods_have_no_proxy_and_it_is_said(self) -> None:
+    def test_the_pods_of_a_referenced_controller_have_no_proxy_and_the_problem_is_reported(self) -> None:
         reference = {"kind": "Deployment", "name": "arm"}
         spec = RobotWorkloadSpec.model_validate(workload("w", tasks=TASKS, workloadRef=reference)["spec"])
         assert action_proxy_container.instance_profiles(spec) == ""

@@ -38,7 +38,7 @@ def recovered(by: str, seconds: float, times: int = 3) -> list[Object]:
     ]
 
 
-def test_the_monitor_is_told_what_was_chosen_and_of_the_pools_that_are_in_it() -> None:
+def test_the_monitor_receives_the_chosen_strategies_and_their_pools() -> None:
     plan = world().plan()
     assert order(plan) == ["warm", "spare", "Restart"]
     assert [choice.name for choice in told(plan).pools] == ["warm", "spare"]
@@ -47,17 +47,17 @@ def test_the_monitor_is_told_what_was_chosen_and_of_the_pools_that_are_in_it() -
     assert {one.verify_within for one in strategies} == {"10s"}
 
 
-def test_where_the_strategies_are_written_out_nothing_is_chosen() -> None:
+def test_no_strategies_are_chosen_if_the_policy_lists_them() -> None:
     assert told(world(policy("hot", "Restart")).plan()).strategies is None
 
 
-def test_no_standby_is_made_of_a_pool_that_was_not_chosen() -> None:
+def test_no_standby_is_created_for_a_pool_that_was_not_chosen() -> None:
     assert pools_of(world().plan()) == {"warm"}
     assert pools_of(world(auto(taskCriticality="High")).plan()) == {"hot", "warm"}
     assert pools_of(world(auto(availability="Low")).plan()) == set()
 
 
-def test_a_standby_that_is_not_chosen_any_more_goes() -> None:
+def test_a_standby_of_a_pool_that_is_no_longer_chosen_is_deleted() -> None:
     made = world(auto(taskCriticality="High"))
     made.build()
     made.pods += [standby_pod("w-h", of=made.workload), standby_pod("w-w", of=made.workload, pool="warm")]
@@ -65,13 +65,13 @@ def test_a_standby_that_is_not_chosen_any_more_goes() -> None:
     assert deleted(made.plan()) == ["w-h", "w-w"]
 
 
-def test_only_pools_that_serve_the_workload_and_have_something_are_chosen_from() -> None:
+def test_only_pools_that_serve_the_workload_and_are_not_empty_are_chosen() -> None:
     elsewhere = hot("elsewhere", workloadSelector={"matchLabels": {"task": "other"}})
     made = world(auto(taskCriticality="High"), elsewhere, hot("empty", per_workload=0), spare("none", replicas=0))
     assert order(made.plan()) == ["Restart"]
 
 
-def test_a_pool_that_is_not_accepted_is_not_chosen_but_where_it_was_before() -> None:
+def test_a_pool_that_is_not_accepted_is_chosen_only_if_it_was_chosen_before() -> None:
     broken = warm(initialization={"yaml": {"set_lifecycle": {"node": "/nav", "state": "on"}}})
     made = world(auto(), broken, spare())
     assert order(made.plan()) == ["spare", "Restart"]
@@ -81,13 +81,13 @@ def test_a_pool_that_is_not_accepted_is_not_chosen_but_where_it_was_before() -> 
     assert order(made.plan()) == ["warm", "spare", "Restart"]
 
 
-def test_recoveries_that_were_recorded_count() -> None:
+def test_recorded_recoveries_influence_the_choice() -> None:
     quick = {"recoveries": recovered("Restart", 1.1)}
     assert order(world(status=quick).plan()) == ["Restart", "spare"]
     assert order(world(status={"recoveries": recovered("Restart", 1.1, times=2)}).plan())[0] == "warm"
 
 
-def test_in_the_midst_of_a_recovery_the_order_stays() -> None:
+def test_the_order_does_not_change_during_a_recovery() -> None:
     made = world()
     made.build()
     made.workload["status"] = {"health": "Recovering", "recoveries": recovered("Restart", 1.1)}
@@ -97,7 +97,7 @@ def test_in_the_midst_of_a_recovery_the_order_stays() -> None:
     assert_golden("operator", said, "Initialized (warm), Uninitialized (spare), Restart")
 
 
-def test_after_a_recovery_that_failed_a_pool_that_was_added_is_chosen_from() -> None:
+def test_a_pool_that_is_added_after_a_failed_recovery_is_chosen() -> None:
     made = world(auto(), spare())
     made.build()
     made.own(gate(made.workload, epoch=4))
@@ -107,7 +107,7 @@ def test_after_a_recovery_that_failed_a_pool_that_was_added_is_chosen_from() -> 
     assert order(made.plan()) == ["warm", "spare", "Restart"]
 
 
-def test_while_the_policy_can_not_be_followed_the_order_and_the_standbys_stay() -> None:
+def test_the_order_and_the_standbys_stay_while_the_policy_is_invalid_or_missing() -> None:
     made = world()
     made.build()
     made.pods.append(standby_pod("w-w", of=made.workload, pool="warm"))
@@ -124,14 +124,14 @@ def test_while_the_policy_can_not_be_followed_the_order_and_the_standbys_stay() 
         assert made.condition("StrategiesChosen")["message"].startswith("Initialized (warm), ")
 
 
-def test_a_new_template_does_not_wait_for_a_standby_that_is_not_chosen() -> None:
+def test_a_new_template_does_not_wait_for_a_standby_of_a_pool_that_was_not_chosen() -> None:
     made = world(auto(availability="Low"))
     made.build()
     made.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
     assert "w" in applied(made.plan(), "replicasets")
 
 
-def test_the_status_says_which_order_was_chosen_and_why() -> None:
+def test_the_status_reports_the_chosen_order_and_the_reason() -> None:
     made = world()
     made.pods.append(standby_pod("w-w", of=made.workload, pool="warm"))
     status = made.status()
@@ -144,25 +144,25 @@ def test_the_status_says_which_order_was_chosen_and_why() -> None:
     assert_golden("operator", made.condition("Protected")["message"], "pool warm", "w-w (Initialized)")
 
 
-def test_requirements_that_are_not_met_are_told() -> None:
+def test_unmet_requirements_are_reported() -> None:
     said = world(auto(availability="High", resourceUsage="Low")).condition("StrategiesChosen")
     assert (said["status"], said["reason"]) == ("False", "RequirementsNotMet")
     assert_golden("operator", said["message"], "Executing (hot)")
 
 
-def test_where_the_strategies_are_written_out_the_order_is_told_without_a_reason() -> None:
+def test_the_status_reports_listed_strategies_without_a_reason() -> None:
     status = world(policy("hot", "missing", "Restart")).status()
     assert status["strategies"] == "Executing (hot), Fallback (missing), Restart"
     assert "StrategiesChosen" not in [c["type"] for c in status["conditions"]]
 
 
-def test_a_policy_tells_in_short_that_it_leaves_them() -> None:
+def test_the_short_form_of_automatic_strategies_is_auto() -> None:
     assert policy_status.in_short(auto(), {"hot": hot()}) == "Auto"
     (said,) = policy_status.conditions(auto(), {"hot": hot()}, {})
     assert said.status == "True"
 
 
-def test_the_same_objects_come_to_the_same_order_in_any_order() -> None:
+def test_the_order_of_the_objects_does_not_change_the_chosen_strategies() -> None:
     made = world(auto(taskCriticality="High"))
     expected = json.dumps(told(made.plan()).to_wire())
     other = world(auto(taskCriticality="High"), *(copy.deepcopy(pool) for pool in (spare(), warm(), hot())))
@@ -177,7 +177,7 @@ def stored(*policies_and_workloads: Object) -> Store:
     return store
 
 
-async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_for() -> None:
+async def test_a_pool_counts_only_workloads_whose_strategies_use_it() -> None:
     written = custom("FailurePolicy", "written", policy("warm")["spec"])
     mine, other = workload("w"), workload("other", failurePolicyRef={"name": "written"})
     for item, asked in ((mine, auto()), (other, written)):
@@ -188,14 +188,14 @@ async def test_a_pool_wants_no_standbys_for_workloads_that_others_were_chosen_fo
         assert pool_status.count(observed, pool_reader.spec(pool)).desired == desired
 
 
-def test_a_change_of_any_pool_may_mean_another_order() -> None:
+def test_a_change_of_a_pool_reconciles_workloads_with_automatic_strategies() -> None:
     store = stored(auto(), workload("w"))
     held = held_pod("s-1", of=spare())
     for change in (ObservedChange(POOLS, None, hot()), ObservedChange(PODS, None, held)):
         assert change_index.Key("robotworkloads", "fleet", "w") in change_index.keys(change, store)
 
 
-def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
+def test_a_change_of_the_chosen_order_reconciles_every_pool() -> None:
     store = stored(auto(), workload("w"))
     before, after = (
         workload("w", status={"strategies": "Restart"}),
@@ -206,7 +206,7 @@ def test_another_order_may_mean_other_numbers_for_each_pool() -> None:
         assert {key.name for key in found if key.plural == "fallbackpools"} == expected
 
 
-def test_of_many_pools_that_could_give_a_pod_the_first_are_told() -> None:
+def test_the_status_lists_at_most_eight_pools_with_a_ready_pod() -> None:
     # More of them than a status may have would be refused, and with them all that it says.
     many = [spare(f"spare-{n:02}") for n in range(12)]
     world = World(workload(), auto(), *many)

@@ -81,7 +81,7 @@ def outlast(
 # -- while there is a pool ----------------------------------------------------------------------------------------------
 
 
-def test_nobody_owns_a_pool_s_token_so_that_nobody_s_end_takes_it_along() -> None:
+def test_the_token_of_a_pool_has_no_owner_so_that_it_is_not_deleted_with_one() -> None:
     made = secret()
     assert apply.controller_of(made) is None
     assert "ownerReferences" not in made["metadata"]
@@ -89,14 +89,14 @@ def test_nobody_owns_a_pool_s_token_so_that_nobody_s_end_takes_it_along() -> Non
     assert kube_objects.labels(made)[names.POOL] == "spare"
 
 
-def test_a_token_that_is_there_stays_and_costs_no_write() -> None:
+def test_an_existing_token_is_not_written_again() -> None:
     found = plan(observed(secret()))
     assert not created(found, "secrets")
     assert not patched(found, "secrets")
 
 
 @pytest.mark.parametrize("pool", [spare(), spare(template={"spec": {"containers": []}})], ids=["accepted", "refused"])
-def test_a_token_that_an_earlier_version_made_is_taken_from_the_pool(pool: Object) -> None:
+def test_the_owner_of_a_token_of_an_earlier_version_is_removed(pool: Object) -> None:
     other = {"apiVersion": "v1", "kind": "ConfigMap", "name": "somebody-s", "uid": "u"}
     live = secret(owner=kube_objects.owner("FallbackPool", POOL))
     assert patched(plan(observed(live, pool)), "secrets")[NAME]["metadata"] == {
@@ -107,7 +107,7 @@ def test_a_token_that_an_earlier_version_made_is_taken_from_the_pool(pool: Objec
     assert patched(plan(observed(live, pool)), "secrets")[NAME]["metadata"]["ownerReferences"] == [other]
 
 
-def test_a_pool_that_was_made_anew_takes_over_the_token_of_the_one_before() -> None:
+def test_a_recreated_pool_uses_the_token_of_its_predecessor() -> None:
     # Those that were claimed from that one have it, and would be refused with another.
     before = kube_objects.owner("FallbackPool", {**POOL, "metadata": {**POOL["metadata"], "uid": "uid-before"}})
     assert not created(plan(observed(secret())), "secrets")
@@ -115,7 +115,7 @@ def test_a_pool_that_was_made_anew_takes_over_the_token_of_the_one_before() -> N
     assert patched(plan(observed(secret(owner=before))), "secrets")
 
 
-def test_a_workload_s_token_is_not_taken_for_that_of_a_pool() -> None:
+def test_the_token_of_a_workload_is_not_treated_as_the_token_of_a_pool() -> None:
     """Those of a workload spare-pool and of a pool spare have one name."""
     theirs = workload("spare-pool")
     live = secret(owner=kube_objects.owner("RobotWorkload", theirs))
@@ -123,7 +123,7 @@ def test_a_workload_s_token_is_not_taken_for_that_of_a_pool() -> None:
     assert not deleted(outlast(live=live))
 
 
-async def test_a_secret_of_that_name_which_is_somebody_s_own_is_left_alone() -> None:
+async def test_a_foreign_secret_with_the_name_of_the_token_is_not_changed() -> None:
     client = MemoryClient()
     (made,) = created(plan(observe(POOL)), "secrets")
     await client.create(SECRETS, NAMESPACE, {"kind": "Secret", "metadata": {"name": NAME}})
@@ -133,7 +133,7 @@ async def test_a_secret_of_that_name_which_is_somebody_s_own_is_left_alone() -> 
         await apply.create(client, SECRETS, NAMESPACE, made)
 
 
-async def test_one_that_an_earlier_attempt_has_made_is_found() -> None:
+async def test_a_token_of_an_earlier_attempt_is_used() -> None:
     client = MemoryClient()
     (made,) = created(plan(observe(POOL)), "secrets")
     first = await apply.create(client, SECRETS, NAMESPACE, made)
@@ -143,18 +143,18 @@ async def test_one_that_an_earlier_attempt_has_made_is_found() -> None:
 # -- when the pool is gone ----------------------------------------------------------------------------------------------
 
 
-def test_it_outlasts_the_pool_for_as_long_as_a_workload_has_a_pod_of_it() -> None:
+def test_the_token_is_kept_as_long_as_a_workload_has_a_pod_of_the_deleted_pool() -> None:
     assert not outlast(claimed_pod("spare-1", of=POOL, by=W), live=secret()).writes
     leaving = claimed_pod("spare-1", of=POOL, by=W, deletionTimestamp=GONE)
     assert not outlast(leaving, live=secret()).writes, "it may be commanded to the end"
     assert deleted(outlast(live=secret())) == [NAME]
 
 
-def test_a_workload_that_was_not_seen_yet_counts_as_long_as_nobody_deletes_its_pod() -> None:
+def test_the_token_is_kept_for_the_pod_of_a_workload_that_is_not_yet_known() -> None:
     assert not outlast(claimed_pod("spare-1", of=POOL, by=W), live=secret(), workloads=()).writes
 
 
-def test_it_goes_with_all_that_is_deleted_at_once() -> None:
+def test_the_token_is_deleted_if_the_pods_and_the_workloads_are_deleted_too() -> None:
     """Whoever takes away everything takes the operator away next: nothing would be left to wait for the pods to end."""
     leaving = [
         claimed_pod("spare-1", of=POOL, by=W, deletionTimestamp=GONE),
@@ -163,7 +163,7 @@ def test_it_goes_with_all_that_is_deleted_at_once() -> None:
     assert deleted(outlast(*leaving, live=secret(), workloads=())) == [NAME]
 
 
-def test_it_stays_for_a_pod_that_may_just_have_been_claimed() -> None:
+def test_the_token_is_kept_for_an_unclaimed_pod_because_it_may_be_claimed_already() -> None:
     assert not outlast(held_pod("spare-1", of=POOL), live=secret()).writes
 
 
@@ -174,21 +174,21 @@ def test_it_stays_for_a_pod_that_may_just_have_been_claimed() -> None:
         claimed_pod("spare-1", of=POOL, by=W, phase="Failed"),
         standby_pod("spare-1", of=W, pool="spare"),
     ],
-    ids=["held, ended", "claimed, ended", "a standby, of a pool that had that name"],
+    ids=["unclaimed, ended", "claimed, ended", "standby of an earlier pool with that name"],
 )
-def test_nobody_is_commanded_by_it_who_has_ended_or_has_another(pod: Object) -> None:
+def test_the_token_is_deleted_if_no_running_pod_uses_it(pod: Object) -> None:
     assert deleted(outlast(pod, live=secret())) == [NAME]
     assert not outlast(pod).writes
 
 
-def test_one_that_is_gone_is_made_anew_for_whoever_drives() -> None:
+def test_a_missing_token_is_created_again_for_a_claimed_pod() -> None:
     (made,) = created(outlast(claimed_pod("spare-1", of=POOL, by=W)), "secrets")
     assert made["metadata"]["name"] == NAME
     assert made["metadata"]["namespace"] == NAMESPACE
     assert "ownerReferences" not in made["metadata"]
 
 
-def test_of_a_pool_that_waits_for_what_holds_it_the_token_stays_and_is_nobody_s() -> None:
+def test_the_token_of_a_pool_in_deletion_is_kept_without_an_owner() -> None:
     assert not outlast(live=secret(), going=True).writes
     assert patched(outlast(live=secret(owner=kube_objects.owner("FallbackPool", POOL)), going=True), "secrets")
 
@@ -196,7 +196,7 @@ def test_of_a_pool_that_waits_for_what_holds_it_the_token_stays_and_is_nobody_s(
 # -- who looks when -----------------------------------------------------------------------------------------------------
 
 
-def test_a_token_that_came_or_went_has_its_pool_looked_at() -> None:
+def test_a_created_or_deleted_token_reconciles_its_pool() -> None:
     for change in (ObservedChange(SECRETS, secret(), None), ObservedChange(SECRETS, None, secret())):
         assert change_index.keys(change, Store()) == {Key(POOLS.plural, NAMESPACE, "spare")}
 
@@ -204,11 +204,9 @@ def test_a_token_that_came_or_went_has_its_pool_looked_at() -> None:
 @pytest.mark.parametrize(
     ("resource", "left"),
     [(SECRETS, secret()), (PODS, claimed_pod("spare-1", of=POOL, by=W))],
-    ids=["a token that nobody needs", "a pod that may lack its token"],
+    ids=["unneeded token", "claimed pod without a token"],
 )
-async def test_what_a_pool_has_left_behind_while_no_operator_was_there_is_looked_at(
-    resource: Any, left: Object
-) -> None:
+async def test_a_new_operator_reconciles_what_a_deleted_pool_left_behind(resource: Any, left: Object) -> None:
     store, reconciled = Store(), Reconciled()
     client = ListingClient({WORKLOADS: [W], resource: [left]})
     operator = Operator(client, store, cast(Reconciler, reconciled), namespaces=(), resync_every=0.02)
@@ -259,8 +257,10 @@ def protected() -> World:
     return world
 
 
-@pytest.mark.parametrize("others", [[policy("spare", "Restart")], [policy("Restart")]], ids=["gone", "and not named"])
-def test_who_has_a_pod_of_a_pool_that_is_gone_may_command_it_until_it_goes(others: list[Object]) -> None:
+@pytest.mark.parametrize(
+    "others", [[policy("spare", "Restart")], [policy("Restart")]], ids=["pool deleted", "pool deleted and not named"]
+)
+def test_a_monitor_may_command_a_pod_of_a_deleted_pool_until_the_pod_is_gone(others: list[Object]) -> None:
     world = protected()
     world.others = others
     world.pods = [claimed_pod("spare-1", of=POOL, by=W)]
@@ -269,7 +269,7 @@ def test_who_has_a_pod_of_a_pool_that_is_gone_may_command_it_until_it_goes(other
     assert commanded(world) == frozenset()
 
 
-def test_who_has_a_pod_of_a_pool_that_it_no_longer_uses_may_command_it() -> None:
+def test_a_monitor_may_command_a_pod_of_a_pool_that_its_policy_no_longer_names() -> None:
     world = protected()
     world.others = [policy("Restart"), spare()]
     assert commanded(world) == frozenset()
@@ -277,7 +277,7 @@ def test_who_has_a_pod_of_a_pool_that_it_no_longer_uses_may_command_it() -> None
     assert commanded(world) == {"spare"}
 
 
-def test_a_right_that_was_taken_before_a_claim_was_seen_is_given_again_where_the_pool_serves_the_workload() -> None:
+def test_a_right_that_was_removed_before_a_claim_was_observed_is_granted_again() -> None:
     world = World(workload(), policy("Restart"), spare())
     world.build()
     assert commanded(world) == frozenset()
@@ -285,7 +285,7 @@ def test_a_right_that_was_taken_before_a_claim_was_seen_is_given_again_where_the
     assert commanded(world) == {"spare"}
 
 
-def test_a_claim_changes_nothing_of_what_a_monitor_may_do() -> None:
+def test_a_claim_does_not_change_the_rights_of_the_monitor() -> None:
     world = protected()
     (before,) = applied(world.plan(), "roles").values()
     world.pods = [claimed_pod("spare-1", of=POOL, by=W)]
@@ -294,7 +294,7 @@ def test_a_claim_changes_nothing_of_what_a_monitor_may_do() -> None:
     assert not created(world.plan(), "secrets")
 
 
-def test_what_a_monitor_writes_on_its_pods_gives_it_no_right() -> None:
+def test_annotations_of_a_monitor_on_a_pod_grant_no_rights() -> None:
     world = protected()
     foreign = spare("others", workloadSelector={"matchLabels": {"task": "another"}})
     for there in ([foreign], []):
@@ -303,7 +303,7 @@ def test_what_a_monitor_writes_on_its_pods_gives_it_no_right() -> None:
         assert commanded(world) == {"spare"}
 
 
-async def test_a_pod_that_may_just_have_been_claimed_keeps_the_right_to_command_it() -> None:
+async def test_a_monitor_keeps_the_right_to_command_a_pod_that_it_may_have_claimed() -> None:
     store = Store()
     (role,) = applied(World(workload(), policy("spare"), spare()).plan(), "roles").values()
     role["metadata"] |= {"uid": "uid-role", "resourceVersion": "41"}
@@ -324,7 +324,7 @@ async def test_a_pod_that_may_just_have_been_claimed_keeps_the_right_to_command_
     assert not (await observer.workload(W)).going, "there it is the strategies that say it"
 
 
-def test_of_a_role_only_the_tokens_of_pools_are_its_pools() -> None:
+def test_the_pools_of_a_role_are_those_whose_tokens_it_names() -> None:
     (role,) = applied(World(workload(), policy("spare", "hot"), hot(), spare()).plan(), "roles").values()
     assert monitor_deployment.commanded(role) == {"spare"}
     assert monitor_deployment.commanded(None) == frozenset()
@@ -343,7 +343,7 @@ class Reading:
 
 
 @pytest.mark.parametrize("there", [False, True])
-async def test_of_a_pool_that_was_made_anew_it_is_found_out_whether_the_token_is_there_still(there: bool) -> None:
+async def test_the_operator_checks_once_whether_the_token_of_a_recreated_pool_exists(there: bool) -> None:
     # The operator deletes it with the last pod of the pool before, or it goes with their namespace: only a list shows that.
     store, before = Store(), secret()
     before["metadata"]["creationTimestamp"] = "2026-01-01T00:00:00Z"
@@ -359,7 +359,7 @@ async def test_of_a_pool_that_was_made_anew_it_is_found_out_whether_the_token_is
     assert reading.asked == 1
 
 
-async def test_of_a_token_that_was_made_for_the_pool_nothing_is_asked() -> None:
+async def test_the_operator_does_not_check_a_token_that_was_created_with_its_pool() -> None:
     store, made, stamp = Store(), secret(), "2026-01-01T00:00:00Z"
     made["metadata"]["creationTimestamp"] = stamp
     store.put(SECRETS, made)
@@ -370,7 +370,7 @@ async def test_of_a_token_that_was_made_for_the_pool_nothing_is_asked() -> None:
     assert not reading.asked
 
 
-async def test_a_pool_that_is_gone_has_others_forgotten_once_and_not_with_each_change_of_its_pods() -> None:
+async def test_a_deleted_pool_is_forgotten_once_and_not_at_each_change_of_its_pods() -> None:
     # Their names begin alike: the operator would find out about them again, with a write, and never report a conflict with somebody else.
     store, client = Store(), ApplyingClient()
     working = Executor(client, store, Expectations(), may_write=lambda: True)

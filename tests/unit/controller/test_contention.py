@@ -22,7 +22,7 @@ def contended(clock: Clock) -> RepairCounts:
     return made
 
 
-def test_one_is_made_after_each_rest() -> None:
+def test_one_repair_is_made_after_each_waiting_time() -> None:
     clock = Clock()
     made = contended(clock)
     assert made.wait(PLACE, "a")
@@ -32,14 +32,14 @@ def test_one_is_made_after_each_rest() -> None:
     assert made.wait(PLACE, "a")
 
 
-def test_what_is_to_be_otherwise_now_does_not_wait() -> None:
+def test_a_change_of_the_desired_state_does_not_wait() -> None:
     made = contended(Clock())
     assert not made.wait(PLACE, "b")
     made.written(PLACE, "b")
     assert not made.wait(PLACE, "b")
 
 
-def test_repairs_that_are_rare_never_wait() -> None:
+def test_rare_repairs_never_wait() -> None:
     clock = Clock()
     made = contended(clock)
     for _ in range(10):

@@ -54,23 +54,23 @@ def world(degraded: str = "True", *, per_workload: int = 0, health: str = "", as
     return made
 
 
-def test_a_pool_without_standbys_makes_one_while_the_workload_is_degraded() -> None:
+def test_a_pool_without_standbys_creates_one_while_the_workload_is_degraded() -> None:
     assert len(created(world("True").plan(), "pods")) == 1
     for said in ("False", "Unknown"):
         assert not created(world(said).plan(), "pods")
 
 
-def test_it_is_one_more_than_the_pool_has_anyway() -> None:
+def test_the_additional_standby_is_added_to_the_regular_ones() -> None:
     made = world("True", per_workload=1)
     made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
     assert len(created(made.plan(), "pods")) == 1
 
 
-def test_a_policy_that_does_not_ask_for_it_gets_none() -> None:
+def test_no_additional_standby_is_created_without_the_action_in_the_policy() -> None:
     assert not created(world("True", asked=policy(*FAILOVER)).plan(), "pods")
 
 
-def test_one_that_is_there_is_enough_and_goes_when_all_is_well() -> None:
+def test_one_additional_standby_is_enough_and_is_deleted_after_the_degradation() -> None:
     made = world("True")
     made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
     assert not created(made.plan(), "pods")
@@ -80,13 +80,13 @@ def test_one_that_is_there_is_enough_and_goes_when_all_is_well() -> None:
 
 
 @pytest.mark.parametrize("health", ["Degraded", "Failed", "Recovering"])
-def test_it_stays_while_the_workload_fails_and_recovers(health: str) -> None:
+def test_the_additional_standby_stays_while_the_workload_fails_and_recovers(health: str) -> None:
     made = world("True", health=health)
     made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
     assert not deleted(made.plan())
 
 
-def test_once_it_is_in_control_it_is_never_deleted() -> None:
+def test_an_additional_standby_in_control_is_never_deleted() -> None:
     made = world("False")
     active = standby_pod("w-s", of=made.workload, template_hash=made.template_hash)
     made.pods = [active]
@@ -94,7 +94,7 @@ def test_once_it_is_in_control_it_is_never_deleted() -> None:
     assert deleted(made.plan()) == []
 
 
-def test_the_workload_s_own_pod_stands_by_for_one_that_took_over_and_is_degraded_too() -> None:
+def test_the_controller_of_a_degraded_workload_keeps_a_pod_while_a_standby_is_active() -> None:
     made = world("True")
     made.build()
     active = standby_pod("w-s", of=made.workload, template_hash=made.template_hash)
@@ -107,7 +107,7 @@ def test_the_workload_s_own_pod_stands_by_for_one_that_took_over_and_is_degraded
     assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 0}}
 
 
-def test_a_claimed_pod_that_drives_has_it_too() -> None:
+def test_an_additional_standby_is_created_while_a_claimed_pod_is_active() -> None:
     made = world("True")
     active = claimed_pod("s-1", of=spare(), by=made.workload)
     made.pods = [active]
@@ -115,42 +115,42 @@ def test_a_claimed_pod_that_drives_has_it_too() -> None:
     assert len(created(made.plan(), "pods")) == 1
 
 
-def test_the_monitor_knows_the_pool_whether_it_has_a_standby_or_not() -> None:
+def test_the_monitor_knows_the_pool_with_and_without_an_additional_standby() -> None:
     for said in ("True", "False"):
         settings = json.loads(applied(world(said).plan(), "configmaps")["w-settings"]["data"]["settings.json"])
         assert [pool["name"] for pool in settings["pools"]] == ["hot", "spare"]
 
 
-class TestWhatIsSaid:
-    def test_nobody_counts_on_it_before_it_is_ready(self) -> None:
+class TestProtection:
+    def test_an_additional_standby_does_not_protect_before_it_is_ready(self) -> None:
         for said in ("True", "False"):
             made = world(said)
             assert made.condition("Protected")["status"] == "True"
             assert "from pool spare" in made.condition("Protected")["message"]
             assert made.status()["standby"] == "Uninitialized (1/1)"
 
-    def test_then_it_is_the_first(self) -> None:
+    def test_a_ready_additional_standby_is_the_first_choice(self) -> None:
         made = world("True")
         made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
         assert "from pool hot" in made.condition("Protected")["message"]
         assert made.status()["standby"] == "Executing (1/1)"
 
-    def test_one_that_is_about_to_go_takes_no_protection_away(self) -> None:
+    def test_protection_stays_when_the_additional_standby_is_about_to_be_deleted(self) -> None:
         made = world("False")
         made.pods.append(standby_pod("w-s", of=made.workload, template_hash=made.template_hash))
         assert made.condition("Protected")["status"] == "True"
         assert "from pool spare" in made.condition("Protected")["message"]
 
-    def test_where_there_is_nothing_else_it_says_that_nothing_is_there(self) -> None:
+    def test_an_empty_pool_is_reported_if_the_policy_has_no_other_strategy(self) -> None:
         made = world("False", asked=prewarming("hot"))
         assert made.condition("Protected")["reason"] == "PoolEmpty"
 
-    def test_a_pool_tells_how_many_it_is_to_have(self) -> None:
+    def test_the_desired_count_of_a_pool_includes_additional_standbys(self) -> None:
         pool = hot(per_workload=0)
         observed = Observed(pool=pool, workloads={"w": workload()}, pods=[], owned={}, now=0.0, prewarmed=1)
         assert pool_status.count(observed, pool_reader.spec(pool)).desired == 1
 
-    def test_a_shared_pool_is_not_for_one_workload_alone(self) -> None:
+    def test_prewarming_a_shared_pool_is_refused(self) -> None:
         asked = prewarming(pool="spare")
         found = policy_status.conditions(asked, {"hot": hot(), "spare": spare()}, {})
         assert (found[0].status, found[0].reason) == ("False", "PoolNotPrewarmed")
@@ -160,7 +160,7 @@ class TestWhatIsSaid:
         assert policy_reader.problem(asked, {}) is None, "the rest of the policy is followed"
 
 
-def test_what_does_not_fit_the_kind_asks_for_nothing() -> None:
+def test_an_invalid_policy_has_no_actions() -> None:
     broken = prewarming()
     broken["spec"]["strategies"] = []
     assert degraded_measures.actions(broken) == []

@@ -29,47 +29,47 @@ def needing(name: str, *others: str, **more: Any) -> Object:
     return workload(name, dependsOn=[{"name": other} for other in others], **more)
 
 
-class TestCircles:
+class TestCycles:
     @pytest.mark.parametrize("name", ["a", "b", "c"])
-    def test_a_circle_reads_the_same_for_each_that_is_in_it(self, name: str) -> None:
+    def test_a_cycle_is_the_same_for_each_workload_in_it(self, name: str) -> None:
         assert dependency_graph.circle(CIRCLE, name) == ["a", "b", "c", "a"]
 
-    def test_who_only_depends_on_a_circle_is_not_in_it(self) -> None:
+    def test_a_workload_that_only_depends_on_a_cycle_is_not_part_of_it(self) -> None:
         assert dependency_graph.circle(CIRCLE, "d") is None
         assert dependency_graph.first_circle(CIRCLE, "d") == ["a", "b", "c", "a"]
 
-    def test_a_workload_that_depends_on_itself(self) -> None:
+    def test_a_workload_that_depends_on_itself_is_a_cycle(self) -> None:
         assert dependency_graph.circle({"a": ["a"]}, "a") == ["a", "a"]
 
-    def test_the_shortest_of_several_is_told(self) -> None:
+    def test_the_shortest_of_several_cycles_is_reported(self) -> None:
         known = {"a": ["b", "d"], "b": ["c"], "c": ["a"], "d": ["a"]}
         assert dependency_graph.circle(known, "a") == ["a", "d", "a"]
         assert dependency_graph.circle(known, "c") == ["a", "b", "c", "a"]
 
-    def test_two_ways_to_one_workload_are_no_circle(self) -> None:
+    def test_two_paths_to_one_workload_are_not_a_cycle(self) -> None:
         assert all(dependency_graph.circle(LADDER, name) is None for name in LADDER)
 
-    def test_a_name_with_nothing_behind_it_ends_the_way(self) -> None:
+    def test_a_missing_dependency_is_not_a_cycle(self) -> None:
         assert dependency_graph.circle({"a": ["missing"]}, "a") is None
 
 
 class TestOrder:
-    def test_each_comes_after_what_it_depends_on(self) -> None:
+    def test_the_upstream_workloads_are_in_the_order_of_their_dependencies(self) -> None:
         found = dependency_graph.upstream(LADDER, "control")
         assert [(one.name, one.depends_on) for one in found] == [("localization", []), ("planning", ["localization"])]
 
-    def test_what_is_depended_on_through_others_is_in_it(self) -> None:
+    def test_indirect_dependencies_are_upstream(self) -> None:
         known = {"d": ["c"], "c": ["b"], "b": ["a"], "a": []}
         assert [one.name for one in dependency_graph.upstream(known, "d")] == ["a", "b", "c"]
 
-    def test_what_is_not_there_yet_is_in_it(self) -> None:
+    def test_a_missing_dependency_is_upstream(self) -> None:
         assert [one.name for one in dependency_graph.upstream({"a": ["later"]}, "a")] == ["later"]
 
     @pytest.mark.parametrize("name", ["a", "d"])
-    def test_there_is_none_where_it_would_be_a_circle(self, name: str) -> None:
+    def test_a_workload_with_a_cycle_has_no_upstream_workloads(self, name: str) -> None:
         assert dependency_graph.upstream(CIRCLE, name) == []
 
-    def test_a_long_chain_is_no_trouble(self) -> None:
+    def test_a_chain_of_300_workloads_is_resolved(self) -> None:
         known = {str(n): [str(n + 1)] for n in range(300)}
         assert len(dependency_graph.upstream(known, "0")) == 300
 
@@ -81,28 +81,28 @@ def told(known: dependency_graph.Graph, name: str) -> tuple[str, str, str]:
 
 class TestCondition:
     @pytest.mark.parametrize("name", ["a", "b", "c"])
-    def test_each_workload_of_a_circle_is_told_the_whole_of_it(self, name: str) -> None:
+    def test_each_workload_of_a_cycle_reports_the_whole_cycle(self, name: str) -> None:
         status, reason, message = told(CIRCLE, name)
         assert (status, reason) == ("False", "DependencyCycle")
         assert "a -> b -> c -> a" in message
         assert "protected as if it had no dependency" in message
 
-    def test_who_depends_on_a_circle_is_told_so(self) -> None:
+    def test_a_workload_that_depends_on_a_cycle_reports_it(self) -> None:
         assert "d depends on a cycle: a -> b -> c -> a" in told(CIRCLE, "d")[2]
 
-    def test_one_that_depends_on_itself(self) -> None:
+    def test_a_workload_that_depends_on_itself_reports_it(self) -> None:
         assert "a depends on itself (a -> a)" in told({"a": ["a"]}, "a")[2]
 
-    def test_one_that_is_missing_may_come_later(self) -> None:
+    def test_a_missing_dependency_is_reported_with_a_similar_name(self) -> None:
         status, reason, message = told({"planning": ["localisation"], "localization": []}, "planning")
         assert (status, reason) == ("False", "DependencyNotFound")
         assert_golden("operator", message, 'RobotWorkload "localisation"', '"localization"')
 
-    def test_the_order_is_told_where_all_is_well(self) -> None:
+    def test_resolved_dependencies_are_reported_in_order(self) -> None:
         assert told(LADDER, "control")[:2] == ("True", "Resolved")
         assert "localization, planning" in told(LADDER, "control")[2]
 
-    def test_nothing_is_told_of_one_that_depends_on_none(self) -> None:
+    def test_a_workload_without_dependencies_has_no_condition(self) -> None:
         assert dependency_graph.resolved(LADDER, workload("localization")) == []
 
 
@@ -118,13 +118,13 @@ async def observed(item: Object, *others: Object) -> Observed:
     return await Observer(cast(Client, Nobody()), store, Expectations()).workload(item)
 
 
-async def test_others_are_looked_at_only_where_there_are_dependencies() -> None:
+async def test_other_workloads_are_read_only_if_there_are_dependencies() -> None:
     other = needing("a", "b")
     assert (await observed(workload("w"), other)).dependencies == {}
     assert (await observed(needing("w", "a"), other)).dependencies == {"a": ["b"], "w": ["a"]}
 
 
-async def test_one_that_is_being_deleted_is_missing() -> None:
+async def test_a_dependency_that_is_being_deleted_is_missing() -> None:
     going = workload("a")
     going["metadata"]["deletionTimestamp"] = "2026-11-22T14:00:00Z"
     found = await observed(needing("w", "a"), going)
@@ -149,13 +149,13 @@ def settings(world: World) -> WorkloadSettings:
     return WorkloadSettings.model_validate(json.loads(data["settings.json"]))
 
 
-def test_a_monitor_is_told_and_may_read_what_its_workload_depends_on_and_nothing_else() -> None:
+def test_a_monitor_knows_and_may_read_only_the_upstream_workloads() -> None:
     world = depending({"w": ["b"], "b": ["a"], "a": [], "other": []})
     assert [one.name for one in settings(world).upstream] == ["a", "b"]
     assert rights(world) == ["w", "a", "b"]
 
 
-def test_a_monitor_is_told_of_no_circle_and_its_workload_is_protected_all_the_same() -> None:
+def test_a_workload_in_a_cycle_is_protected_without_upstream_workloads() -> None:
     world = depending({"w": ["a"], "a": ["w"]})
     assert settings(world).upstream == []
     assert rights(world) == ["w"]
@@ -175,15 +175,15 @@ def later(item: Object) -> Object:
     return {**item, "metadata": {**item["metadata"], "generation": 4}}
 
 
-class TestWhoIsLookedAtAgain:
+class TestReconciledWorkloads:
     there = (needing("b", "c"), needing("c", "a"), workload("w"))
 
-    def test_whoever_depends_on_any_when_one_depends_on_others_than_before(self) -> None:
+    def test_a_change_of_dependencies_reconciles_every_workload_with_dependencies(self) -> None:
         assert keys(workload("a"), later(needing("a", "b")), *self.there) == {"a", "b", "c"}
 
-    def test_whoever_depends_on_any_when_one_has_come_or_gone(self) -> None:
+    def test_a_created_or_deleted_workload_reconciles_every_workload_with_dependencies(self) -> None:
         assert keys(None, workload("a"), *self.there) == {"a", "b", "c"}
         assert keys(workload("a"), None, *self.there) == {"a", "b", "c"}
 
-    def test_nobody_else_when_something_else_was_changed(self) -> None:
+    def test_another_change_reconciles_only_the_workload_itself(self) -> None:
         assert keys(workload("a"), later(workload("a")), *self.there) == {"a"}

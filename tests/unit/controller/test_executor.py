@@ -42,7 +42,7 @@ def executor(client: MemoryClient, store: Store) -> Executor:
     return Executor(client, store, Expectations(), may_write=lambda: True)
 
 
-async def test_an_object_of_an_earlier_namespace_of_that_name_stands_in_nobodys_way() -> None:
+async def test_an_object_of_a_deleted_namespace_does_not_block_a_new_one_with_its_name() -> None:
     # The watch hasn't told yet that it went with its namespace.
     client, store = ApplyingClient(), Store()
     store.put(CONFIG_MAPS, stored("earlier-workload"))
@@ -51,7 +51,7 @@ async def test_an_object_of_an_earlier_namespace_of_that_name_stands_in_nobodys_
     assert made["metadata"]["ownerReferences"][0]["uid"] == "workload"
 
 
-async def test_an_object_that_really_is_somebody_elses_is_left_alone() -> None:
+async def test_an_object_of_another_owner_is_not_changed() -> None:
     client, store = ApplyingClient(), Store()
     client.items[(CONFIG_MAPS.plural, "fleet", "w-robot-env")] = stored("another-workload")
     store.put(CONFIG_MAPS, stored("another-workload"))
@@ -60,7 +60,7 @@ async def test_an_object_that_really_is_somebody_elses_is_left_alone() -> None:
     assert [method for method, _, _ in client.requests] == ["GET"]
 
 
-async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else_from_being_made() -> None:
+async def test_a_template_that_cannot_be_applied_is_reported_and_other_objects_are_still_applied() -> None:
     # As Kubernetes answers to a field that it doesn't know: with 500, as though it might be otherwise the next time.
     words = "failed to create typed patch object (fleet/w; apps/v1, Kind=ReplicaSet): .spec.nodeNane: field not declared in schema"
 
@@ -79,7 +79,7 @@ async def test_a_template_that_can_not_be_applied_is_told_and_keeps_nothing_else
     assert (CONFIG_MAPS.plural, "fleet", "w-robot-env") in client.items
 
 
-async def test_of_a_workload_that_is_gone_nothing_is_kept() -> None:
+async def test_the_executor_remembers_nothing_of_a_deleted_workload() -> None:
     # Else an operator that has seen many come and go needs more and more memory.
     client, store = ApplyingClient(), Store()
     working = executor(client, store)
@@ -98,7 +98,7 @@ def standby(name: str, pool: str) -> Create:
     return Create(PODS, {"apiVersion": "v1", "kind": "Pod", "metadata": metadata}, counted=True)
 
 
-async def test_a_quota_that_is_used_up_is_asked_once_for_each_pool_and_told_in_the_same_words_each_time() -> None:
+async def test_an_exhausted_quota_costs_one_request_per_pool_and_has_a_stable_message() -> None:
     # Words with the names of pods that were never made would be another status each time, and each is looked at again at once.
     client = MemoryClient()
     client.failing = lambda method, name: ApiError(
@@ -148,7 +148,7 @@ async def fight(resource: Resource) -> tuple[Fought, list[list[str]]]:
     return client, told
 
 
-async def test_who_changes_an_object_back_each_time_is_told_of_and_not_fought_for_ever() -> None:
+async def test_an_object_that_somebody_reverts_each_time_is_reported_and_repaired_less_often() -> None:
     client, told = await fight(CONFIG_MAPS)
     assert client.applies == 1 + AT_ONCE
     assert told[: 1 + AT_ONCE] == [[]] * (1 + AT_ONCE)
@@ -157,7 +157,7 @@ async def test_who_changes_an_object_back_each_time_is_told_of_and_not_fought_fo
     assert "data.A" in message
 
 
-async def test_a_policy_that_holds_standbys_back_is_put_right_each_time_and_that_is_told_as_well() -> None:
+async def test_a_network_policy_that_somebody_reverts_is_always_repaired_and_reported() -> None:
     client, told = await fight(NETWORK_POLICIES)
     assert client.applies == 20
     assert "repeatedly" in told[-1][0]

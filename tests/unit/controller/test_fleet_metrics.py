@@ -32,7 +32,7 @@ STATUS: Object = {
 }
 
 
-def test_a_workloads_health_conditions_and_recoveries_are_told() -> None:
+def test_metrics_report_health_conditions_and_recoveries_of_a_workload() -> None:
     registry = told(workload("w", status=STATUS))
     of = {"namespace": "fleet", "workload": "w"}
     value = registry.get_sample_value
@@ -44,12 +44,12 @@ def test_a_workloads_health_conditions_and_recoveries_are_told() -> None:
     assert value("understudy_workload_last_recovery_timestamp_seconds", of) == 1767323045
 
 
-def test_a_condition_that_wakes_nobody_is_left_out() -> None:
+def test_metrics_omit_conditions_that_need_no_attention() -> None:
     samples = [s for family in told(workload("w", status=STATUS)).collect() for s in family.samples]
     assert "Degraded" not in {s.labels.get("condition") for s in samples}
 
 
-def test_a_workload_that_nothing_was_said_of_yet_is_counted() -> None:
+def test_metrics_count_a_workload_without_a_status() -> None:
     of = {"namespace": "fleet", "workload": "new"}
     registry = told(workload("new"))
     assert registry.get_sample_value("understudy_workload_health", {**of, "health": "Unknown"}) == 1
@@ -57,7 +57,7 @@ def test_a_workload_that_nothing_was_said_of_yet_is_counted() -> None:
     assert registry.get_sample_value("understudy_workload_last_recovery_timestamp_seconds", of) is None
 
 
-def test_a_pools_pods_are_told_by_state() -> None:
+def test_metrics_report_the_pods_of_a_pool_by_state() -> None:
     pool = custom("FallbackPool", "cold", {"readiness": "Uninitialized"})
     pool["status"] = {"desired": 4, "replicas": 3, "ready": 1, "claimed": 2, "waiting": 5}
     registry = told(pools=(pool,))
@@ -71,5 +71,5 @@ def test_a_pools_pods_are_told_by_state() -> None:
     assert registry.get_sample_value("understudy_pool_waiting_workloads", of) == 5
 
 
-def test_who_does_not_lead_tells_nothing() -> None:
+def test_a_replica_that_is_not_the_leader_reports_no_metrics() -> None:
     assert not list(told(workload("w", status=STATUS), leading=False).collect())

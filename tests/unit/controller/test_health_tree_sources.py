@@ -45,7 +45,7 @@ def untimed(status: Object) -> list[Object]:
     return [{**one, "lastTransitionTime": ""} for one in status["conditions"]]
 
 
-def test_a_good_tree_is_in_force() -> None:
+def test_a_valid_tree_is_in_force() -> None:
     told = status(referring(), trees(health_yaml=GOOD))
     assert told["conditions"][0]["status"] == "True"
     assert told["tree"] == {"name": "trees", "key": "health.yaml", "yaml": TREE}
@@ -67,7 +67,9 @@ def test_a_good_tree_is_in_force() -> None:
         (trees(health_yaml=BAD), "TreeInvalid", "ConfigMap trees, health.yaml, line 1, column 25: topic.gap: '500 parsecs'"),
     ],
 )  # fmt: skip
-def test_without_a_good_tree_the_last_one_stays_in_force(maps: dict[str, Object], reason: str, words: str) -> None:
+def test_the_last_valid_tree_stays_in_force_if_the_present_one_is_missing_or_invalid(
+    maps: dict[str, Object], reason: str, words: str
+) -> None:
     fresh = status(referring(), maps)
     assert "tree" not in fresh
     (accepted,) = fresh["conditions"]
@@ -79,19 +81,19 @@ def test_without_a_good_tree_the_last_one_stays_in_force(maps: dict[str, Object]
     assert untimed(after) == untimed(fresh)
 
 
-def test_a_workload_is_told_of_its_policys_tree() -> None:
+def test_a_problem_with_the_tree_of_a_policy_is_reported_for_its_workloads() -> None:
     found = policy_reader.problem(referring(), {})
     assert found is not None
     assert found.reason == "TreeNotFound"
     assert policy_reader.problem(referring(), trees(health_yaml=GOOD)) is None
 
 
-def test_what_is_in_the_policy_again_is_not_kept_beside_it() -> None:
+def test_a_tree_inside_the_policy_is_not_copied_to_the_status() -> None:
     before = status(referring(), trees(health_yaml=GOOD))
     assert "tree" not in status(policy("Restart") | {"status": before}, {})
 
 
-def test_monitors_go_by_what_is_in_force() -> None:
+def test_monitors_use_the_tree_in_force() -> None:
     found = referring()
     spec = FailurePolicySpec.model_validate(found["spec"])
     assert in_force(spec, None) is None
@@ -108,7 +110,7 @@ def test_monitors_go_by_what_is_in_force() -> None:
     assert in_force(inline, None) is inline
 
 
-def test_a_change_concerns_the_policies_that_refer_to_it_and_whom_they_protect() -> None:
+def test_a_change_of_a_config_map_reconciles_its_policies_and_their_workloads() -> None:
     store = Store()
     store.put(POLICIES, referring())
     store.put(POLICIES, policy("Restart", name="other"))
@@ -121,7 +123,7 @@ def test_a_change_concerns_the_policies_that_refer_to_it_and_whom_they_protect()
     )
 
 
-def test_only_what_is_lent_is_kept() -> None:
+def test_only_labelled_config_maps_are_stored() -> None:
     for label, kept in (("true", True), ("false", False), (None, False)):
         (config_map,) = trees(label=label).values()
         assert resync.kept(CONFIG_MAPS, config_map) is kept

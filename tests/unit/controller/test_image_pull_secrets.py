@@ -34,25 +34,25 @@ def pods(found: World) -> dict[str, Object]:
 
 
 @pytest.mark.usefixtures("secrets")
-def test_all_pods_with_the_monitors_image_are_pulled_by_its_secrets() -> None:
+def test_the_secrets_of_the_monitor_image_pull_all_pods_that_contain_it() -> None:
     found = pods(World(workload(monitor={"image": "mine:1"}), policy("hot"), hot()))
     assert found.keys() == {"w", "w-monitor", "w-discovery", "standby"}
     assert {name: pod.get("imagePullSecrets") for name, pod in found.items()} == dict.fromkeys(found, SECRET)
 
 
 @pytest.mark.usefixtures("secrets")
-def test_those_of_the_template_stay() -> None:
+def test_pull_secrets_of_the_template_are_kept() -> None:
     template = copy.deepcopy(TEMPLATE)
     template["spec"]["imagePullSecrets"] = [{"name": "own"}, {"name": "registry"}]
     found = pods(World(workload(template=template), policy("hot"), hot()))
     assert found["w"]["imagePullSecrets"] == [{"name": "own"}, {"name": "registry"}]
 
 
-def test_without_secrets_nothing_is_said_of_them() -> None:
+def test_pods_have_no_pull_secrets_if_none_are_configured() -> None:
     assert not any("imagePullSecrets" in pod for pod in pods(World(workload(), policy("hot"), hot())).values())
 
 
-def test_the_pods_of_a_shared_pool_are_pulled_by_them_too() -> None:
+def test_pods_of_a_shared_pool_have_the_pull_secrets_too() -> None:
     images = replace(IMAGES, pull_secrets=("registry",))
     observed = pool_pods.Observed(pool=world.spare(replicas=1), workloads={}, pods=[], owned={}, now=NOW)
     plan = pool_pods.plan(observed, pool_pods.evaluate(observed, images), Names().fresh())
@@ -60,7 +60,7 @@ def test_the_pods_of_a_shared_pool_are_pulled_by_them_too() -> None:
     assert pod["spec"]["imagePullSecrets"] == SECRET
 
 
-def test_monitors_and_discovery_servers_have_their_priority_and_instances_that_of_their_template(
+def test_only_monitors_and_discovery_servers_have_the_configured_priority_class(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(world, "IMAGES", replace(IMAGES, priority_class="robots"))
@@ -69,7 +69,7 @@ def test_monitors_and_discovery_servers_have_their_priority_and_instances_that_o
     assert given == {"w-monitor": "robots", "w-discovery": "robots"}
 
 
-def test_the_operator_has_them_of_its_environment_or_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_operator_reads_the_pull_secrets_from_its_environment_or_options(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERSTUDY_MONITOR_IMAGE", "monitor:1")
     assert running.options([])[1].images.pull_secrets == ()
     monkeypatch.setenv("UNDERSTUDY_IMAGE_PULL_SECRETS", "registry,other")
@@ -77,7 +77,7 @@ def test_the_operator_has_them_of_its_environment_or_its_options(monkeypatch: py
     assert running.options(["--image-pull-secret", "mine"])[1].images.pull_secrets == ("mine",)
 
 
-def test_the_operator_has_the_priority_of_its_environment_or_its_options(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_operator_reads_the_priority_class_from_its_environment_or_options(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("UNDERSTUDY_MONITOR_IMAGE", "monitor:1")
     assert running.options([])[1].images.priority_class == ""
     monkeypatch.setenv("UNDERSTUDY_PRIORITY_CLASS", "robots")

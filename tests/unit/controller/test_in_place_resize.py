@@ -56,7 +56,7 @@ def only(made: World) -> ResizeOutcome:
 MORE: Object = {"resize": {"cpu": "1500m"}}
 
 
-def test_the_first_container_gets_its_request_and_the_limit_that_it_has() -> None:
+def test_request_and_existing_limit_of_the_first_container_are_raised() -> None:
     found = only(world(MORE))
     assert found.reason == "InProgress"
     assert isinstance(found.write, Patch)
@@ -68,7 +68,7 @@ def test_the_first_container_gets_its_request_and_the_limit_that_it_has() -> Non
     }
 
 
-def test_a_container_by_its_name_and_both_resources() -> None:
+def test_a_container_can_be_selected_by_name_and_both_resources_can_be_raised() -> None:
     made = world({"resize": {"container": "understudy-agent", "cpu": "40m", "memory": "128Mi"}})
     write = only(made).write
     assert write is not None
@@ -77,7 +77,7 @@ def test_a_container_by_its_name_and_both_resources() -> None:
     ]
 
 
-def test_what_has_it_already_is_left_alone_and_told() -> None:
+def test_a_container_that_has_enough_is_not_resized_and_is_reported_as_resized() -> None:
     enough = {"requests": {"cpu": "1.5"}, "limits": {"cpu": "4"}}
     made = world(MORE, pod=running(resources=enough))
     found = only(made)
@@ -88,7 +88,7 @@ def test_what_has_it_already_is_left_alone_and_told() -> None:
     assert said.message == "container app of pod w-a has cpu 1500m."
 
 
-def test_nothing_is_done_once_it_is_no_longer_degraded_or_the_policy_is_not_accepted() -> None:
+def test_nothing_is_resized_without_degradation_or_with_an_invalid_policy() -> None:
     made = world(MORE)
     made.resized = None
     assert outcomes(made) == []
@@ -98,7 +98,7 @@ def test_nothing_is_done_once_it_is_no_longer_degraded_or_the_policy_is_not_acce
     assert outcomes(made) == []
 
 
-def test_a_container_that_is_not_there_is_told_with_those_that_are() -> None:
+def test_an_unknown_container_is_reported_with_the_existing_ones() -> None:
     found = only(world({"resize": {"container": "ap", "cpu": "1"}}))
     assert (found.reason, found.write) == ("ContainerNotFound", None)
     assert_golden(
@@ -112,7 +112,7 @@ def test_a_container_that_is_not_there_is_told_with_those_that_are() -> None:
     )
 
 
-def test_a_container_that_would_be_restarted_is_left_as_it_is() -> None:
+def test_a_container_that_would_restart_is_not_resized() -> None:
     policies = [{"resourceName": "cpu", "restartPolicy": "RestartContainer"}]
     found = only(world(MORE, pod=running(resizePolicy=policies)))
     assert (found.reason, found.write) == ("WouldRestart", None)
@@ -142,7 +142,7 @@ def test_a_container_that_would_be_restarted_is_left_as_it_is() -> None:
         ),
     ],
 )
-def test_what_the_kubelet_says_is_told(said: Object, reason: str, words: str) -> None:
+def test_the_answer_of_the_kubelet_is_reported(said: Object, reason: str, words: str) -> None:
     pod = running(resources={"requests": {"cpu": "1500m"}, "limits": {"cpu": "1500m"}})
     pod["status"]["conditions"].append({"status": "True", **said})
     found = only(world(MORE, pod=pod))
@@ -150,13 +150,13 @@ def test_what_the_kubelet_says_is_told(said: Object, reason: str, words: str) ->
     assert words in found.message
 
 
-def test_it_is_done_when_the_container_has_it_and_not_when_its_spec_says_so() -> None:
+def test_a_resize_is_complete_when_the_container_status_has_the_resources() -> None:
     pod = running(resources={"requests": {"cpu": "1500m"}, "limits": {"cpu": "1500m"}})
     pod["status"]["containerStatuses"][0]["resources"] = SLOW
     assert only(world(MORE, pod=pod)).reason == "InProgress"
 
 
-def test_what_the_api_server_refuses_is_told_and_the_rest_is_said_of_what_is_not_done() -> None:
+def test_a_resize_that_the_api_server_refuses_is_reported() -> None:
     made = world(MORE, {"resize": {"container": "understudy-agent", "cpu": "20m"}})
     first, second = outcomes(made)
     refused = in_place_resize.refused(first, Problem("Forbidden", "Pod w-a: exceeded quota"))
@@ -173,7 +173,7 @@ AMOUNTS = st.dictionaries(
 
 
 @given(AMOUNTS, AMOUNTS, st.dictionaries(st.sampled_from(["cpu", "memory"]), st.integers(1, 64).map(str), min_size=1))
-def test_nothing_is_ever_lowered_or_limited_anew_and_once_is_enough(
+def test_a_resize_never_lowers_values_or_adds_limits_and_is_idempotent(
     requests: dict[str, str], limits: dict[str, str], amounts: dict[str, str]
 ) -> None:
     before = {"requests": requests, "limits": limits}
@@ -188,13 +188,13 @@ def test_nothing_is_ever_lowered_or_limited_anew_and_once_is_enough(
 
 
 @pytest.mark.parametrize("resize", [{}, {"container": "app"}, {"cpu": "0"}, {"cpu": "1 core"}, {"memory": "1"}])
-def test_a_resize_that_says_nothing_is_none(resize: Object) -> None:
+def test_a_resize_without_a_valid_amount_is_refused(resize: Object) -> None:
     with pytest.raises(ValueError):  # noqa: PT011
         Resize.model_validate(resize)
 
 
 class TestStatus:
-    def test_it_is_said_while_there_is_something_to_be_said(self) -> None:
+    def test_the_condition_exists_only_while_there_is_a_resize_to_report(self) -> None:
         made = world(MORE)
         active = source_pod("w-a")
         made.own(gate(made.workload, active=active, epoch=1))

@@ -25,7 +25,7 @@ def lease(age: float = 1.0, holder: str = "one") -> Object:
     return {"spec": {"holderIdentity": holder, "renewTime": renewed}}
 
 
-def test_an_operator_whose_replicas_are_there_and_of_which_one_leads_is_at_work() -> None:
+def test_an_operator_with_all_replicas_and_a_leader_has_no_problem() -> None:
     assert operator_problem(deployment(), lease(), NOW) is None
 
 
@@ -40,7 +40,7 @@ def test_an_operator_whose_replicas_are_there_and_of_which_one_leads_is_at_work(
         (deployment(), lease(age=90), "one is the leader, but has not renewed Lease understudy-operator for 90 s"),
     ],
 )
-def test_what_is_missing_of_an_operator_is_told(found: Object, held: Object | None, words: str) -> None:
+def test_a_problem_of_the_operator_is_reported(found: Object, held: Object | None, words: str) -> None:
     assert words in (operator_problem(found, held, NOW) or "")
 
 
@@ -49,11 +49,11 @@ def served() -> Object:
     return {**found, "status": {"conditions": [{"type": "Established", "status": "True"}]}}
 
 
-def test_definitions_of_this_version_are_in_order() -> None:
+def test_definitions_of_this_version_have_no_problem() -> None:
     assert definition_problem(served(), WANTED) is None
 
 
-def test_definitions_of_another_version_are_told() -> None:
+def test_definitions_of_another_version_are_reported() -> None:
     older, gone, fresh = served(), served(), served()
     del older["spec"]["versions"][0]["schema"]["openAPIV3Schema"]["properties"]["status"]
     gone["spec"]["versions"][0]["name"] = "v1"

@@ -44,7 +44,7 @@ def alike(value: Any, other: Any) -> bool:
 
 
 @given(st.lists(VALUES, max_size=5))
-def test_everything_says_what_it_said(values: list[Any]) -> None:
+def test_interning_does_not_change_values(values: list[Any]) -> None:
     clock = Clock()
     sharing = Interner(clock=clock)
     for value in values:
@@ -52,7 +52,7 @@ def test_everything_says_what_it_said(values: list[Any]) -> None:
         assert alike(sharing.of({"spec": copy.deepcopy(value)}, None)["spec"], value)
 
 
-def test_what_two_objects_have_in_common_is_kept_once() -> None:
+def test_equal_parts_of_two_objects_are_stored_once() -> None:
     sharing = Interner(clock=Clock())
     one, two = sharing.of(robot("1", own="1"), None), sharing.of(robot("2", own="2"), None)
     assert one["spec"]["ports"] is two["spec"]["ports"]
@@ -61,7 +61,7 @@ def test_what_two_objects_have_in_common_is_kept_once() -> None:
     assert one["metadata"] == {"name": "1"}
 
 
-def test_a_later_self_keeps_what_has_not_changed_however_long_ago_that_was() -> None:
+def test_a_new_version_of_an_object_shares_its_unchanged_parts_at_any_later_time() -> None:
     clock = Clock()
     sharing = Interner(clock=clock)
     old = sharing.of(robot("1"), None)
@@ -72,7 +72,7 @@ def test_a_later_self_keeps_what_has_not_changed_however_long_ago_that_was() -> 
     assert "more" not in old["spec"]
 
 
-def test_what_no_object_has_any_more_is_forgotten() -> None:
+def test_parts_that_no_object_uses_are_forgotten() -> None:
     clock = Clock()
     sharing = Interner(clock=clock)
     first = sharing.of(robot("1"), None)
@@ -83,7 +83,7 @@ def test_what_no_object_has_any_more_is_forgotten() -> None:
     assert sharing.of(robot("2"), None)["spec"]["ports"] is not first["spec"]["ports"]
 
 
-def test_a_store_keeps_what_its_objects_have_in_common_once() -> None:
+def test_a_store_keeps_equal_parts_of_its_objects_once() -> None:
     store = Store()
     for name in ("v", "w"):
         store.put(WORKLOADS, copy.deepcopy(workload(name)))
@@ -94,7 +94,7 @@ def test_a_store_keeps_what_its_objects_have_in_common_once() -> None:
     assert one["spec"] == workload("v")["spec"]
 
 
-def test_what_the_objects_of_a_robot_have_in_common_is_kept_once() -> None:
+def test_equal_owners_and_statuses_of_two_pods_are_stored_once() -> None:
     sharing = Interner(clock=Clock())
     owner = [{"kind": "RobotWorkload", "name": "w", "uid": "u"}]
     pods = [
@@ -110,7 +110,7 @@ def test_what_the_objects_of_a_robot_have_in_common_is_kept_once() -> None:
     assert [one["metadata"]["name"], two["metadata"]["name"]] == ["w-1", "w-2"]
 
 
-def test_a_store_at_rest_forgets_what_it_looked_for_in_other_objects() -> None:
+def test_an_idle_store_forgets_the_parts_that_it_compared() -> None:
     clock = Clock()
     store = Store(clock=clock)
     store.put(WORKLOADS, copy.deepcopy(workload("v")))

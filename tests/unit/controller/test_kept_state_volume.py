@@ -20,14 +20,14 @@ def kept_on(claim: str | None, *, tree: Object | None = None) -> World:
     return World(workload(), protecting)
 
 
-def test_kept_state_lies_in_an_empty_dir_unless_a_claim_is_named() -> None:
+def test_kept_state_is_in_an_empty_dir_unless_the_policy_names_a_claim() -> None:
     pod = monitor(kept_on(None))
     assert {"name": "state", "emptyDir": {}} in pod["volumes"]
     assert not [volume for volume in pod["volumes"] if "persistentVolumeClaim" in volume]
     assert "securityContext" not in pod
 
 
-def test_a_claim_is_mounted_with_a_folder_for_each_workload_that_the_monitor_may_write_to() -> None:
+def test_the_monitor_may_write_to_the_folder_of_its_workload_on_the_claim() -> None:
     pod = monitor(kept_on("robot-state"))
     assert {"name": "kept", "persistentVolumeClaim": {"claimName": "robot-state"}} in pod["volumes"]
     (container,) = [c for c in pod["containers"] if c["name"] == "monitor"]
@@ -35,7 +35,7 @@ def test_a_claim_is_mounted_with_a_folder_for_each_workload_that_the_monitor_may
     assert pod["securityContext"]["fsGroup"] == container["securityContext"]["runAsGroup"]
 
 
-def test_while_the_policy_can_not_be_followed_kept_state_stays_where_it_is() -> None:
+def test_kept_state_stays_on_its_claim_while_the_policy_is_invalid() -> None:
     world = kept_on("robot-state")
     world.build()
     broken = kept_on("another", tree={"nonsense": {}})
@@ -48,7 +48,7 @@ def pools(world: World) -> dict[str, Object]:
     return {pool["name"]: pool for pool in settings["pools"]}
 
 
-def test_only_initialized_standbys_are_kept_up() -> None:
+def test_only_initialized_standbys_are_kept_up_to_date() -> None:
     initialization = {"yaml": {"node_present": {"node": "/amcl"}}}
     warm = hot("warm", readiness="Initialized", keepUp={"period": "2s"}, initialization=initialization)
     running = hot("hot", keepUp={"period": "2s"})

@@ -75,7 +75,7 @@ def budget(name: str, **labels: str) -> Object:
     }
 
 
-def test_evictions_of_the_instance_in_control_wait_and_of_no_other() -> None:
+def test_the_disruption_budget_covers_only_the_active_instance() -> None:
     made = world()
     (found,) = applied(made.plan(), BUDGETS).values()
     assert kube_objects.name(found) == "w-in-control"
@@ -87,7 +87,7 @@ def test_evictions_of_the_instance_in_control_wait_and_of_no_other() -> None:
     assert (told(made), condition(made)) == (None, None), "no node is drained"
 
 
-def test_the_budget_follows_control() -> None:
+def test_the_disruption_budget_follows_the_active_instance() -> None:
     made = world()
     made.build()
     standby = on("node-2", claimed_pod("s-1", of=spare(), by=made.workload))
@@ -96,7 +96,7 @@ def test_the_budget_follows_control() -> None:
     assert applied(made.plan(), BUDGETS)["w-in-control"]["spec"]["selector"]["matchLabels"][names.INSTANCE] == "s-1"
 
 
-def test_in_the_midst_of_a_recovery_it_stays_as_it_is() -> None:
+def test_the_disruption_budget_does_not_change_during_a_recovery() -> None:
     made = world()
     made.build()
     made.own(gate(made.workload, epoch=2))
@@ -104,7 +104,7 @@ def test_in_the_midst_of_a_recovery_it_stays_as_it_is() -> None:
     assert (applied(plan, BUDGETS), deleted(plan)) == ({}, [])
 
 
-def test_the_monitor_is_told_of_the_node_and_of_all_that_are_no_better() -> None:
+def test_the_monitor_receives_the_drained_node_and_all_cordoned_nodes() -> None:
     made = world()
     made.cordoned = frozenset({"node-1", "node-3"})
     assert told(made) == Drain(uid="uid-w-1", node="node-1", since=NOW, cordoned=["node-1", "node-3"])
@@ -114,13 +114,13 @@ def test_the_monitor_is_told_of_the_node_and_of_all_that_are_no_better() -> None
     assert_golden("operator", found["message"], "node-1", "w-1", "22:18:20")
 
 
-def test_another_node_is_none_of_its_business() -> None:
+def test_a_drain_of_another_node_has_no_effect() -> None:
     made = world()
     made.cordoned = frozenset({"node-2"})
     assert (told(made), condition(made)) == (None, None)
 
 
-def test_evictions_do_not_wait_for_ever() -> None:
+def test_evictions_are_held_for_a_limited_time() -> None:
     made = world()
     made.cordoned = frozenset({"node-1"})
     plan = made.build()
@@ -139,7 +139,7 @@ def test_evictions_do_not_wait_for_ever() -> None:
     assert told(made) is not None, "the monitor goes on trying until the pod goes"
 
 
-def test_how_long_they_wait_is_for_the_user_to_say() -> None:
+def test_the_policy_sets_how_long_evictions_are_held() -> None:
     made = world(draining={"holdFor": "20s"})
     made.cordoned = frozenset({"node-1"})
     assert made.build().again_after == 20.0
@@ -149,7 +149,7 @@ def test_how_long_they_wait_is_for_the_user_to_say() -> None:
     assert (condition(made) or {})["reason"] == "NotAskedFor"
 
 
-def test_where_nothing_could_take_over_nobody_is_kept_waiting() -> None:
+def test_evictions_are_not_held_if_no_instance_could_take_over() -> None:
     made = world("Restart")
     assert applied(made.plan(), BUDGETS) == {}
     made.cordoned = frozenset({"node-1"})
@@ -159,7 +159,7 @@ def test_where_nothing_could_take_over_nobody_is_kept_waiting() -> None:
     assert told(made) is not None
 
 
-def test_a_budget_of_somebody_else_decides_alone() -> None:
+def test_a_disruption_budget_of_the_user_replaces_that_of_the_operator() -> None:
     made = world()
     made.build()
     made.budgets = [budget("others", app="another")]
@@ -170,7 +170,7 @@ def test_a_budget_of_somebody_else_decides_alone() -> None:
     assert_golden("operator", (condition(made) or {})["message"], "PodDisruptionBudget theirs")
 
 
-def test_a_drain_is_told_by_events() -> None:
+def test_a_drain_causes_an_event() -> None:
     made = world()
     made.cordoned = frozenset({"node-1"})
     made.workload["status"] = {"conditions": []}
@@ -188,7 +188,7 @@ def test_a_drain_is_told_by_events() -> None:
         ({"taints": [{"key": "karpenter.sh/disrupted", "effect": "NoSchedule"}]}, True),
     ],
 )
-def test_what_counts_as_to_be_emptied(spec: Object, is_cordoned: bool) -> None:
+def test_an_unschedulable_node_and_one_with_a_removal_taint_are_cordoned(spec: Object, is_cordoned: bool) -> None:
     assert leaving_nodes.is_cordoned({"spec": spec}) == is_cordoned
 
 
@@ -197,7 +197,7 @@ def node(version: int, **spec: Any) -> Object:
     return {"apiVersion": "v1", "kind": "Node", "metadata": metadata, "spec": spec, "status": {"images": ["many"]}}
 
 
-def test_of_a_node_only_that_is_kept_and_only_a_change_of_that_means_something() -> None:
+def test_a_node_is_stored_without_other_fields_and_only_a_cordon_reconciles_workloads() -> None:
     store, seen = Store(), []
     store.put(WORKLOADS, workload())
     store.put(PODS, on("node-1", source_pod("w-1")))
@@ -217,7 +217,7 @@ def test_of_a_node_only_that_is_kept_and_only_a_change_of_that_means_something()
     assert "labels" not in found["metadata"]
 
 
-def test_a_budget_of_somebody_else_means_something_to_every_workload_of_its_namespace() -> None:
+def test_a_new_budget_of_the_user_reconciles_every_workload_of_its_namespace() -> None:
     store, seen = Store(), []
     store.put(WORKLOADS, workload())
     store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
@@ -228,7 +228,7 @@ def test_a_budget_of_somebody_else_means_something_to_every_workload_of_its_name
     assert seen == [{Key(WORKLOADS.plural, NAMESPACE, "w")}, set()], "what its controller counts means nothing"
 
 
-def test_a_pod_that_is_started_for_a_switchover_beside_the_one_that_drives_is_left() -> None:
+def test_a_pod_that_starts_for_a_planned_switchover_is_not_scaled_down() -> None:
     made = world("spare", "Restart")
     made.others = [item for item in made.others if kube_objects.name(item) != "hot"]
     driving = on("node-2", claimed_pod("s-1", of=spare(), by=made.workload))
@@ -245,7 +245,7 @@ def test_a_pod_that_is_started_for_a_switchover_beside_the_one_that_drives_is_le
     assert patched(made.plan(), "replicasets")["w"] == {"spec": {"replicas": 0}}, "it came to nothing"
 
 
-def test_evictions_wait_no_longer_for_a_clock_that_was_put_back() -> None:
+def test_a_clock_that_is_set_back_does_not_prolong_the_hold_of_evictions() -> None:
     # What was begun is then of tomorrow, and would end a day later than it should.
     made = world(draining={"holdFor": "60s"})
     made.cordoned = frozenset({"node-1"})

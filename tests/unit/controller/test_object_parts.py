@@ -34,14 +34,14 @@ class TestInstances:
         instance_pod.build(TEMPLATE, RECIPE)
         assert before == TEMPLATE
 
-    def test_the_users_environment_wins(self) -> None:
+    def test_environment_variables_of_the_user_take_precedence(self) -> None:
         template = copy.deepcopy(TEMPLATE)
         template["spec"]["containers"][0]["env"] = [{"name": "ROS_DOMAIN_ID", "value": "42"}]
         app = instance_pod.build(template, RECIPE)["spec"]["containers"][0]
         assert [entry["value"] for entry in app["env"] if entry["name"] == "ROS_DOMAIN_ID"] == ["42"]
         assert environment(app)["ROS_DISCOVERY_SERVER"] == "10.0.0.1:11811"
 
-    def test_the_agent_runs_without_rights(self) -> None:
+    def test_the_agent_runs_without_privileges(self) -> None:
         agent = instance_pod.build(TEMPLATE, RECIPE)["spec"]["containers"][-1]
         assert agent["name"] == names.AGENT_CONTAINER
         context = agent["securityContext"]
@@ -55,14 +55,14 @@ class TestInstances:
         assert environment(agent)["ROS_SUPER_CLIENT"] == "TRUE"
         assert "ROS_SUPER_CLIENT" not in environment(instance_pod.build(TEMPLATE, RECIPE)["spec"]["containers"][0])
 
-    def test_the_hash_changes_with_whatever_changes_the_pod(self) -> None:
+    def test_the_template_hash_changes_if_the_pod_changes(self) -> None:
         first = instance_pod.template_hash(instance_pod.build(TEMPLATE, RECIPE))
         assert first == instance_pod.template_hash(instance_pod.build(copy.deepcopy(TEMPLATE), RECIPE))
         other = copy.deepcopy(TEMPLATE)
         other["spec"]["containers"][0]["image"] = "app:2"
         assert first != instance_pod.template_hash(instance_pod.build(other, RECIPE))
 
-    def test_instances_prefer_other_nodes_and_keep_the_users_preferences(self) -> None:
+    def test_instances_prefer_separate_nodes_and_keep_the_preferences_of_the_user(self) -> None:
         template = copy.deepcopy(TEMPLATE)
         own = {"weight": 1, "podAffinityTerm": {"topologyKey": "zone"}}
         template["spec"]["affinity"] = {
@@ -77,7 +77,7 @@ class TestInstances:
         assert preferred[2]["weight"] < preferred[1]["weight"], "an understudy away from the active pod comes first"
         assert affinity["nodeAffinity"] == {"x": "y"}
 
-    def test_a_lost_node_is_left_soon_unless_the_user_says_otherwise(self) -> None:
+    def test_pods_leave_a_lost_node_soon_unless_the_user_sets_another_time(self) -> None:
         (not_ready, unreachable) = instance_pod.build(TEMPLATE, RECIPE)["spec"]["tolerations"]
         assert not_ready["tolerationSeconds"] == unreachable["tolerationSeconds"] == pod_placement.LOST_SECONDS
         template = copy.deepcopy(TEMPLATE)
@@ -96,7 +96,7 @@ class TestInstances:
             ({"containers": [{"name": "a"}], "hostNetwork": True}, "hostNetwork"),
         ],
     )
-    def test_what_can_not_be_an_instance_is_said_with_its_place(self, spec: Object, word: str) -> None:
+    def test_a_template_that_cannot_be_an_instance_is_reported_with_its_path(self, spec: Object, word: str) -> None:
         found = instance_pod.problem({"spec": spec}, held=False, path="spec.template")
         assert found is not None
         assert found.startswith("spec.template.spec")
@@ -104,19 +104,19 @@ class TestInstances:
 
 
 class TestPolicies:
-    def test_strategies_in_short(self) -> None:
+    def test_the_short_form_of_a_policy_lists_its_strategies(self) -> None:
         found = policy("hot", "spare", "gone", "Restart")
         assert policy_status.in_short(found, {"hot": hot(), "spare": spare()}) == (
             "Executing, Uninitialized, Fallback/gone, Restart"
         )
 
-    def test_a_bad_tree_is_refused_with_its_place(self) -> None:
+    def test_an_invalid_tree_is_refused_with_its_path(self) -> None:
         found = policy("Restart", tree={"parallel": [{"topic": {"name": "/scan", "gap": "500 parsecs"}}]})
         (accepted,) = policy_status.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "TreeInvalid")
         assert "spec.monitoring.yaml.parallel[0].topic" in accepted.message
 
-    def test_a_bad_tree_in_xml_is_refused_with_its_line(self) -> None:
+    def test_an_invalid_xml_tree_is_refused_with_its_line(self) -> None:
         found = policy("Restart")
         tree = '<root BTCPP_format="4">\n<BehaviorTree ID="A">\n  <Topic topic="/scan" gap="500 parsecs"/></BehaviorTree></root>'
         found["spec"]["monitoring"] = {"xml": tree}
@@ -126,7 +126,7 @@ class TestPolicies:
         found["spec"]["monitoring"] = {"xml": tree.replace("500 parsecs", "500ms")}
         assert policy_reader.problem(found, {}) is None
 
-    def test_a_bad_tree_in_openscenario_is_refused_with_its_line(self) -> None:
+    def test_an_invalid_openscenario_tree_is_refused_with_its_line(self) -> None:
         found = policy("Restart")
         tree = 'import osc.understudy\nscenario healthy:\n    do topic("/scan", gap: 500parsec)\n'
         found["spec"]["monitoring"] = {"osc": tree}
@@ -140,22 +140,22 @@ class TestPolicies:
         "monitoring",
         [{}, {"yaml": {"topic": {}}, "xml": "<root/>"}, {"xml": "<root/>", "osc": "scenario a"}],
     )
-    def test_no_tree_and_two_trees_are_refused(self, monitoring: Object) -> None:
+    def test_a_policy_with_no_tree_or_two_trees_is_refused(self, monitoring: Object) -> None:
         found = policy("Restart")
         found["spec"]["monitoring"] = monitoring
         (accepted,) = policy_status.conditions(found, {}, {})
         assert (accepted.status, accepted.reason) == ("False", "SpecInvalid")
         assert_golden("operator", accepted.message, "configMapKeyRef")
 
-    def test_a_missing_pool_is_told_with_what_was_meant(self) -> None:
+    def test_a_missing_pool_is_reported_with_a_similar_name(self) -> None:
         (accepted,) = policy_status.conditions(policy("hott"), {"hot": hot()}, {})
         assert (accepted.status, accepted.reason) == ("False", "PoolNotFound")
         assert 'did you mean "hot"?' in accepted.message
 
-    def test_a_good_one_is_accepted(self) -> None:
+    def test_a_valid_policy_is_accepted(self) -> None:
         assert policy_status.conditions(policy("hot", "Restart"), {"hot": hot()}, {})[0].status == "True"
 
-    def test_waiting_for_a_standby_of_one_s_own_is_told_to_be_in_vain(self) -> None:
+    def test_waiting_for_a_pool_that_is_not_shared_is_refused(self) -> None:
         found = policy("hot", "spare")
         found["spec"]["strategies"][1]["waitFor"] = "10s"
         given = {"hot": hot(), "spare": spare()}
@@ -168,7 +168,7 @@ class TestPolicies:
 
 
 class TestRobots:
-    def test_managed_external_and_multicast(self) -> None:
+    def test_the_environment_follows_the_discovery_mode(self) -> None:
         managed = MIDDLEWARE.environment(Ros(), "10.0.0.1")
         assert managed["ROS_DISCOVERY_SERVER"] == "10.0.0.1:11811"
         assert MIDDLEWARE.environment(Ros(), "fd00::1")["ROS_DISCOVERY_SERVER"] == "[fd00::1]:11811"
@@ -178,18 +178,18 @@ class TestRobots:
         multicast = Ros.model_validate({"discovery": {"mode": "Multicast"}})
         assert "ROS_DISCOVERY_SERVER" not in MIDDLEWARE.environment(multicast, None)
 
-    def test_a_service_without_an_address_is_none(self) -> None:
+    def test_a_service_without_a_cluster_ip_has_no_address(self) -> None:
         assert discovery_server.address(None) is None
         assert discovery_server.address({"spec": {"clusterIP": "None"}}) is None
         assert discovery_server.address({"spec": {"clusterIP": "10.0.0.1"}}) == "10.0.0.1"
 
 
 class TestMonitors:
-    def test_the_account_is_what_the_admission_policy_recognizes(self) -> None:
+    def test_the_service_account_has_the_name_that_the_admission_policy_recognizes(self) -> None:
         (_, account), *_ = monitor_deployment.access("w", source=("ReplicaSet", "w"), policy="p", pools=[])
         assert account["metadata"]["name"] == "w" + names.MONITOR_ACCOUNT_ENDING
 
-    def test_a_referred_controller_is_read_and_never_scaled(self) -> None:
+    def test_the_monitor_may_read_but_not_scale_a_referenced_controller(self) -> None:
         role = dict(monitor_deployment.access("w", source=("StatefulSet", "arm"), policy="p", pools=[]))["Role"]
         rules = {tuple(rule["resources"]): rule for rule in role["rules"]}
         assert rules["statefulsets",]["resourceNames"] == ["arm"]
@@ -197,12 +197,12 @@ class TestMonitors:
         assert ("replicasets/scale",) not in rules
 
 
-class TestTroubles:
-    def test_a_starting_pod_has_none(self) -> None:
+class TestPodDiagnosis:
+    def test_a_starting_pod_has_no_trouble(self) -> None:
         assert trouble(pod("a", ready=False, waiting="ContainerCreating")) is None
         assert trouble(pod("a", ready=False)) is None
 
-    def test_a_pod_that_no_node_takes(self) -> None:
+    def test_a_pod_that_cannot_be_scheduled_is_reported(self) -> None:
         item = pod("a", ready=False)
         item["status"]["conditions"].append(
             {"type": "PodScheduled", "status": "False", "reason": "Unschedulable", "message": "0/3 nodes"}
@@ -212,7 +212,7 @@ class TestTroubles:
         assert found.reason == "Unschedulable"
         assert "0/3 nodes" in found.message
 
-    def test_the_words_do_not_change_from_try_to_try(self) -> None:
+    def test_the_message_about_a_crash_loop_does_not_change_with_the_back_off(self) -> None:
         def crash(delay: str) -> Object:
             item = pod("a", ready=False, waiting="CrashLoopBackOff")
             item["status"]["containerStatuses"][0]["state"]["waiting"]["message"] = (
@@ -222,7 +222,7 @@ class TestTroubles:
 
         assert trouble(crash("10s")) == trouble(crash("20s"))
 
-    def test_a_container_between_two_crashes_is_told_as_before(self) -> None:
+    def test_a_container_that_runs_between_two_crashes_has_the_same_message(self) -> None:
         waiting, running = pod("a", ready=False, waiting="CrashLoopBackOff"), pod("a", ready=False)
         waiting["status"]["containerStatuses"][0]["state"]["waiting"]["message"] = "back-off 10s restarting failed"
         last = {"terminated": {"exitCode": 1, "reason": "Error"}}
@@ -234,7 +234,7 @@ class TestTroubles:
 
 
 class TestReferences:
-    def test_only_pods_that_the_controller_really_controls(self) -> None:
+    def test_only_pods_that_the_controller_owns_are_found(self) -> None:
         deployment = {"metadata": {"name": "nav2", "uid": "d"}, "spec": {}}
         own = {"metadata": {"name": "nav2-1", "uid": "r1", "ownerReferences": [{"uid": "d", "controller": True}]}}
         other = {"metadata": {"name": "x-1", "uid": "r2", "ownerReferences": [{"uid": "z", "controller": True}]}}

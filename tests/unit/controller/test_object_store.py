@@ -32,7 +32,7 @@ def at(item: Object, version: int) -> Object:
     return {**item, "metadata": {**item["metadata"], "resourceVersion": str(version)}}
 
 
-def test_an_older_sight_changes_nothing() -> None:
+def test_an_older_version_of_an_object_changes_nothing() -> None:
     store = Store()
     store.put(PODS, at(pod("a", ready=True), 5))
     assert store.put(PODS, at(pod("a", ready=False), 4)) is None
@@ -42,7 +42,7 @@ def test_an_older_sight_changes_nothing() -> None:
     assert found["metadata"]["resourceVersion"] == "5"
 
 
-def test_a_deleted_object_does_not_come_back_by_an_old_list() -> None:
+def test_an_old_list_does_not_restore_a_deleted_object() -> None:
     store = Store()
     store.put(PODS, at(pod("a"), 5))
     store.remove(PODS, at(pod("a"), 8))
@@ -50,7 +50,7 @@ def test_a_deleted_object_does_not_come_back_by_an_old_list() -> None:
     assert store.get(PODS, "fleet", "a") is None
 
 
-def test_a_later_object_of_the_same_name_is_another() -> None:
+def test_a_recreated_object_with_the_same_name_is_a_different_object() -> None:
     store = Store()
     store.put(PODS, at(pod("a"), 5))
     store.remove(PODS, at(pod("a"), 8))
@@ -60,14 +60,14 @@ def test_a_later_object_of_the_same_name_is_another() -> None:
     assert store.remove(PODS, at(pod("a"), 8)) is None
 
 
-def test_a_list_does_not_lose_what_was_made_after_it() -> None:
+def test_a_list_does_not_remove_an_object_that_is_newer_than_the_list() -> None:
     store = Store()
     store.put(PODS, at(pod("new"), 12))
     store.replace(PODS, [], 10, None)
     assert store.get(PODS, "fleet", "new") is not None
 
 
-def test_a_list_finds_what_a_watch_has_missed() -> None:
+def test_a_list_finds_changes_that_the_watch_missed() -> None:
     store = Store()
     store.put(PODS, at(pod("a"), 5))
     store.put(PODS, at(pod("b"), 5))
@@ -79,14 +79,14 @@ def test_a_list_finds_what_a_watch_has_missed() -> None:
     ]
 
 
-def test_a_list_of_one_namespace_says_nothing_of_others() -> None:
+def test_a_list_of_one_namespace_does_not_change_others() -> None:
     store = Store()
     store.put(PODS, at(pod("a"), 5))
     store.replace(PODS, [], 10, "elsewhere")
     assert store.get(PODS, "fleet", "a") is not None
 
 
-def test_labels_and_owners_are_found_and_forgotten_with_their_objects() -> None:
+def test_objects_are_indexed_by_label_and_owner() -> None:
     store = Store()
     item = workload()
     store.put(PODS, at(standby_pod("w-s", of=item), 5))
@@ -98,7 +98,7 @@ def test_labels_and_owners_are_found_and_forgotten_with_their_objects() -> None:
     assert store.owned("uid-w") == {}
 
 
-def test_what_secrets_keep_is_not_kept() -> None:
+def test_the_data_of_secrets_is_not_stored() -> None:
     store = Store()
     store.put(
         SECRETS,
@@ -107,7 +107,7 @@ def test_what_secrets_keep_is_not_kept() -> None:
     assert "data" not in (store.get(SECRETS, "fleet", "s") or {})
 
 
-def test_of_a_pods_status_only_what_tells_how_it_is_is_kept() -> None:
+def test_a_stored_pod_status_contains_only_what_its_diagnosis_needs() -> None:
     """Then most pods of a fleet say the same, and it is kept once."""
     item = pod("a", ready=True)
     waiting = {"reason": "ImagePullBackOff", "message": "no such image"}
@@ -126,14 +126,14 @@ def test_of_a_pods_status_only_what_tells_how_it_is_is_kept() -> None:
     assert "10.0.0.1" not in str(kept)
 
 
-def test_only_what_is_ours_is_kept() -> None:
+def test_only_objects_of_understudy_are_stored() -> None:
     assert kept(WORKLOADS, workload())
     assert kept(PODS, source_pod("w-a"))
     assert not kept(PODS, pod("stranger"))
     assert not kept(CONFIG_MAPS, {"metadata": {"name": "c", "labels": {"a": "b"}}})
 
 
-class TestAffected:
+class TestChangeIndex:
     def store(self) -> Store:
         store = Store()
         for resource, item in (
@@ -150,18 +150,18 @@ class TestAffected:
     def keys(self, change: ObservedChange) -> set[tuple[str, str]]:
         return {(key.plural, key.name) for key in change_index.keys(change, self.store())}
 
-    def test_an_instance_means_its_workload(self) -> None:
+    def test_an_instance_reconciles_its_workload(self) -> None:
         assert self.keys(ObservedChange(PODS, None, source_pod("w-a"))) == {("robotworkloads", "w")}
 
-    def test_a_standby_means_its_workload_and_its_pool(self) -> None:
+    def test_a_standby_reconciles_its_workload_and_its_pool(self) -> None:
         found = self.keys(ObservedChange(PODS, None, standby_pod("w-s", of=workload())))
         assert found == {("robotworkloads", "w"), ("fallbackpools", "hot")}
 
-    def test_a_held_pod_means_its_pool_and_the_workloads_whose_policy_names_it(self) -> None:
+    def test_an_unclaimed_pod_reconciles_its_pool_and_the_workloads_whose_policy_names_it(self) -> None:
         found = self.keys(ObservedChange(PODS, None, held_pod("spare-a", of=spare())))
         assert found == {("fallbackpools", "spare"), ("robotworkloads", "w")}
 
-    def test_of_many_held_pods_one_means_its_pool_alone(self) -> None:
+    def test_an_unclaimed_pod_beside_others_reconciles_only_its_pool(self) -> None:
         """Or a fleet's workloads would all be looked at with each claim, and with each step of a pod that comes up."""
         store, pool = self.store(), spare()
         first = ObservedChange(PODS, None, held_pod("spare-a", of=pool))
@@ -172,7 +172,7 @@ class TestAffected:
             assert ("fallbackpools", "spare") in found
             assert (("robotworkloads", "w") in found) is known
 
-    def test_where_the_others_are_reserved_or_not_ready_a_held_pod_means_the_workloads_too(self) -> None:
+    def test_an_unclaimed_pod_reconciles_workloads_if_the_others_are_reserved_or_not_ready(self) -> None:
         for pool, other in (
             (spare(reserve={"pods": 1, "poolPriority": 100}), held_pod("spare-b", of=spare())),
             (spare(), held_pod("spare-b", of=spare(), ready=False)),
@@ -184,9 +184,7 @@ class TestAffected:
             assert Key("robotworkloads", "fleet", "w") in found
 
     @pytest.mark.parametrize("others", [0, 1])
-    def test_a_claim_from_a_pool_that_has_plenty_is_told_from_others_by_one_look_at_its_pods(
-        self, monkeypatch: pytest.MonkeyPatch, others: int
-    ) -> None:
+    def test_a_claim_reads_the_pods_of_its_pool_once(self, monkeypatch: pytest.MonkeyPatch, others: int) -> None:
         store, before = self.store(), held_pod("spare-a", of=spare())
         for number in range(others):
             store.put(PODS, held_pod(f"spare-{number}", of=spare()))
@@ -206,29 +204,29 @@ class TestAffected:
         assert (Key("robotworkloads", "fleet", "w") in found.keys) is not bool(others)
         assert Key("robotworkloads", "fleet", "v") in found.keys
 
-    def test_a_claim_means_pool_and_workload(self) -> None:
+    def test_a_claim_reconciles_the_pool_and_the_workload(self) -> None:
         before = held_pod("spare-a", of=spare())
         after = at(pod("spare-a", labels={names.WORKLOAD: "v", names.POOL: "spare"}), 9)
         found = self.keys(ObservedChange(PODS, before, after))
         assert {("fallbackpools", "spare"), ("robotworkloads", "v")} <= found
 
-    def test_a_policys_new_spec_means_its_workloads(self) -> None:
+    def test_a_changed_policy_reconciles_its_workloads(self) -> None:
         assert self.keys(ObservedChange(POLICIES, None, policy("hot"))) == {
             ("failurepolicies", "policy"),
             ("robotworkloads", "w"),
         }
 
-    def test_a_status_means_nothing_to_others(self) -> None:
+    def test_a_changed_status_reconciles_only_its_own_object(self) -> None:
         old, new = workload("w"), workload("w", status={"health": "Healthy"})
         assert self.keys(ObservedChange(WORKLOADS, old, new)) == {("robotworkloads", "w")}
 
-    def test_what_a_workload_owns_means_the_workload(self) -> None:
+    def test_an_object_reconciles_the_workload_that_owns_it(self) -> None:
         from tests.unit.controller.world import gate
 
         found = self.keys(ObservedChange(NETWORK_POLICIES, None, gate(workload())))
         assert ("robotworkloads", "w") in found
 
-    def test_a_pod_of_a_referred_deployment_is_known_before_it_has_labels(self) -> None:
+    def test_an_unlabelled_pod_of_a_referenced_deployment_reconciles_the_workload(self) -> None:
         store = Store()
         store.put(WORKLOADS, workload("r", workloadRef={"kind": "Deployment", "name": "nav2"}))
         owner = {"kind": "ReplicaSet", "name": "nav2-5d8f", "uid": "u", "controller": True}
@@ -236,7 +234,7 @@ class TestAffected:
         assert change_index.referring(PODS, new, store) == {Key("robotworkloads", "fleet", "r")}
         assert change_index.referring(PODS, pod("stranger"), store) == set()
 
-    def test_a_referred_controller_means_also_the_pools_that_copy_its_template(self) -> None:
+    def test_a_referenced_controller_also_reconciles_the_pools_that_copy_its_template(self) -> None:
         store = Store()
         store.put(WORKLOADS, workload("r", workloadRef={"kind": "Deployment", "name": "nav2"}))
         store.put(POOLS, spare(templateFrom={"workload": "r"}))
@@ -246,7 +244,7 @@ class TestAffected:
         assert set(change_index.unlisted(store)) == found
 
 
-def test_expectations_last_until_they_are_settled_or_too_old() -> None:
+def test_expectations_end_when_they_are_met_or_expire() -> None:
     now = [0.0]
     expectations = Expectations(clock=lambda: now[0])
     key = Key("fallbackpools", "fleet", "spare")
@@ -260,7 +258,7 @@ def test_expectations_last_until_they_are_settled_or_too_old() -> None:
     assert expectations.count(key, "spare") == 0
 
 
-def test_what_was_observed_is_not_expected_any_more_though_its_answer_was_lost() -> None:
+def test_an_observed_pod_is_no_longer_expected_even_if_the_answer_was_lost() -> None:
     expectations = Expectations()
     key = Key("fallbackpools", "fleet", "spare")
     expectations.expect(key, "spare", "spare-a")
@@ -269,7 +267,7 @@ def test_what_was_observed_is_not_expected_any_more_though_its_answer_was_lost()
     assert expectations.count(key, "spare") == 1
 
 
-def test_whoever_brings_a_change_it_is_noticed_once() -> None:
+def test_a_change_from_several_sources_is_noticed_once() -> None:
     store, noticed = Store(), list[ObservedChange]()
     store.noticed = noticed.append
     store.put(PODS, at(pod("a"), 5))  # the answer to a write of ours
@@ -279,7 +277,7 @@ def test_whoever_brings_a_change_it_is_noticed_once() -> None:
     assert [(change.old is None, change.new is None) for change in noticed] == [(True, False), (False, True)]
 
 
-def test_a_list_by_label_says_nothing_of_an_object_that_lost_the_label() -> None:
+def test_a_list_by_label_does_not_remove_objects_without_the_label() -> None:
     store = Store()
     store.put(NETWORK_POLICIES, at(pod("unlabelled"), 5))
     store.replace(NETWORK_POLICIES, [], 10, None, covered=lambda item: False)

@@ -12,7 +12,7 @@ from understudy.controller.reconcile.observer import Observer
 from understudy.kube.client import PODS, POOLS, WORKLOADS, Client
 
 
-async def test_a_standby_that_is_seen_while_a_deployment_is_read_counts_once() -> None:
+async def test_a_standby_that_appears_while_a_deployment_is_read_counts_once() -> None:
     store, expectations = Store(), Expectations()
     item = workload("w", workloadRef={"kind": "Deployment", "name": "nav2"})
     for resource, found in ((WORKLOADS, item), (POOLS, hot())):

@@ -37,7 +37,7 @@ class Older(MemoryClient):
         return {**self.item, "status": body["status"]}
 
 
-async def test_what_a_definition_knows_of_a_status_is_written_and_what_it_lacks_is_logged_once(
+async def test_known_status_fields_are_written_and_missing_ones_are_logged_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     item = world.policy("Restart")

@@ -79,7 +79,7 @@ class Cluster:
 
 
 @pytest.mark.parametrize("seed", range(60))
-def test_never_too_many_and_in_the_end_just_enough_on_nodes_that_stay(seed: int) -> None:
+def test_a_pool_never_has_too_many_pods_and_finally_the_right_number_on_healthy_nodes(seed: int) -> None:
     cluster = Cluster(seed)
     for _ in range(60):
         cluster.operate()

@@ -33,7 +33,7 @@ from understudy.controller.runtime import resync
 from understudy.kube.client import DISRUPTION_BUDGETS, NODES, PODS, POOLS, WORKLOADS, Object
 
 
-class TestWhichNodesLeave:
+class TestLeavingNodes:
     @pytest.mark.parametrize(
         ("found", "leaves"),
         [
@@ -45,15 +45,15 @@ class TestWhichNodesLeave:
             (node("n", taint="ToBeDeletedByClusterAutoscaler"), True),
         ],
     )
-    def test_those_that_are_emptied_and_those_that_were_lost(self, found: Object, leaves: bool) -> None:
+    def test_cordoned_and_lost_nodes_are_leaving(self, found: Object, leaves: bool) -> None:
         assert leaving_nodes.is_leaving(found) is leaves
 
-    def test_where_no_other_is_left_all_stays_as_it_is(self) -> None:
+    def test_no_node_is_leaving_if_no_other_remains(self) -> None:
         lost = [node("n", taint="node.kubernetes.io/unreachable"), node("m", unschedulable=True)]
         assert leaving_nodes.leaving(lost) == frozenset()
         assert leaving_nodes.leaving([*lost, node("o")]) == {"n", "m"}
 
-    def test_of_a_node_nothing_else_is_kept(self) -> None:
+    def test_a_node_is_stored_without_other_fields(self) -> None:
         store = Store()
         assert resync.kept(NODES, node("n"))
         store.put(NODES, node("n", unschedulable=True, podCIDR="10.0.0.0/24"))
@@ -63,7 +63,7 @@ class TestWhichNodesLeave:
         assert found["metadata"] == {"name": "n", "uid": "uid-n", "resourceVersion": "5"}
         assert "status" not in found
 
-    def test_only_a_change_of_that_has_those_looked_at_whose_pods_are_there(self) -> None:
+    def test_only_a_change_of_schedulability_reconciles_the_owners_of_pods_on_the_node(self) -> None:
         store, told, pool = Store(), [], spare()
         store.put(PODS, held(pool, "n")[0])
         store.put(PODS, on("n", standby_pod("w-s", of=workload())))
@@ -80,7 +80,7 @@ class TestWhichNodesLeave:
         }
         assert told == [set(), set(), mine, mine]
 
-    def test_a_node_that_joins_has_those_looked_at_that_had_nowhere_to_go(self) -> None:
+    def test_a_new_node_reconciles_pools_with_pods_that_could_not_move(self) -> None:
         store, told = Store(), []
         store.put(PODS, held(spare(), "n")[0])
         store.put(NODES, node("n", unschedulable=True))
@@ -88,7 +88,7 @@ class TestWhichNodesLeave:
         store.put(NODES, node("m", version=9))
         assert told == [{Key(POOLS.plural, "fleet", "spare")}]
 
-    async def test_the_operator_knows_them(self) -> None:
+    async def test_the_operator_observes_leaving_nodes(self) -> None:
         client: Any = None
         store, pool = Store(), spare()
         store.put(POOLS, pool)
@@ -97,8 +97,8 @@ class TestWhichNodesLeave:
         assert (await Observer(client, store, Expectations()).pool(pool)).leaving == {"n"}
 
 
-class TestASharedPool:
-    def test_its_pods_are_replaced_before_they_go(self) -> None:
+class TestSharedPool:
+    def test_pods_on_a_leaving_node_are_replaced_before_they_are_deleted(self) -> None:
         pool = spare(replicas=2)
         pods = held(pool, "n", "m")
         made = plan(leaving(observe(pool, pods), "n"))
@@ -109,18 +109,18 @@ class TestASharedPool:
         made = plan(leaving(observe(pool, pods + held(pool, "m", prefix="new")), "n"))
         assert (created(made, "pods"), deleted(made)) == ([], ["spare-0"])
 
-    def test_they_may_be_claimed_meanwhile(self) -> None:
+    def test_pods_on_a_leaving_node_can_still_be_claimed(self) -> None:
         pool = spare(replicas=1)
         made = plan(leaving(observe(pool, held(pool, "n")), "n"))
         found = applied(made, "networkpolicies")["spare-held"]["metadata"]["annotations"][names.TEMPLATE_HASH]
         assert found == present(pool)
 
-    def test_those_that_were_asked_for_and_not_seen_yet_count(self) -> None:
+    def test_requested_pods_that_are_not_yet_observed_count_as_replacements(self) -> None:
         pool = spare(replicas=2)
         old = leaving(observe(pool, held(pool, "n", "n"), expected=2), "n")
         assert not created(plan(old), "pods")
 
-    def test_a_template_that_is_placed_there_again_makes_twice_as_many_and_no_more(self) -> None:
+    def test_replacements_on_the_same_leaving_node_never_exceed_twice_the_size(self) -> None:
         pool, seen = spare(replicas=2), 2
         for _ in range(5):
             made = plan(leaving(observe(pool, held(pool, *["n"] * seen)), "n"))
@@ -128,17 +128,17 @@ class TestASharedPool:
             assert not deleted(made)
         assert seen == 4
 
-    def test_when_the_node_stays_after_all_what_is_too_much_goes(self) -> None:
+    def test_a_surplus_replacement_is_deleted_if_the_node_stays(self) -> None:
         pool = spare(replicas=1)
         pods = [*held(pool, "n"), *held(pool, "m", ready=False, prefix="new")]
         assert deleted(plan(observe(pool, pods))) == ["new-0"]
 
-    def test_with_a_new_template_at_the_same_time_all_are_replaced_once(self) -> None:
+    def test_pods_are_replaced_once_if_node_and_template_change_together(self) -> None:
         pool = spare(replicas=2, updateStrategy={"minReady": 1})
         old = [on(place, held_pod(f"old-{place}", of=pool, template_hash="old")) for place in ("n", "m")]
         assert len(created(plan(leaving(observe(pool, old), "n")), "pods")) == 2
 
-    def test_on_replenish_they_go_too(self) -> None:
+    def test_pods_on_a_leaving_node_are_replaced_with_the_on_replenish_strategy_too(self) -> None:
         pool = spare(replicas=1, updateStrategy={"type": "OnReplenish"})
         old = on("n", held_pod("old", of=pool, template_hash="old"))
         made = plan(leaving(observe(pool, [old]), "n"))
@@ -146,7 +146,7 @@ class TestASharedPool:
         made = plan(leaving(observe(pool, [old, *held(pool, "m")]), "n"))
         assert deleted(made) == ["old"]
 
-    def test_it_is_said_while_it_is_so(self) -> None:
+    def test_the_moving_condition_exists_only_while_pods_are_moved(self) -> None:
         pool = spare(replicas=2)
         observed = leaving(observe(pool, held(pool, "n", "m"), workloads=[workload()]), "n")
         told = condition(observed, "Moving")
@@ -165,7 +165,7 @@ class TestEvictions:
         said = {"type": "Moving", "status": "True", "reason": "NodeLeaves", "lastTransitionTime": stamp(since)}
         return pool | {"status": {"conditions": [said]}}
 
-    def test_they_wait_until_there_are_others_elsewhere(self) -> None:
+    def test_the_budget_protects_all_pods_until_replacements_are_ready(self) -> None:
         pool = spare(replicas=2)
         for observed in (observe(pool), leaving(observe(pool, held(pool, "n", "m")), "n")):
             found = self.budget(observed)
@@ -174,10 +174,10 @@ class TestEvictions:
             assert found["spec"]["unhealthyPodEvictionPolicy"] == "AlwaysAllow"
             assert found["spec"]["selector"] == {"matchLabels": {names.POOL: "spare", names.HELD: "true"}}
 
-    def test_not_for_an_empty_pool(self) -> None:
+    def test_an_empty_pool_has_no_budget(self) -> None:
         assert self.budget(observe(spare(replicas=0))) is None
 
-    def test_not_where_somebody_else_s_budget_decides(self) -> None:
+    def test_a_pool_has_no_budget_if_a_budget_of_the_user_selects_its_pods(self) -> None:
         pool = spare(replicas=1)
         others = [{"spec": {"selector": {"matchLabels": {"app": "nav"}}}}]
         assert self.budget(replace(observe(pool), budgets=others)) is None
@@ -188,13 +188,13 @@ class TestEvictions:
         live = {("poddisruptionbudgets", "spare-held"): {"metadata": {"name": "spare-held"}}}
         return "spare-held" in deleted(plan(replace(observed, owned=live)))
 
-    def test_not_where_what_is_to_come_can_not(self) -> None:
+    def test_the_budget_is_removed_if_a_replacement_cannot_start(self) -> None:
         pool = spare(replicas=1)
         coming = held_pod("new", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull")
         assert self.let_go(leaving(observe(pool, [*held(pool, "n"), coming]), "n"))
         assert not self.let_go(observe(pool, [*held(pool, "n"), coming])), "nothing is moved"
 
-    def test_not_for_longer_than_two_minutes(self) -> None:
+    def test_the_budget_is_removed_after_two_minutes(self) -> None:
         pool = spare(replicas=1)
         late = self.moving(pool, since=NOW - 119)
         observed = leaving(observe(late, held(pool, "n"), expected=1), "n")
@@ -202,14 +202,14 @@ class TestEvictions:
         assert plan(observed).again_after == pytest.approx(1)
         assert self.let_go(leaving(observe(self.moving(pool, since=NOW - 120), held(pool, "n")), "n"))
 
-    def test_not_where_nothing_is_made_any_more(self) -> None:
+    def test_the_budget_is_removed_if_the_pool_creates_no_pods(self) -> None:
         pool = spare(replicas=1)
         pods = held(pool, "n")
         del pool["spec"]["template"]["spec"]["containers"][0]["command"]
         assert self.let_go(leaving(observe(pool, pods), "n"))
         assert not self.let_go(observe(pool, pods))
 
-    async def test_budgets_of_others_are_known(self) -> None:
+    async def test_the_operator_observes_budgets_of_others(self) -> None:
         client: Any = None
         store, pool = Store(), spare()
         store.put(POOLS, pool)

@@ -71,14 +71,14 @@ def told(pool: Object, *asking: Object, now: float = NOW) -> Object:
     return pool | {"status": status(observed(pool, *asking, now=now))}
 
 
-class TestWhatIsCounted:
+class TestHistory:
     def test_robots_that_never_failed_are_observed_from_their_creation(self) -> None:
         assert seen(robot("a", age=2 * HOUR), robot("b", age=4 * HOUR)) == RobotHistory(2, 0, pytest.approx(6.0))
 
-    def test_a_failure_that_took_a_pod_of_it_counts(self) -> None:
+    def test_a_failure_that_took_a_pod_of_the_pool_counts(self) -> None:
         assert seen(robot("a", *failed(100, 200))).failures == 2
 
-    def test_a_failure_that_found_none_counts_too(self) -> None:
+    def test_a_failure_that_found_the_pool_empty_counts(self) -> None:
         assert seen(robot("a", *failed(100, pod=""))).failures == 1
 
     @pytest.mark.parametrize(
@@ -90,31 +90,31 @@ class TestWhatIsCounted:
             {"pod": "other-x7k2q"},
         ],
     )
-    def test_one_that_another_strategy_or_pool_met_does_not(self, other: Any) -> None:
+    def test_a_failure_that_used_another_strategy_or_pool_does_not_count(self, other: Any) -> None:
         assert seen(robot("a", *failed(100, **other))).failures == 0
 
-    def test_what_is_long_ago_does_not_count(self) -> None:
+    def test_failures_and_robot_hours_before_the_history_do_not_count(self) -> None:
         found = seen(robot("a", *failed(100, 3 * HOUR)), history=2 * HOUR)
         assert found == RobotHistory(1, 1, pytest.approx(2.0))
 
-    def test_of_more_failures_than_a_status_keeps_those_are_taken_that_it_has_with_their_time(self) -> None:
+    def test_if_a_status_lost_old_failures_only_the_time_it_covers_counts(self) -> None:
         ten = failed(*(360.0 * number for number in range(1, 11)))
         assert seen(robot("a", *ten, count=40)) == RobotHistory(1, 9, pytest.approx(1.0))
         assert seen(robot("a", *ten, count=10)) == RobotHistory(1, 10, pytest.approx(10.0))
 
-    def test_a_record_of_another_version_is_passed_over(self) -> None:
+    def test_a_failure_record_of_another_version_is_ignored(self) -> None:
         assert seen(robot("a", {"id": "x", "result": "Recovered"})).failures == 0
 
 
-class TestTheSize:
-    def test_a_fleet_that_has_not_failed_yet_is_given_what_is_assumed(self) -> None:
+class TestSize:
+    def test_a_fleet_without_failures_is_sized_by_the_assumed_rate(self) -> None:
         fleet = [robot(f"w{n}", age=0) for n in range(100)]
         found = status(observed(sized(failuresPerRobotHour=2.0), *fleet))
         assert found["sizing"]["failuresPerRobotHour"] == 2.0
         assert found["desired"] == found["sizing"]["size"] == found["sizing"]["needed"] == 6
         assert len(created(plan(observed(sized(failuresPerRobotHour=2.0), *fleet)), "pods")) == 6
 
-    def test_it_grows_at_once_when_robots_fail(self) -> None:
+    def test_a_pool_grows_at_once_when_robots_fail(self) -> None:
         quiet, before = [robot(f"w{n}") for n in range(10)], sized(failuresPerRobotHour=0.01)
         before = told(before, *quiet)
         loud = [robot(f"w{n}", *failed(10, 20, 30, 40, 50, 60)) for n in range(10)]
@@ -122,7 +122,7 @@ class TestTheSize:
         assert after["status"]["sizing"]["size"] > before["status"]["sizing"]["size"]
         assert after["status"]["sizing"]["failures"] == 60
 
-    def test_it_shrinks_late_and_one_by_one_and_claims_are_not_touched(self) -> None:
+    def test_a_pool_shrinks_late_and_one_by_one(self) -> None:
         pool = told(sized(failuresPerRobotHour=30.0), robot("w", age=0))
         size = pool["status"]["sizing"]["size"]
         assert size > 2
@@ -140,44 +140,44 @@ class TestTheSize:
         calm = observed(pool, robot("w", age=24 * HOUR), pods=pods)
         assert len(deleted(plan(calm))) == 1
 
-    def test_another_operator_goes_on_from_the_status(self) -> None:
+    def test_a_new_operator_continues_with_the_size_in_the_status(self) -> None:
         pool = sized()
         pool["status"] = kept(7, since=NOW - 60)
         assert status(observed(pool, robot("w")))["desired"] == 7
         assert status(observed(pool, robot("w")))["sizing"]["lastChange"] == stamp(NOW - 60)
 
-    def test_a_reserve_comes_on_top(self) -> None:
+    def test_the_reserve_is_added_to_the_size(self) -> None:
         fleet = [robot(f"w{n}", age=0) for n in range(100)]
         plain, kept = sized(), sized()
         kept["spec"]["reserve"] = {"pods": 2, "poolPriority": 100}
         assert status(observed(kept, *fleet))["desired"] == status(observed(plain, *fleet))["desired"] + 2
 
-    def test_it_is_looked_at_again_since_that_nothing_fails_tells_something_too(self) -> None:
+    def test_a_quiet_pool_is_reconciled_again_because_quiet_time_is_evidence(self) -> None:
         pool = sized(min=0)
         pool["status"] = kept(0)
         assert plan(observed(pool)).again_after == pool_size.LOOK_AGAIN
 
-    def test_a_spec_that_can_not_be_understood_keeps_what_was_decided(self) -> None:
+    def test_an_invalid_spec_keeps_the_last_decision(self) -> None:
         pool = told(sized(), robot("w"))
         before = pool["status"]["sizing"]
         pool["spec"]["sizing"]["max"] = -1
         assert status(observed(pool, robot("w")))["sizing"] == before
         assert plan(observed(pool, robot("w"))).writes == []
 
-    def test_without_sizing_the_spec_says_it(self) -> None:
+    def test_a_pool_without_sizing_has_the_size_of_its_spec(self) -> None:
         pool = spare(replicas=3)
         pool["status"] = kept(7)
         found = status(observed(pool, robot("w")))
         assert found["desired"] == pool_size.size(pool) == 3
         assert "sizing" not in found
 
-    def test_before_it_was_decided_it_is_the_least(self) -> None:
+    def test_a_pool_has_its_minimum_size_before_the_first_decision(self) -> None:
         assert pool_size.size(sized(min=2)) == 2
         assert pool_size.size(told(sized(min=2, max=2), robot("w"))) == 2
 
 
-class TestWhatIsSaid:
-    def test_the_rate_and_the_size_with_their_reasons(self) -> None:
+class TestCondition:
+    def test_the_condition_explains_the_rate_and_the_size(self) -> None:
         fleet = [robot(f"w{n}", *(failed(100, 200) if n < 3 else ())) for n in range(12)]
         found = condition(observed(sized(), *fleet), "Sized")
         assert (found["status"], found["reason"]) == ("True", "Sized")
@@ -195,24 +195,24 @@ class TestWhatIsSaid:
             "1 pod",
         )
 
-    def test_a_fleet_that_has_not_failed_yet(self) -> None:
+    def test_the_condition_explains_the_size_for_a_fleet_without_failures(self) -> None:
         found = condition(observed(sized(), robot("w", age=HOUR)), "Sized")
         assert_golden("operator", found["message"], "1 robot ", "1 robot hour", "0.5 requests per")
 
-    def test_a_maximum_that_is_not_enough_with_the_way_out(self) -> None:
+    def test_an_insufficient_maximum_is_reported_with_the_needed_size(self) -> None:
         fleet = [robot(f"w{n}", age=0) for n in range(300)]
         found = condition(observed(sized(max=3), *fleet), "Sized")
         assert (found["status"], found["reason"]) == ("False", "AtMaximum")
         assert_golden("operator", found["message"], "7 pods", "spec.sizing.max is 3")
 
-    def test_that_it_is_too_small_is_said_until_it_surely_is_not(self) -> None:
+    def test_an_insufficient_maximum_is_reported_until_it_is_certainly_sufficient(self) -> None:
         short = told(sized(max=3), *(robot(f"w{n}", age=0) for n in range(300)))
         fewer = [robot(f"w{n}", age=0) for n in range(20)]
         assert condition(observed(sized(max=3), *fewer), "Sized")["status"] == "True"
         assert condition(observed(short, *fewer), "Sized")["reason"] == "AtMaximum"
         assert condition(observed(short, *fewer[:2]), "Sized")["status"] == "True"
 
-    def test_more_than_needed_says_why_and_until_when(self) -> None:
+    def test_a_size_above_the_need_is_explained(self) -> None:
         pool = sized()
         pool["status"] = kept(5)
         sure = condition(observed(pool, robot("w", age=24 * HOUR)), "Sized")["message"]
@@ -223,7 +223,7 @@ class TestWhatIsSaid:
         least = condition(observed(sized(min=4), robot("w", age=24 * HOUR)), "Sized")["message"]
         assert_golden("operator", least, "4 pods", "spec.sizing.min")
 
-    def test_a_day_without_a_failure_writes_seldom(self) -> None:
+    def test_a_day_without_failures_causes_few_status_writes(self) -> None:
         pool, writes = sized(), 0
         fleet = [robot(f"w{n}", age=0) for n in range(20)]
         for minute in range(24 * 60):
@@ -232,7 +232,7 @@ class TestWhatIsSaid:
             pool = pool | {"status": new}
         assert writes < 120
 
-    def test_a_change_is_told_once(self) -> None:
+    def test_a_change_of_size_is_reported_once(self) -> None:
         pool = told(sized(), robot("w"))
         found = pool_size.sized(pool, pool_pods.evaluate(observed(pool), IMAGES).spec, [], NOW)  # type: ignore[arg-type]
         assert found is not None
@@ -245,7 +245,7 @@ class TestWhatIsSaid:
         assert text.startswith("from 0 to 1 pods: 1 robot asked for none")
 
 
-class TestWhoTakesFromIt:
+class TestDemand:
     async def asking(self, asked: Object, *workloads: Object, pool: Object | None = None) -> list[str]:
         client: Any = None  # of a pool with a template of its own nothing is asked
         store, item = Store(), pool or sized()
@@ -256,22 +256,22 @@ class TestWhoTakesFromIt:
         found = await Observer(client, store, Expectations()).pool(item)
         return [one["metadata"]["name"] for one in found.asking]
 
-    async def test_workloads_that_it_serves_and_whose_policy_names_it(self) -> None:
+    async def test_workloads_that_the_pool_serves_and_whose_policy_names_it_count(self) -> None:
         other = workload("other", labels={"task": "other"})
         assert await self.asking(policy("hot", "spare"), workload("w"), other) == ["w"]
         assert await self.asking(policy("hot", "Restart"), workload("w")) == []
         assert await self.asking(policy("spare", name="another"), workload("w")) == []
 
-    async def test_those_for_which_it_was_chosen(self) -> None:
+    async def test_workloads_for_which_the_pool_was_chosen_count(self) -> None:
         auto = policy("Restart")
         auto["spec"]["strategies"] = [{"type": "Auto"}]
         assert await self.asking(auto, workload("w", status={"strategies": "Uninitialized (spare), Restart"})) == ["w"]
         assert await self.asking(auto, workload("w", status={"strategies": "Restart"})) == []
 
-    async def test_of_a_pool_of_a_fixed_size_nobody_is_asked(self) -> None:
+    async def test_a_pool_of_fixed_size_reads_no_workloads(self) -> None:
         assert await self.asking(policy("spare"), workload("w"), pool=spare()) == []
 
-    def test_a_recovery_has_the_pool_looked_at_and_nothing_else_of_a_status_does(self) -> None:
+    def test_only_a_recovery_in_a_workload_status_reconciles_the_pool(self) -> None:
         store, fixed = Store(), spare("fixed")
         for pool in (sized(), fixed):
             store.put(POOLS, pool)
@@ -287,7 +287,7 @@ class TestWhoTakesFromIt:
         }
 
 
-def test_counting_a_fleet_takes_little() -> None:
+def test_counting_a_thousand_robots_is_fast() -> None:
     fleet = [robot(f"w{n}", *failed(*range(60, 660, 60)), count=50) for n in range(1000)]
     begun = time.process_time()
     seen(*fleet)

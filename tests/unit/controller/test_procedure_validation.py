@@ -31,13 +31,13 @@ def warm(**more: object) -> Object:
     return hot("warm", readiness="Initialized", initialization=INACTIVE, **more)
 
 
-def test_an_initialized_pool_keeps_standbys_as_an_executing_one_does() -> None:
+def test_an_initialized_pool_creates_standbys_as_an_executing_one_does() -> None:
     world = World(workload(), policy("warm", "Restart"), warm(per_workload=2))
     names = [pod["metadata"]["labels"]["understudy.dev/pool"] for pod in created(world.plan(), "pods")]
     assert names == ["warm", "warm"]
 
 
-def test_monitors_learn_what_a_pools_standbys_are_brought_to() -> None:
+def test_monitors_receive_the_readiness_initialization_and_check_of_a_pool() -> None:
     world = World(workload(), policy("warm"), warm(readinessCheck=CHECK))
     (pool,) = json.loads(applied(world.plan(), "configmaps")["w-settings"]["data"]["settings.json"])["pools"]
     assert pool["readiness"] == "Initialized"
@@ -45,7 +45,7 @@ def test_monitors_learn_what_a_pools_standbys_are_brought_to() -> None:
     assert pool["readinessCheck"] == CHECK
 
 
-def test_a_mistake_in_bring_up_is_told_and_what_is_there_stays() -> None:
+def test_an_invalid_bring_up_is_reported_and_changes_nothing() -> None:
     world = World(workload(bringUp={"yaml": {"set_lifecycle": {"node": "/amcl", "state": "on"}}}), policy("Restart"))
     accepted = world.condition("Accepted")
     assert (accepted["status"], accepted["reason"]) == ("False", "TreeInvalid")
@@ -53,7 +53,7 @@ def test_a_mistake_in_bring_up_is_told_and_what_is_there_stays() -> None:
     assert world.plan().writes == []
 
 
-def test_a_mistake_in_a_recovery_is_told_in_the_policy() -> None:
+def test_an_invalid_recovery_procedure_is_reported_in_the_policy() -> None:
     found = policy("Restart", "Restart")
     found["spec"]["strategies"][1]["recovery"] = {"yaml": {"restore_state": {"onyl": ["/amcl_pose"]}}}
     problem = policy_reader.problem(found, {})
@@ -65,7 +65,7 @@ def test_a_mistake_in_a_recovery_is_told_in_the_policy() -> None:
 
 
 @pytest.mark.parametrize(("ready", "told"), [(True, "Initialized (1/1)"), (False, "Initialized (0/1)")])
-def test_the_standby_column_counts_standbys_that_are_ready(ready: bool, told: str) -> None:
+def test_the_standby_column_counts_ready_standbys(ready: bool, told: str) -> None:
     world = World(workload(), policy("warm"), warm())
     world.build()
     driving = source_pod("w-a")
@@ -75,7 +75,7 @@ def test_the_standby_column_counts_standbys_that_are_ready(ready: bool, told: st
     assert world.condition("Protected")["status"] == str(ready)
 
 
-def test_standbys_of_two_readinesses_count_each_for_its_own_pool() -> None:
+def test_standbys_of_two_readinesses_count_only_for_their_own_pool() -> None:
     world = World(workload(), policy("hot", "warm"), hot(), warm())
     world.build()
     driving = source_pod("w-a")
@@ -111,7 +111,7 @@ def settings(world: World) -> Object:
     return found
 
 
-def test_no_standby_is_made_of_a_pool_that_is_not_accepted_and_it_is_told() -> None:
+def test_a_pool_that_is_not_accepted_creates_no_standbys_and_is_reported() -> None:
     world = World(workload(), policy("warm"), changed({"initialization": BROKEN}))
     assert created(world.plan(), "pods") == []
     assert settings(world)["pools"] == [], "the monitor never hears of it"
@@ -125,7 +125,7 @@ def test_no_standby_is_made_of_a_pool_that_is_not_accepted_and_it_is_told() -> N
     assert_golden("operator", protected["message"], "spec.initialization.yaml.set_lifecycle.state", "'on'")
 
 
-def test_standbys_of_a_pool_that_is_accepted_no_more_stay_what_they_are() -> None:
+def test_standbys_of_a_pool_that_is_no_longer_accepted_stay_unchanged() -> None:
     world, _ = standing({"initialization": BROKEN})
     plan = world.plan()
     assert (created(plan, "pods"), deleted(plan)) == ([], [])
@@ -133,7 +133,7 @@ def test_standbys_of_a_pool_that_is_accepted_no_more_stay_what_they_are() -> Non
     assert world.condition("Protected")["status"] == "True"
 
 
-def test_another_initialization_takes_a_standby_away_only_when_another_one_is_ready() -> None:
+def test_a_changed_initialization_replaces_a_standby_after_the_new_one_is_ready() -> None:
     world, old = standing({"initialization": {"yaml": {"wait_for": {"node": "/amcl"}}}})
     (made,) = created(world.plan(), "pods")
     assert deleted(world.plan()) == []
@@ -147,13 +147,13 @@ def test_another_initialization_takes_a_standby_away_only_when_another_one_is_re
     assert deleted(world.plan()) == ["w-s"]
 
 
-def test_another_time_for_the_same_initialization_makes_no_other_standby() -> None:
+def test_a_changed_time_limit_of_the_initialization_creates_no_new_standby() -> None:
     world, _ = standing({"initialization": INACTIVE | {"within": "90s"}})
     plan = world.plan()
     assert (created(plan, "pods"), deleted(plan)) == ([], [])
 
 
-def test_a_new_template_that_waits_for_a_standby_says_why_there_is_none() -> None:
+def test_a_new_template_that_waits_for_a_standby_names_the_pool_that_has_none() -> None:
     world, _ = standing({"initialization": BROKEN})
     world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
     told = world.condition("Reconciled")["message"]
@@ -168,7 +168,7 @@ def in_xml(*leaves: str) -> Object:
     }
 
 
-def test_a_mistake_in_another_language_is_told_with_its_place() -> None:
+def test_a_mistake_in_another_language_is_reported_with_its_place() -> None:
     world = World(workload(bringUp=in_xml('  <SetLifecycle node="/amcl" state="on"/>')), policy("Restart"))
     accepted = world.condition("Accepted")
     assert (accepted["status"], accepted["reason"]) == ("False", "TreeInvalid")
@@ -193,14 +193,14 @@ def test_a_mistake_in_another_language_is_told_with_its_place() -> None:
     assert_golden("operator", refused.message, "spec.readinessCheck.xml", "line 3, column 1", "SetLifecycle")
 
 
-def test_monitors_learn_a_procedure_as_it_was_written() -> None:
+def test_monitors_receive_a_procedure_as_it_was_written() -> None:
     initialization = in_xml('<SetLifecycle node="/amcl" state="inactive"/>')
     world = World(workload(), policy("warm"), hot("warm", readiness="Initialized", initialization=initialization))
     (pool,) = settings(world)["pools"]
     assert pool["initialization"] == initialization
 
 
-def test_standbys_stay_where_a_procedure_is_written_in_another_language_and_does_the_same() -> None:
+def test_an_equivalent_procedure_in_another_language_does_not_replace_standbys() -> None:
     short = World(workload(), policy("warm"), warm())
     other = in_xml('<SetLifecycle node="/amcl" state="inactive"/>')
     world = World(workload(), policy("warm"), hot("warm", readiness="Initialized", initialization=other))

@@ -33,7 +33,7 @@ def world(*others: Object, standby: Object | None = None, **active: object) -> W
     return made
 
 
-def test_protected_by_a_ready_standby() -> None:
+def test_a_ready_standby_protects_the_workload() -> None:
     found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
     protected = found.condition("Protected")
     assert protected["status"] == "True"
@@ -44,9 +44,7 @@ def test_protected_by_a_ready_standby() -> None:
 @pytest.mark.parametrize(
     ("standby_on", "told"), [("one", ", on the same node as the active pod"), ("another", ""), ("", "")]
 )
-def test_a_standby_that_would_be_lost_with_the_node_of_the_pod_in_control_is_told_of(
-    standby_on: str, told: str
-) -> None:
+def test_a_standby_on_the_node_of_the_active_instance_is_reported(standby_on: str, told: str) -> None:
     found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
     active, standby = found.pods
     active["spec"], standby["spec"] = {"nodeName": "one"}, {"nodeName": standby_on}
@@ -54,7 +52,7 @@ def test_a_standby_that_would_be_lost_with_the_node_of_the_pod_in_control_is_tol
     assert_golden("operator", message, "pool hot", f"w-s (Executing){told}")
 
 
-def test_not_protected_while_the_standby_is_not_ready_but_the_next_strategy_is_told() -> None:
+def test_a_standby_that_is_not_ready_does_not_protect_and_the_next_strategy_is_named() -> None:
     found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload(), ready=False))
     protected = found.condition("Protected")
     assert (protected["status"], protected["reason"]) == ("False", "StandbyNotReady")
@@ -62,7 +60,7 @@ def test_not_protected_while_the_standby_is_not_ready_but_the_next_strategy_is_t
     assert found.status()["standby"] == "Executing (0/1)"
 
 
-def test_after_a_failover_the_replacement_is_the_standby() -> None:
+def test_after_a_failover_the_replacement_pod_is_the_standby() -> None:
     found = world(policy("hot"), hot())
     driving = standby_pod("w-s", of=workload())
     found.pods = [driving, source_pod("w-b")]
@@ -83,9 +81,7 @@ def test_after_a_failover_the_replacement_is_the_standby() -> None:
         ),
     ],
 )
-def test_not_protected_while_the_monitor_would_recover_nothing(
-    type_: str, status: str, reason: str, outlook: str
-) -> None:
+def test_a_pause_and_a_spent_budget_remove_protection(type_: str, status: str, reason: str, outlook: str) -> None:
     found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
     before = found.status()
     said = {"type": type_, "status": status, "reason": "Whatever", "message": "That is so."}
@@ -99,7 +95,7 @@ def test_not_protected_while_the_monitor_would_recover_nothing(
     assert found.condition("Protected")["status"] == "True"
 
 
-def test_nobody_would_notice_without_a_monitor() -> None:
+def test_a_workload_without_a_ready_monitor_is_not_protected() -> None:
     found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
     found.monitors = [pod("w-monitor-1", ready=False)]
     protected = found.condition("Protected")
@@ -107,13 +103,13 @@ def test_nobody_would_notice_without_a_monitor() -> None:
     assert "a failure is not detected" in protected["message"]
 
 
-def test_a_monitor_whose_image_is_missing_is_named() -> None:
+def test_the_monitor_pod_whose_image_is_missing_is_named() -> None:
     found = world(policy("Restart"))
     found.monitors = [pod("w-monitor-1", ready=False, waiting="ErrImageNeverPull")]
     assert "w-monitor-1" in found.condition("Protected")["message"]
 
 
-def test_without_a_discovery_server_only_what_runs_already_could_take_over() -> None:
+def test_without_a_discovery_server_only_a_running_standby_protects() -> None:
     found = world(policy("hot", "Restart"), hot(), standby=standby_pod("w-s", of=workload()))
     found.discovery = [pod("w-discovery-1", ready=False, waiting="CrashLoopBackOff")]
     assert found.condition("Protected")["status"] == "True"
@@ -136,7 +132,7 @@ def test_without_a_discovery_server_only_what_runs_already_could_take_over() -> 
         ("CreateContainerConfigError", "CreateContainerConfigError"),
     ],
 )
-def test_an_image_that_can_not_start_is_told_with_its_pod(waiting: str, reason: str) -> None:
+def test_an_image_that_cannot_start_is_reported_with_its_pod(waiting: str, reason: str) -> None:
     found = world(policy("Restart"), ready=False, waiting=waiting)
     protected = found.condition("Protected")
     assert (protected["status"], protected["reason"]) == ("False", reason)
@@ -144,7 +140,7 @@ def test_an_image_that_can_not_start_is_told_with_its_pod(waiting: str, reason: 
     assert "app:1" in protected["message"]
 
 
-def test_a_broken_new_template_does_not_unprotect_while_the_old_standby_is_ready() -> None:
+def test_a_broken_new_template_leaves_protection_while_the_old_standby_is_ready() -> None:
     found = world(policy("hot"), hot(), standby=standby_pod("w-s", of=workload()))
     found.pods.append(standby_pod("w-n", of=workload(), ready=False, waiting="ErrImageNeverPull"))
     assert found.condition("Protected")["status"] == "True"
@@ -153,7 +149,7 @@ def test_a_broken_new_template_does_not_unprotect_while_the_old_standby_is_ready
     assert "pod w-n" in reconciled["message"]
 
 
-def test_a_shared_pool_in_the_column() -> None:
+def test_the_status_reports_whether_a_shared_pool_has_a_ready_pod() -> None:
     found = world(policy("spare", "Restart"), spare(replicas=2))
     pool = spare(replicas=2)
     found.unclaimed = {"spare": [held_pod("spare-a", of=pool), held_pod("spare-b", of=pool, ready=False)]}
@@ -166,7 +162,7 @@ def test_a_shared_pool_in_the_column() -> None:
     assert found.condition("Protected")["status"] == "False"
 
 
-def test_how_many_pods_a_shared_pool_has_changes_nothing_of_a_workload() -> None:
+def test_the_number_of_pods_in_a_shared_pool_does_not_change_the_status() -> None:
     """Or each claim would be a write for each workload of a fleet."""
     pool = spare(replicas=9)
     said = []
@@ -178,7 +174,7 @@ def test_how_many_pods_a_shared_pool_has_changes_nothing_of_a_workload() -> None
 
 
 @pytest.mark.parametrize(("priority", "status"), [(0, "False"), (100, "True")])
-def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: int, status: str) -> None:
+def test_reserved_pods_protect_only_workloads_with_sufficient_priority(priority: int, status: str) -> None:
     pool = spare(replicas=2, reserve={"pods": 1, "poolPriority": 100})
     made = World(workload(poolPriority=priority), policy("spare", "Restart"), pool)
     made.build()
@@ -202,20 +198,20 @@ def test_the_last_pods_that_are_kept_for_others_protect_nobody_else(priority: in
 
 
 @pytest.mark.parametrize(("priority", "reserved"), [(99, 2), (100, 0)])
-def test_a_monitor_is_told_how_many_pods_it_may_not_take(priority: int, reserved: int) -> None:
+def test_the_monitor_receives_the_number_of_pods_reserved_for_others(priority: int, reserved: int) -> None:
     pool = spare(replicas=3, reserve={"pods": 2, "poolPriority": 100})
     made = World(workload(poolPriority=priority), policy("spare"), pool)
     text = applied(made.plan(), "configmaps")["w-settings"]["data"]["settings.json"]
     assert [choice["reserved"] for choice in json.loads(text)["pools"]] == [reserved]
 
 
-def test_restart_only_in_the_column() -> None:
+def test_a_policy_with_only_a_restart_reports_no_standby_and_protection() -> None:
     found = world(policy("Restart"))
     assert found.status()["standby"] == "None"
     assert found.condition("Protected")["status"] == "True"
 
 
-def test_a_pool_that_does_not_serve_it_is_told_with_what_to_do() -> None:
+def test_a_pool_that_does_not_serve_the_workload_is_reported() -> None:
     found = world(policy("spare"), spare(workloadSelector={"matchLabels": {"a": "b"}}))
     protected = found.condition("Protected")
     assert protected["reason"] == "PoolDoesNotServe"

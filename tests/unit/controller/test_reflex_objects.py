@@ -30,7 +30,7 @@ def problem(found: RobotWorkloadSpec) -> str:
     return reflex_validation.problem(found, found.template or {}) or ""
 
 
-def test_one_topic_is_safe() -> None:
+def test_one_topic_is_accepted() -> None:
     assert problem(spec([CMD_VEL])) == ""
     assert problem(RobotWorkloadSpec.model_validate(workload("w")["spec"])) == "", "and no reflex is, too"
 
@@ -43,13 +43,13 @@ def test_several_topics_must_be_accepted_by_name() -> None:
     assert problem(spec([CMD_VEL, LAMP], accept=["/lamp", "/cmd_vel"])) == ""
 
 
-def test_a_service_has_no_owner() -> None:
+def test_a_service_must_be_accepted_and_cannot_be_the_only_output() -> None:
     assert "/dock (service or action) has no exclusive owner" in problem(spec([CMD_VEL, DOCK]))
     assert problem(spec([CMD_VEL, DOCK], accept=["/dock", "/cmd_vel"])) == ""
     assert "outputs has no topic" in problem(spec([DOCK], accept=["/dock"]))
 
 
-def test_pods_that_cannot_be_given_a_strength_are_refused() -> None:
+def test_pods_that_cannot_receive_a_strength_are_refused() -> None:
     referring = spec([CMD_VEL], template=None, workload_ref={"kind": "Deployment", "name": "nav"})
     assert "Deployment nav" in problem(referring)
     own = spec([CMD_VEL])
@@ -59,7 +59,7 @@ def test_pods_that_cannot_be_given_a_strength_are_refused() -> None:
     assert MIDDLEWARE.settings_variable in (reflex_validation.problem(own, template) or "")
 
 
-def test_a_strength_is_put_in_before_any_process_starts_and_the_robot_chooses_by_it() -> None:
+def test_a_strength_is_set_before_any_process_starts_and_the_robot_selects_by_it() -> None:
     found = spec([CMD_VEL])
     profiles = action_proxy_container.instance_profiles(found)
     assert f"<value>${{{names.STRENGTH_VARIABLE}}}</value>" in profiles
@@ -93,7 +93,7 @@ def environment(container: Object) -> dict[str, str]:
     return {entry["name"]: entry.get("value", "") for entry in container["env"]}
 
 
-def test_the_agent_can_hold_containers_whose_command_is_known() -> None:
+def test_the_agent_can_fence_containers_with_a_known_command() -> None:
     pod = built(
         containers=[
             {"name": "drive", "image": "i", "command": ["python3", "drive.py"], "args": ["--fast"]},
@@ -109,7 +109,7 @@ def test_the_agent_can_hold_containers_whose_command_is_known() -> None:
     assert environment(pod["initContainers"][0])[names.FENCED_VARIABLE] == "drive"
 
 
-def test_a_sidecar_among_the_init_containers_is_of_the_robots_graph_and_not_held() -> None:
+def test_a_sidecar_joins_the_robot_graph_and_is_not_fenced() -> None:
     """It runs as long as the application (KEP-753), and may publish what the robot hears."""
     pod = built(
         containers=[{"name": "drive", "image": "i", "command": ["drive"]}],
@@ -123,20 +123,20 @@ def test_a_sidecar_among_the_init_containers_is_of_the_robots_graph_and_not_held
     assert environment(agent)[names.UNFENCED_VARIABLE] == "bridge"
 
 
-def test_a_sidecar_of_a_held_pod_is_left_as_it_is() -> None:
+def test_a_sidecar_of_an_unclaimed_pod_is_unchanged() -> None:
     bridge = {"name": "bridge", "image": "b", "restartPolicy": "Always"}
     template = {"spec": {"containers": [{"name": "drive", "image": "i", "command": ["d"]}], "initContainers": [bridge]}}
     recipe = instance_pod.Recipe(workload="", namespace="n", images=Images("m"), secret="s", pool="spare", held=True)
     assert instance_pod.build(template, recipe)["spec"]["initContainers"] == [bridge]
 
 
-def test_in_a_shared_process_namespace_the_rest_of_the_pod_is_left_alone() -> None:
+def test_in_a_shared_process_namespace_only_the_processes_of_the_container_are_fenced() -> None:
     containers = [{"name": "drive", "image": "i", "command": ["drive"]}]
     pod = built(containers=containers, shareProcessNamespace=True)
     assert pod["containers"][0]["command"][6] == "own"
 
 
-def test_without_a_reflex_the_command_is_the_users() -> None:
+def test_without_a_reflex_the_command_of_the_user_is_unchanged() -> None:
     plain = RobotWorkloadSpec.model_validate(workload("w")["spec"])
     recipe = instance_pod.Recipe(workload="w", namespace="fleet", images=Images("monitor"), secret="w-agent")
     before = (plain.template or {})["spec"]["containers"][0]

@@ -79,7 +79,7 @@ def counted(state: str) -> float | None:
     return operator_metrics.REGISTRY.get_sample_value("understudy_monitor_rollouts", {"state": state})
 
 
-def test_a_share_of_the_fleet_is_replaced_at_once_and_the_next_ones_follow_when_it_is_ready() -> None:
+def test_a_tenth_of_the_monitors_is_replaced_at_once_and_ready_ones_make_room_for_others() -> None:
     fleet = Fleet(20)
     assert [fleet.asks(number)[0] for number in fleet.robots] == [2, 2, *[0] * 18]
     assert fleet.asks(0) == (2, None), "whoever has begun goes on"
@@ -97,19 +97,19 @@ def test_a_share_of_the_fleet_is_replaced_at_once_and_the_next_ones_follow_when_
     assert [counted(state) for state in ("under_way", "waiting")] == [0, 0], "nothing is left to be done"
 
 
-def test_a_small_fleet_s_are_replaced_one_after_the_other() -> None:
+def test_the_monitors_of_a_small_fleet_are_replaced_one_after_another() -> None:
     fleet = Fleet(3)
     assert [fleet.asks(number)[0] for number in fleet.robots] == [2, 0, 0]
 
 
-def test_whose_turn_is_later_looks_again_later() -> None:
+def test_a_workload_later_in_the_queue_checks_again_later() -> None:
     fleet = Fleet(20)
     again = [fleet.asks(number)[1] for number in fleet.robots]
     assert again[:6] == [None, None, LOOK, LOOK, 2 * LOOK, 2 * LOOK]
     assert again[-1] == 9 * LOOK
 
 
-def test_what_is_not_ready_has_nothing_to_lose_and_waits_for_nobody() -> None:
+def test_a_monitor_that_is_not_ready_is_replaced_at_once() -> None:
     """A version whose monitors don't come up is mended by the next one, however many places it has taken."""
     fleet = Fleet(20)
     for number in (0, 1):
@@ -121,7 +121,7 @@ def test_what_is_not_ready_has_nothing_to_lose_and_waits_for_nobody() -> None:
     assert fleet.asks(8)[0] == 0
 
 
-def test_one_that_does_not_become_ready_holds_the_others_up_for_so_long_and_no_longer() -> None:
+def test_a_monitor_that_does_not_become_ready_delays_the_others_for_a_bounded_time() -> None:
     fleet = Fleet(2)
     fleet.asks(0)
     fleet.replaced(0, "2", ready=False)
@@ -131,7 +131,7 @@ def test_one_that_does_not_become_ready_holds_the_others_up_for_so_long_and_no_l
     assert fleet.asks(1) == (2, None)
 
 
-def test_a_workload_that_is_gone_holds_nobody_up() -> None:
+def test_a_deleted_workload_delays_no_other() -> None:
     fleet = Fleet(3)
     fleet.asks(0)
     assert fleet.asks(1)[0] == 0
@@ -139,7 +139,7 @@ def test_a_workload_that_is_gone_holds_nobody_up() -> None:
     assert fleet.asks(1)[0] == 2
 
 
-def test_what_is_as_it_was_and_what_is_new_waits_for_nobody() -> None:
+def test_new_and_unchanged_monitors_do_not_wait() -> None:
     fleet = Fleet(2)
     fleet.asks(0)
     assert fleet.asks(1, "1") == (2, None)
@@ -150,7 +150,7 @@ def test_what_is_as_it_was_and_what_is_new_waits_for_nobody() -> None:
     assert fleet.rollouts.admitted(key(9), first) == (first, None)
 
 
-def test_the_share_is_the_operator_s_option(
+def test_the_share_is_an_option_of_the_operator(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("UNDERSTUDY_MONITOR_IMAGE", "monitor")

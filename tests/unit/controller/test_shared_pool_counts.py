@@ -33,8 +33,8 @@ from understudy.failover.progress import Progress
 from understudy.kube.client import NETWORK_POLICIES, PODS, POOLS, WORKLOADS, Client, Object
 
 
-class TestNumbers:
-    def test_of_a_shared_pool(self) -> None:
+class TestCounts:
+    def test_a_shared_pool_counts_unclaimed_ready_and_claimed_pods(self) -> None:
         pool = spare(replicas=3)
         pods = [
             held_pod("spare-a", of=pool, template_hash="h"),
@@ -52,7 +52,7 @@ class TestNumbers:
         }
         assert found["selector"] == f"{names.POOL}=spare,{names.HELD}=true"
 
-    def test_of_a_pool_per_workload(self) -> None:
+    def test_a_pool_per_workload_counts_standbys_and_those_in_control(self) -> None:
         pool = hot(per_workload=1)
         one, two, other = workload("a"), workload("b"), workload("c", labels={"task": "other"})
         driving, waiting = standby_pod("a-s", of=one), standby_pod("b-s", of=two)
@@ -61,7 +61,7 @@ class TestNumbers:
         told = condition(observed, "Ready")
         assert (told["status"], told["reason"]) == ("False", "PodsNotReady"), "if a failed now, nobody could take over"
 
-    async def test_a_pod_that_waits_in_the_place_of_a_standby_that_drives_is_one_of_its_pool(self) -> None:
+    async def test_the_own_pod_of_a_workload_counts_as_standby_while_a_standby_is_active(self) -> None:
         # The workload's own controller makes it after a failover. READY 0 would have somebody woken for a pool that has run dry.
         item, pool, other = workload(), hot(per_workload=1), hot("warm", per_workload=1)
         driving = standby_pod("w-s", of=item)
@@ -71,13 +71,13 @@ class TestNumbers:
             assert condition(seen[0], "Ready")["status"] == str(bool(ready))
             assert numbers(seen[1]) == {"replicas": 0, "desired": 1, "ready": 0, "claimed": 0}, "it waits for one pool"
 
-    async def test_a_pod_of_a_workloads_own_is_no_standby_while_it_drives_or_is_claimed_for(self) -> None:
+    async def test_an_active_own_pod_of_a_workload_is_not_counted_as_a_standby(self) -> None:
         item, pool = workload(), hot(per_workload=1)
         own, waiting = source_pod("w-a"), standby_pod("w-s", of=item)
         seen = await sight(item, pool, gate(item, active=own, epoch=1), own, waiting)
         assert numbers(seen[0]) == {"replicas": 1, "desired": 1, "ready": 1, "claimed": 0}
 
-    def test_what_becomes_of_such_a_pod_has_its_pool_looked_at(self) -> None:
+    def test_a_change_of_an_own_pod_that_is_a_standby_reconciles_the_pool(self) -> None:
         item, store = workload(), Store()
         driving, own = standby_pod("w-s", of=item), source_pod("w-a", ready=False)
         ready = source_pod("w-a")
@@ -92,7 +92,7 @@ class TestNumbers:
             {change_index.Key("fallbackpools", "fleet", "hot"), change_index.Key("robotworkloads", "fleet", "w")}
         ]
 
-    async def test_what_a_referred_controller_makes_is_no_standby(self) -> None:
+    async def test_a_pod_of_a_referenced_controller_is_not_counted_as_a_standby(self) -> None:
         item, pool = workload(workloadRef={"kind": "Deployment", "name": "nav2"}), hot(per_workload=1)
         driving = standby_pod("w-s", of=item)
         seen = await sight(item, pool, gate(item, active=driving, epoch=2), driving, source_pod("w-a"))
@@ -114,7 +114,7 @@ async def sight(*items: Object) -> list[pool_pods.Observed]:
     return [await observer.pool(item) for item in items if item["kind"] == "FallbackPool"]
 
 
-def test_gates_tell_which_pods_are_driving() -> None:
+def test_the_gate_names_the_active_pod() -> None:
     item = workload()
     active = source_pod("w-a")
     assert kube_objects.active(gate(item, active=active, epoch=1)) == ("w-a", "uid-w-a")
@@ -122,7 +122,7 @@ def test_gates_tell_which_pods_are_driving() -> None:
     assert kube_objects.active(None) == ("", "")
 
 
-def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
+def test_the_message_about_unready_standbys_names_the_workload_with_the_details() -> None:
     item = workload()
     waiting = standby_pod("w-s", of=item, ready=False)
     told = condition(observe(hot(), [waiting], workloads=[item]), "Ready")
@@ -130,7 +130,7 @@ def test_standbys_that_are_not_ready_say_where_it_is_told_why() -> None:
     assert_golden("operator", told["message"], "0 of 1", "BroughtUp", "RobotWorkload w")
 
 
-class TestAPoolThatHasRunDry:
+class TestQueue:
     def place(self, workload: str, *, priority: int = 0, since: float = NOW - 2, lasts: float = 10) -> Waiter:
         return Waiter(workload=workload, pool="spare", priority=priority, since=since, until=since + lasts)
 
@@ -142,7 +142,7 @@ class TestAPoolThatHasRunDry:
         found["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
         return found
 
-    def test_who_waits_stands_beside_the_gates(self) -> None:
+    def test_the_queue_is_read_from_valid_records_at_the_gates_in_order(self) -> None:
         late = self.place("late", since=NOW - 60)
         places = [self.place("a"), self.place("b", priority=100), self.place("c", since=NOW - 5), late]
         posing = self.gate(self.place("x"))  # each speaks for itself only
@@ -151,12 +151,12 @@ class TestAPoolThatHasRunDry:
         assert [w.workload for w in pool_pods.queue("spare", gates, NOW)] == ["b", "c", "a"]
         assert pool_pods.queue("other", gates, NOW) == []
 
-    def test_a_note_that_can_not_be_read_is_none(self) -> None:
+    def test_an_unreadable_record_is_ignored(self) -> None:
         found = self.gate(self.place("a"))
         found["metadata"]["annotations"][names.RECOVERY] = "{"
         assert pool_pods.queue("spare", [found], NOW) == []
 
-    def test_it_says_who_waits_in_order(self) -> None:
+    def test_the_condition_lists_the_waiting_workloads_in_order(self) -> None:
         waiting = [self.place("b", priority=100), self.place("a")]
         found = observe(spare(replicas=1), workloads=[workload()], waiting=waiting)
         told = condition(found, "Available")
@@ -170,34 +170,34 @@ class TestAPoolThatHasRunDry:
         )
         assert status(found)["waiting"] == 2
 
-    def test_a_last_pod_that_somebody_waits_for_is_nobody_else_s(self) -> None:
+    def test_a_pool_is_dry_if_a_workload_waits_for_its_last_pod(self) -> None:
         pool = spare(replicas=1)
         pod = held_pod("spare-a", of=pool, template_hash=present(pool))
         assert condition(observe(pool, [pod]), "Available")["status"] == "True"
         assert condition(observe(pool, [pod], waiting=[self.place("a")]), "Available")["reason"] == "Dry"
 
-    def test_it_says_for_whom_it_keeps_its_last_pods(self) -> None:
+    def test_the_condition_reports_the_reserve(self) -> None:
         pool = spare(replicas=2, reserve={"poolPriority": 100})
         pod = held_pod("spare-a", of=pool, template_hash=present(pool))
         told = condition(observe(pool, [pod]), "Available")["message"]
         assert_golden("operator", told, "1 of 2", "last 1", "poolPriority 100")
 
-    def test_a_pool_of_standbys_has_nobody_that_waits(self) -> None:
+    def test_a_pool_of_standbys_has_no_queue(self) -> None:
         found = status(observe(hot(), workloads=[workload()]))
         assert "waiting" not in found
         assert "Available" not in {c["type"] for c in found["conditions"]}
 
-    def test_where_somebody_waits_the_next_pod_is_started_beside_the_one_that_was_claimed(self) -> None:
+    def test_a_claimed_pod_is_replaced_at_once_if_a_workload_waits(self) -> None:
         pool = spare(replicas=1)
         claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
         claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - 1))
         assert not created(plan(observe(pool, [claimed])), "pods")
         assert len(created(plan(observe(pool, [claimed], waiting=[self.place("a")])), "pods")) == 1
 
-    def test_it_is_looked_at_again_when_the_time_of_a_waiter_is_over(self) -> None:
+    def test_the_pool_is_reconciled_when_the_waiting_time_of_a_workload_ends(self) -> None:
         assert plan(observe(spare(replicas=0), waiting=[self.place("a")])).again_after == pytest.approx(8)
 
-    async def test_the_operator_finds_them_among_the_gates_of_the_namespace(self) -> None:
+    async def test_the_operator_finds_waiting_workloads_at_the_gates_of_the_namespace(self) -> None:
         client: Any = None  # of a pool with a template of its own nothing is asked
         store, now = Store(), time.time()
         pool, waiting = spare(), self.place("a", since=now, lasts=60)

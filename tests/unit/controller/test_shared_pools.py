@@ -39,11 +39,11 @@ def test_an_empty_pool_is_filled() -> None:
         assert ownership.controls(kube_objects.uid(pool), pod)
 
 
-def test_pods_that_were_created_and_not_seen_yet_count() -> None:
+def test_created_pods_that_are_not_yet_observed_count() -> None:
     assert len(created(plan(observe(spare(replicas=3), expected=2)), "pods")) == 1
 
 
-def test_it_is_looked_again_once_a_pod_that_was_perhaps_never_made_is_not_expected_any_more() -> None:
+def test_the_pool_is_reconciled_when_an_expectation_expires() -> None:
     # Of a request that got no answer nothing may ever tell: no watch does where nothing was made.
     made = plan(observe(spare(replicas=1), expected=1))
     assert not created(made, "pods")
@@ -51,13 +51,13 @@ def test_it_is_looked_again_once_a_pod_that_was_perhaps_never_made_is_not_expect
 
 
 @pytest.mark.parametrize("extra", [0, 1, 5])
-def test_however_old_the_sight_is_there_are_never_too_many(extra: int) -> None:
+def test_no_pod_is_created_while_enough_or_too_many_are_observed(extra: int) -> None:
     pool = spare(replicas=2)
     seen = [held_pod(f"spare-{i}", of=pool, template_hash=present(pool)) for i in range(2 + extra)]
     assert not created(plan(observe(pool, seen)), "pods")
 
 
-def test_claimed_pods_neither_count_nor_are_touched() -> None:
+def test_claimed_pods_do_not_count_and_are_not_deleted() -> None:
     pool = spare(replicas=1)
     claimed = [claimed_pod(f"spare-c{i}", of=pool, by=workload()) for i in range(3)]
     made = plan(observe(pool, claimed))
@@ -66,9 +66,7 @@ def test_claimed_pods_neither_count_nor_are_touched() -> None:
 
 
 @pytest.mark.parametrize(("ago", "drives", "made"), [(1, False, 0), (1, True, 1), (-3600, False, 0), (10, False, 1)])
-def test_a_claimed_pod_gets_into_control_before_another_is_started_in_its_place(
-    ago: float, drives: bool, made: int
-) -> None:
+def test_a_claimed_pod_is_replaced_after_it_drives_or_after_a_waiting_time(ago: float, drives: bool, made: int) -> None:
     pool = spare(replicas=1)
     claimed = claimed_pod("robot-1-claimed", of=pool, by=workload())
     claimed["metadata"].setdefault("annotations", {})[names.CLAIMED_AT] = str(int(NOW - ago))
@@ -86,7 +84,7 @@ def claimed_ago(pool: Object, name: str, ago: float) -> Object:
     return claimed
 
 
-def test_where_claims_keep_coming_the_pool_fills_up_behind_them() -> None:
+def test_a_pool_is_filled_up_although_claims_continue() -> None:
     """A claim holds back the pod in its own place, and no other: or a pool would be filled only when it is dry."""
     pool = spare(replicas=4)
     left = held_pod("spare-0", of=pool, template_hash=present(pool))
@@ -96,7 +94,7 @@ def test_where_claims_keep_coming_the_pool_fills_up_behind_them() -> None:
     assert found.again_after == pytest.approx(pool_pods.FIRST_THE_CLAIMED - 3, abs=1), "when the next one is due"
 
 
-def test_claims_of_which_the_pods_are_all_there_hold_nothing_back() -> None:
+def test_claims_whose_pods_were_replaced_delay_nothing() -> None:
     pool = spare(replicas=2)
     left = held_pod("spare-0", of=pool, template_hash=present(pool))
     found = plan(
@@ -106,7 +104,7 @@ def test_claims_of_which_the_pods_are_all_there_hold_nothing_back() -> None:
     assert found.again_after is None
 
 
-def test_a_pod_that_somebody_labelled_as_held_is_not_taken_for_ours() -> None:
+def test_an_unowned_pod_with_the_labels_of_the_pool_is_ignored() -> None:
     pool = spare(replicas=1)
     foreign = held_pod("spare-x", of=pool)
     foreign["metadata"]["ownerReferences"] = []
@@ -115,14 +113,14 @@ def test_a_pod_that_somebody_labelled_as_held_is_not_taken_for_ours() -> None:
     assert not deleted(made)
 
 
-def test_a_smaller_pool_loses_those_first_that_are_not_ready() -> None:
+def test_a_smaller_pool_first_deletes_pods_that_are_not_ready() -> None:
     pool = spare(replicas=1)
     good = held_pod("spare-a", of=pool, template_hash=present(pool))
     bad = held_pod("spare-b", of=pool, template_hash=present(pool), ready=False)
     assert deleted(plan(observe(pool, [good, bad]))) == ["spare-b"]
 
 
-def test_pods_of_an_old_template_go_one_by_one_as_new_ones_become_ready() -> None:
+def test_pods_of_an_old_template_are_deleted_one_by_one_as_new_ones_become_ready() -> None:
     pool = spare(replicas=2)
     old = [held_pod(f"spare-o{i}", of=pool, template_hash="old") for i in range(2)]
     made = plan(observe(pool, old))
@@ -134,7 +132,7 @@ def test_pods_of_an_old_template_go_one_by_one_as_new_ones_become_ready() -> Non
     assert deleted(plan(observe(pool, old + new))) == ["spare-o0", "spare-o1"]
 
 
-def test_pods_of_the_old_template_may_be_claimed_until_one_of_the_new_is_ready() -> None:
+def test_pods_of_the_old_template_can_be_claimed_until_a_new_one_is_ready() -> None:
     pool = spare(replicas=2)
     old = [held_pod("spare-o", of=pool, template_hash="old")]
     starting = [held_pod("spare-n", of=pool, template_hash=present(pool), ready=False)]
@@ -149,7 +147,7 @@ def test_pods_of_the_old_template_may_be_claimed_until_one_of_the_new_is_ready()
     assert claimable([*old, held_pod("spare-n", of=pool, template_hash=present(pool))]) == present(pool)
 
 
-class TestAChangeOfTheTemplate:
+class TestTemplateUpdate:
     def pods(self, pool: Object, *, old: int = 0, new: int = 0, starting: int = 0) -> list[Object]:
         return [
             *(held_pod(f"spare-o{i}", of=pool, template_hash="old") for i in range(old)),
@@ -161,7 +159,7 @@ class TestAChangeOfTheTemplate:
         found: str = applied(made, "networkpolicies")["spare-held"]["metadata"]["annotations"][names.TEMPLATE_HASH]
         return found
 
-    def test_as_many_as_are_to_be_ready_stay_until_as_many_of_the_new_one_are_and_the_others_make_room(self) -> None:
+    def test_min_ready_old_pods_stay_until_as_many_new_ones_are_ready(self) -> None:
         pool = spare(replicas=4, updateStrategy={"minReady": 2})
         made = plan(observe(pool, self.pods(pool, old=4)))
         assert (len(created(made, "pods")), len(deleted(made)), self.claimable(made)) == (4, 2, "old")
@@ -173,9 +171,7 @@ class TestAChangeOfTheTemplate:
     @pytest.mark.parametrize("least", [0, 1, 2, 3, 4, 9])
     @pytest.mark.parametrize("old", range(5))
     @pytest.mark.parametrize("new", range(5))
-    def test_a_change_never_takes_those_that_could_be_claimed_below_the_least(
-        self, least: int, old: int, new: int
-    ) -> None:
+    def test_an_update_never_leaves_fewer_than_min_ready_claimable_pods(self, least: int, old: int, new: int) -> None:
         pool = spare(replicas=4, updateStrategy={"minReady": least})
         pods = self.pods(pool, old=old, new=new, starting=4 - new)
         made = plan(observe(pool, pods))
@@ -184,12 +180,12 @@ class TestAChangeOfTheTemplate:
         assert could >= min(least, 4, max(old, new))
         assert len(left) >= min(least, 4, old + new)
 
-    def test_with_none_to_be_ready_all_go_at_once(self) -> None:
+    def test_an_update_with_min_ready_zero_replaces_all_pods_at_once(self) -> None:
         pool = spare(replicas=3, updateStrategy={"minReady": 0})
         made = plan(observe(pool, self.pods(pool, old=3)))
         assert (len(created(made, "pods")), len(deleted(made))) == (3, 3)
 
-    def test_on_replenish_old_ones_wait_on_may_be_claimed_and_are_replaced_by_new_ones(self) -> None:
+    def test_with_on_replenish_old_pods_stay_claimable_and_only_missing_ones_are_replaced(self) -> None:
         pool = spare(replicas=3, updateStrategy={"type": "OnReplenish"})
         made = plan(observe(pool, self.pods(pool, old=3)))
         assert (created(made, "pods"), deleted(made), self.claimable(made)) == ([], [], "")
@@ -198,11 +194,11 @@ class TestAChangeOfTheTemplate:
         assert new["metadata"]["labels"][names.TEMPLATE_HASH] == present(pool)
         assert not deleted(made)
 
-    def test_on_replenish_a_smaller_pool_loses_old_ones_first(self) -> None:
+    def test_with_on_replenish_a_smaller_pool_first_deletes_old_pods(self) -> None:
         pool = spare(replicas=1, updateStrategy={"type": "OnReplenish"})
         assert deleted(plan(observe(pool, self.pods(pool, old=1, new=1)))) == ["spare-o0"]
 
-    def test_how_far_it_has_come_is_said(self) -> None:
+    def test_the_progress_of_an_update_is_reported(self) -> None:
         pool = spare(replicas=3)
         found = observe(pool, self.pods(pool, old=2, new=1))
         assert status(found)["updated"] == 1
@@ -212,7 +208,7 @@ class TestAChangeOfTheTemplate:
         done = condition(observe(pool, self.pods(pool, new=3)), "Updated")
         assert (done["status"], done["reason"]) == ("True", "Updated")
 
-    def test_pods_that_may_stay_are_in_order(self) -> None:
+    def test_with_on_replenish_old_pods_count_as_ready_and_updated(self) -> None:
         pool = spare(replicas=3, updateStrategy={"type": "OnReplenish"})
         policy = applied(plan(observe(pool)), "networkpolicies")["spare-held"]
         found = observe(pool, self.pods(pool, old=1, new=2), owned={("networkpolicies", "spare-held"): policy})
@@ -221,7 +217,7 @@ class TestAChangeOfTheTemplate:
         assert status(found)["ready"] == 3
 
 
-def test_a_pod_that_ended_is_replaced_after_a_rest() -> None:
+def test_an_ended_pod_is_replaced_after_a_waiting_time() -> None:
     pool = spare(replicas=1)
     ended = held_pod("spare-a", of=pool, template_hash=present(pool), phase="Failed", age=3)
     made = plan(observe(pool, [ended]))
@@ -232,7 +228,7 @@ def test_a_pod_that_ended_is_replaced_after_a_rest() -> None:
     assert deleted(made) == ["spare-a"]
 
 
-def test_held_containers_wait_and_have_no_probes() -> None:
+def test_held_containers_wait_without_probes() -> None:
     pool = spare()
     container = pool["spec"]["template"]["spec"]["containers"][0]
     container |= {"livenessProbe": {"exec": {}}, "startupProbe": {"exec": {}}, "readinessProbe": {"exec": {}}}
@@ -251,7 +247,7 @@ def test_held_containers_wait_and_have_no_probes() -> None:
     assert "ROS_DOMAIN_ID" not in json.dumps(pod["spec"])
 
 
-def test_held_pods_hear_only_their_agent() -> None:
+def test_only_the_agent_port_of_an_unclaimed_pod_is_reachable() -> None:
     policy = applied(plan(observe(spare())), "networkpolicies")["spare-held"]
     assert policy["spec"]["podSelector"]["matchLabels"] == {names.POOL: "spare", names.HELD: "true"}
     assert policy["spec"]["policyTypes"] == ["Ingress", "Egress"]
@@ -260,14 +256,14 @@ def test_held_pods_hear_only_their_agent() -> None:
     assert ports == [names.AGENT_PORT, names.AGENT_HEALTH_PORT]
 
 
-def test_a_template_taken_from_a_referring_workload_loses_the_labels_that_would_have_it_adopted() -> None:
+def test_a_copied_template_loses_the_labels_that_the_source_controller_selects() -> None:
     pool = spare(templateFrom={"workload": "w"})
     del pool["spec"]["template"]
     observed = observe(pool, workloads=[workload()], source=TEMPLATE, source_selector={"matchLabels": {"app": "nav"}})
     assert "app" not in created(plan(observed), "pods")[0]["metadata"]["labels"]
 
 
-class TestBadInput:
+class TestInvalidSpec:
     def kept(self, pool: Object) -> list[Object]:
         return [held_pod("spare-a", of=pool, template_hash="old"), held_pod("spare-b", of=pool, template_hash="old")]
 
@@ -306,7 +302,7 @@ class TestBadInput:
             ({"replicas": -1}, "SpecInvalid", "spec.replicas"),
         ],
     )
-    def test_it_is_said_and_what_is_there_is_kept(self, change: Object, reason: str, word: str) -> None:
+    def test_an_invalid_spec_is_reported_and_changes_nothing(self, change: Object, reason: str, word: str) -> None:
         pool = spare(**change)
         pool["spec"] = {key: value for key, value in pool["spec"].items() if value is not None}
         observed = observe(pool, self.kept(pool), workloads=[workload()])
@@ -315,12 +311,12 @@ class TestBadInput:
         assert (accepted["status"], accepted["reason"]) == ("False", reason)
         assert word in accepted["message"]
 
-    def test_a_selector_that_matches_nothing_is_said(self) -> None:
+    def test_a_selector_that_matches_no_workload_is_reported(self) -> None:
         ready = condition(observe(spare(), workloads=[workload(labels={"task": "other"})]), "Ready")
         assert (ready["status"], ready["reason"]) == ("False", "NoMatchingWorkload")
         assert "task=critical" in ready["message"]
 
-    def test_a_new_template_that_can_not_start_is_said_while_the_old_pods_are_ready(self) -> None:
+    def test_a_new_template_that_cannot_start_is_reported_while_old_pods_are_ready(self) -> None:
         pool = spare(replicas=1)
         pods = [
             held_pod("spare-o", of=pool, template_hash="old"),
@@ -330,7 +326,7 @@ class TestBadInput:
         assert condition(observed, "Ready")["status"] == "True"
         assert condition(observed, "Reconciled")["reason"] == "ErrImageNeverPull"
 
-    def test_an_image_that_can_not_start_is_said(self) -> None:
+    def test_an_image_that_cannot_start_is_reported(self) -> None:
         pool = spare(replicas=1)
         pod = held_pod("spare-a", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull")
         ready = condition(observe(pool, [pod], workloads=[workload()]), "Ready")

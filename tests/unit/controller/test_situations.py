@@ -91,7 +91,7 @@ def covered(made: World) -> tuple[str, str]:
     return found["status"], found["reason"]
 
 
-def test_in_no_situation_the_policy_s_own_strategies_are_in_force_and_only_their_standbys_kept() -> None:
+def test_without_a_situation_the_strategies_of_the_policy_are_in_force() -> None:
     made = world()
     plan = made.plan()
     assert order(plan) == ["warm", "spare", "Restart"]
@@ -100,7 +100,7 @@ def test_in_no_situation_the_policy_s_own_strategies_are_in_force_and_only_their
     assert covered(made) == ("True", "NoSituation")
 
 
-def test_a_situation_has_its_standby_made_and_changes_nothing_else_until_that_is_ready() -> None:
+def test_a_situation_changes_only_its_standby_until_that_is_ready() -> None:
     made = world()
     enter(made, "carrying")
     plan = made.plan()
@@ -120,7 +120,7 @@ def test_a_situation_has_its_standby_made_and_changes_nothing_else_until_that_is
     assert made.status()["standby"] == "Initialized (1/1)"
 
 
-def test_once_it_is_ready_the_monitor_is_told_first_and_the_former_standby_goes_after_that() -> None:
+def test_the_former_standby_is_deleted_after_the_monitor_has_the_new_strategies() -> None:
     made = world()
     enter(made, "carrying")
     made.build()
@@ -136,7 +136,7 @@ def test_once_it_is_ready_the_monitor_is_told_first_and_the_former_standby_goes_
     assert made.status()["standby"] == "Executing (1/1)"
 
 
-def test_after_it_the_same_in_the_other_direction() -> None:
+def test_the_end_of_a_situation_restores_the_former_standby_before_the_other_is_deleted() -> None:
     made = world()
     enter(made, "carrying")
     made.pods = [made.pods[0], standby(made, "w-hot", "hot")]
@@ -154,7 +154,7 @@ def test_after_it_the_same_in_the_other_direction() -> None:
     assert order(made.plan()) == ["warm", "spare", "Restart"]
 
 
-def test_one_that_is_over_before_its_standby_was_ready_leaves_nothing_behind() -> None:
+def test_a_situation_that_ends_before_its_standby_is_ready_leaves_nothing_behind() -> None:
     made = world()
     enter(made, "carrying")
     made.build()
@@ -164,7 +164,7 @@ def test_one_that_is_over_before_its_standby_was_ready_leaves_nothing_behind() -
     assert covered(made) == ("True", "NoSituation")
 
 
-def test_a_standby_that_never_gets_ready_takes_no_protection_away() -> None:
+def test_a_standby_that_never_becomes_ready_does_not_remove_protection() -> None:
     made = world()
     enter(made, "carrying")
     made.build()
@@ -176,7 +176,7 @@ def test_a_standby_that_never_gets_ready_takes_no_protection_away() -> None:
         assert made.condition("Protected")["status"] == "True"
 
 
-def test_from_one_situation_to_another() -> None:
+def test_one_situation_can_follow_another_directly() -> None:
     made = world(situational(("carrying", ("hot",)), ("parked", ("spare",))))
     enter(made, "carrying")
     made.pods.append(standby(made, "w-hot", "hot"))
@@ -187,7 +187,7 @@ def test_from_one_situation_to_another() -> None:
     assert deleted(made.plan()) == ["w-hot", "w-warm"]
 
 
-def test_a_shared_pool_that_is_dry_is_not_counted_on() -> None:
+def test_strategies_with_a_dry_shared_pool_do_not_come_into_force() -> None:
     made = world(situational(("parked", ("spare",))))
     made.unclaimed = {}
     enter(made, "parked")
@@ -195,7 +195,7 @@ def test_a_shared_pool_that_is_dry_is_not_counted_on() -> None:
 
 
 @pytest.mark.parametrize("strategies", [("gone", "hot"), ("empty", "hot")])
-def test_a_pool_that_has_nothing_ever_is_not_waited_for(strategies: tuple[str, ...]) -> None:
+def test_a_missing_or_empty_pool_does_not_delay_the_strategies_of_a_situation(strategies: tuple[str, ...]) -> None:
     made = world(situational(("carrying", strategies)))
     made.others.append(hot("empty", per_workload=0))
     enter(made, "carrying")
@@ -204,7 +204,7 @@ def test_a_pool_that_has_nothing_ever_is_not_waited_for(strategies: tuple[str, .
     assert order(made.plan()) == [*strategies, "Restart"]
 
 
-def test_a_restart_needs_nothing() -> None:
+def test_a_situation_with_only_a_restart_is_in_force_at_once() -> None:
     made = world(situational(("parked", ())))
     enter(made, "parked")
     made.build()
@@ -212,7 +212,7 @@ def test_a_restart_needs_nothing() -> None:
     assert "w-warm" in deleted(made.plan())
 
 
-def test_in_the_midst_of_a_recovery_all_stays() -> None:
+def test_a_recovery_delays_the_strategies_of_a_situation() -> None:
     made = world()
     made.pods.append(standby(made, "w-hot", "hot"))
     made.workload["status"] = saying("carrying", health="Recovering")
@@ -222,7 +222,7 @@ def test_in_the_midst_of_a_recovery_all_stays() -> None:
     assert deleted(plan) == []
 
 
-def test_while_the_policy_cannot_be_followed_all_stays() -> None:
+def test_a_situation_changes_nothing_while_the_policy_is_invalid() -> None:
     made = world()
     enter(made, "carrying")
     made.pods = [made.pods[0], standby(made, "w-hot", "hot")]
@@ -238,7 +238,7 @@ def test_while_the_policy_cannot_be_followed_all_stays() -> None:
         assert deleted(plan) == []
 
 
-def test_a_situation_that_the_policy_has_no_longer_is_none() -> None:
+def test_a_situation_that_was_removed_from_the_policy_has_no_effect() -> None:
     made = world()
     enter(made, "carrying")
     made.pods.append(standby(made, "w-hot", "hot"))
@@ -248,7 +248,7 @@ def test_a_situation_that_the_policy_has_no_longer_is_none() -> None:
     assert covered(made) == ("True", "NoSituation")
 
 
-def test_after_a_takeover_each_standby_is_one_of_its_pool_and_the_workload_s_own_pod_none() -> None:
+def test_with_situations_the_own_pod_of_a_workload_does_not_replace_a_standby() -> None:
     """As whose standby it waited would change with the situation, and for a moment it would be nobody's."""
     made = world()
     enter(made, "carrying")
@@ -263,7 +263,7 @@ def test_after_a_takeover_each_standby_is_one_of_its_pool_and_the_workload_s_own
     assert told(plan).situation is None, "the one that drives isn't its own standby"
 
 
-def test_requirements_of_a_situation_choose_anew() -> None:
+def test_the_requirements_of_a_situation_choose_strategies_again() -> None:
     asked = auto(availability="Medium")
     asked["spec"]["situations"] = [{"name": "carrying", "when": WHEN, "requirements": {"taskCriticality": "High"}}]
     made = world(asked)
@@ -280,7 +280,7 @@ def test_requirements_of_a_situation_choose_anew() -> None:
     assert "taskCriticality High" in made.condition("StrategiesChosen")["message"]
 
 
-def test_a_policy_without_situations_says_nothing_of_them() -> None:
+def test_a_policy_without_situations_has_no_condition_about_them() -> None:
     made = world(policy("warm", "spare", "Restart"))
     made.workload["status"] = saying("carrying")
     assert told(made.plan()).strategies is None
@@ -288,20 +288,20 @@ def test_a_policy_without_situations_says_nothing_of_them() -> None:
     assert pools_of(made.plan()) == {"hot"}, "as ever, of each pool that serves it"
 
 
-def test_a_pool_that_no_situation_finds_is_told_with_its_place() -> None:
+def test_a_missing_pool_of_a_situation_is_reported_with_its_path() -> None:
     (found,) = policy_status.conditions(CARRYING, {"warm": warm(), "spare": spare()}, {})
     assert (found.status, found.reason) == ("False", "PoolNotFound")
     assert_golden("operator", found.message, "spec.situations[0].strategies[0].poolRef.name", "FallbackPool", '"hot"')
 
 
-def test_a_wait_for_a_standby_of_one_s_own_is_told_with_its_place() -> None:
+def test_waiting_for_a_pool_that_is_not_shared_in_a_situation_is_reported_with_its_path() -> None:
     asked = situational(("carrying", ("hot",)))
     asked["spec"]["situations"][0]["strategies"][0]["waitFor"] = "5s"
     (found,) = policy_status.conditions(asked, {"hot": hot(), "warm": warm(), "spare": spare()}, {})
     assert_golden("operator", found.message, "spec.situations[0].strategies[0].waitFor", "FallbackPool")
 
 
-def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
+def test_an_invalid_tree_of_a_situation_is_reported_with_its_path() -> None:
     asked = situational(("carrying", ("hot",)))
     asked["spec"]["situations"][0]["when"] = {"yaml": {"topik": {}}}
     found = policy_reader.problem(asked, {})
@@ -309,7 +309,7 @@ def test_a_tree_that_does_not_load_is_told_with_its_place() -> None:
     assert_golden("operator", found.message, "spec.situations[0].when.yaml.topik", "'topik'")
 
 
-async def test_a_pool_wants_no_standby_of_a_workload_in_whose_situation_it_does_not_count() -> None:
+async def test_a_pool_counts_no_standby_for_a_workload_whose_situation_does_not_use_it() -> None:
     class Nobody:
         async def find(self, *_: Any) -> None: ...
         async def list(self, *_: Any, **__: Any) -> Object:
@@ -324,7 +324,7 @@ async def test_a_pool_wants_no_standby_of_a_workload_in_whose_situation_it_does_
     assert (await observer.pool(warm())).spared == 0
 
 
-def test_pods_of_a_shared_pool_that_a_situation_names_concern_its_workloads() -> None:
+def test_the_pools_of_a_policy_include_those_of_its_situations() -> None:
     assert change_index.policy_reader.named_pools(CARRYING) == ["warm", "spare", "hot", "spare"]
     assert created(world().plan(), "pods") == []
 
@@ -342,7 +342,7 @@ STEPS = st.lists(
 
 @settings(deadline=None, max_examples=30)
 @given(STEPS)
-def test_in_whatever_order_situations_and_standbys_come_there_is_no_moment_without_protection(
+def test_no_sequence_of_situations_and_standbys_removes_protection(
     steps: list[tuple[str, str]],
 ) -> None:
     asked = situational(

@@ -32,7 +32,7 @@ from understudy.controller.reconcile.observer import Observer
 from understudy.kube.client import NETWORK_POLICIES, NODES, PODS, POOLS, WORKLOADS, Object
 
 
-class TestStandbysOfARobot:
+class TestStandbys:
     def world(self, *standbys: Object) -> World:
         made = World(workload(), policy("hot", "Restart"), hot())
         active = on("n", source_pod("w-a"))
@@ -47,7 +47,7 @@ class TestStandbysOfARobot:
     def standby(self, made: World, place: str, name: str = "w-s") -> Object:
         return on(place, standby_pod(name, of=made.workload, template_hash=made.template_hash, age=50.0))
 
-    def test_they_are_replaced_before_they_go_and_the_one_in_control_stays(self) -> None:
+    def test_standbys_on_leaving_nodes_are_replaced_first_and_the_active_instance_stays(self) -> None:
         empty = self.world()
         old, new = self.standby(empty, "m"), self.standby(empty, "o", "w-t")
         made = self.planned(self.world(old), "m", "n")
@@ -75,7 +75,7 @@ class TestStandbysOfARobot:
 
     @pytest.mark.parametrize("ready", [True, False])
     @pytest.mark.parametrize("drives_on", ["n", "m"])
-    def test_a_stand_in_is_replaced_before_it_goes(self, drives_on: str, ready: bool) -> None:
+    def test_an_own_pod_on_a_leaving_node_is_replaced_before_it_is_deleted(self, drives_on: str, ready: bool) -> None:
         made = self.driven(per_workload=1)
         made.pods = [on(drives_on, made.pods[0])]
         own, other = self.own(made, "m", ready=ready), self.standby(made, "o", "w-t")
@@ -87,7 +87,7 @@ class TestStandbysOfARobot:
         assert self.now(made, self.own(made, "o", "w-own2", ready=False), other) == (0, [])
         assert self.now(made, self.own(made, "o", "w-own2"), other) == (0, ["w-t"])
 
-    async def test_its_pool_says_so_and_is_looked_at_when_its_node_is_to_go(self) -> None:
+    async def test_the_pool_reports_an_own_pod_on_a_leaving_node_and_is_reconciled_for_it(self) -> None:
         made, store = self.driven(per_workload=1), Store()
         driving, own, pool = made.pods[0], self.own(made, "m"), made.others[1]
         told = [(WORKLOADS, made.workload), (NETWORK_POLICIES, made.owned["networkpolicies", "w-gate"])]
@@ -108,7 +108,7 @@ class TestStandbysOfARobot:
         observed = await Observer(client, store, Expectations()).pool(pool)
         assert_golden("operator", condition(observed, "Moving")["message"], "1 of 1")
 
-    def test_a_stand_in_stays_where_only_others_on_such_nodes_are_ready_and_in_a_recovery(self) -> None:
+    def test_an_own_pod_stays_until_replacements_on_other_nodes_are_ready_and_during_a_recovery(self) -> None:
         made = self.driven(per_workload=2)
         own, others = self.own(made, "m"), [self.standby(made, "o", "w-s"), self.standby(made, "o", "w-t")]
         assert self.now(made, own, others[0]) == (1, []), "two others are needed before it goes"
@@ -117,13 +117,13 @@ class TestStandbysOfARobot:
         made.workload["status"] = {"health": "Recovering"}
         assert self.now(made, own, *others) == (0, [])
 
-    def test_a_stand_in_that_is_placed_on_such_a_node_again_goes_no_more(self) -> None:
+    def test_an_own_pod_that_is_scheduled_on_a_leaving_node_again_is_not_deleted(self) -> None:
         made = self.driven(per_workload=1)
         own, other = self.own(made, "m", age=10.0), self.standby(made, "o", "w-t")
         assert self.now(made, own, other) == (0, [])
         assert deleted(self.planned(made)) == ["w-t"], "the node stays"
 
-    def test_none_is_made_for_one_that_is_replaced_beside_a_stand_in_that_is_starting(self) -> None:
+    def test_a_starting_own_pod_counts_as_replacement_for_a_standby_on_a_leaving_node(self) -> None:
         made = self.driven(per_workload=2)
         old, new = self.standby(made, "m", "w-s"), self.standby(made, "o", "w-t")
         starting = on("o", standby_pod("w-t", of=made.workload, template_hash=made.template_hash, ready=False))
@@ -133,7 +133,7 @@ class TestStandbysOfARobot:
         assert self.now(made, old, new, own) == (0, []), "two are wanted, and so many are ready"
         assert self.now(made, old, new, self.own(made, "p")) == (0, ["w-s"])
 
-    def test_one_that_stays_for_a_stand_in_that_is_starting_does_so_on_a_node_that_is_emptied_too(self) -> None:
+    def test_an_additional_standby_on_a_leaving_node_stays_until_the_own_pod_is_ready(self) -> None:
         made = self.driven(per_workload=1)
         more = self.standby(made, "m")
         for own in ([], [self.own(made, "o", ready=False)]):
@@ -150,13 +150,13 @@ class TestSpreading:
         (found,) = created(plan(observe(pool)), "pods")
         return found
 
-    def test_a_pool_s_pods_prefer_nodes_without_others_of_it(self) -> None:
+    def test_pods_of_a_pool_prefer_nodes_without_others_of_the_pool(self) -> None:
         (term,) = self.pod()["spec"]["affinity"]["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
         assert term["weight"] == 100
         assert term["podAffinityTerm"]["topologyKey"] == "kubernetes.io/hostname"
         assert term["podAffinityTerm"]["labelSelector"]["matchLabels"] == {names.POOL: "spare"}
 
-    def test_those_on_their_way_out_are_not_counted_where_the_next_one_is_placed(self) -> None:
+    def test_the_pods_of_a_pool_have_a_topology_spread_constraint(self) -> None:
         """For an affinity they are there, and a new pod would as soon be beside the one in control as where one has failed."""
         (constraint,) = self.pod()["spec"]["topologySpreadConstraints"]
         assert constraint == {
@@ -167,7 +167,7 @@ class TestSpreading:
         }
 
     @pytest.mark.parametrize(("when", "ours"), [("ScheduleAnyway", 0), ("DoNotSchedule", 1)])
-    def test_a_workload_s_own_constraint_is_kept_and_none_of_its_kind_put_beside_it(self, when: str, ours: int) -> None:
+    def test_a_spread_constraint_of_the_user_is_kept_and_its_duplicate_is_omitted(self, when: str, ours: int) -> None:
         given = {"maxSkew": 3, "topologyKey": "kubernetes.io/hostname", "whenUnsatisfiable": when}
         recipe = instance_pod.Recipe(workload="w", namespace="robots", images=IMAGES, secret="w-agent")
         template = {
@@ -180,7 +180,7 @@ class TestSpreading:
         assert found[0] == given
         assert [one["labelSelector"]["matchLabels"] for one in found[1:]] == [{names.WORKLOAD: "w"}] * ours
 
-    def test_where_the_template_says_otherwise_it_counts_alone(self) -> None:
+    def test_placement_rules_of_the_template_replace_those_of_the_operator(self) -> None:
         spread = [{"maxSkew": 1, "topologyKey": "zone", "whenUnsatisfiable": "DoNotSchedule"}]
         found = self.pod(topologySpreadConstraints=spread)["spec"]
         assert found["topologySpreadConstraints"] == spread
@@ -190,6 +190,6 @@ class TestSpreading:
         near = {"nodeAffinity": {}}
         assert "podAntiAffinity" in self.pod(affinity=near)["spec"]["affinity"]
 
-    def test_a_lost_node_is_left_soon(self) -> None:
+    def test_pods_leave_a_lost_node_soon(self) -> None:
         seconds = {t["tolerationSeconds"] for t in self.pod()["spec"]["tolerations"]}
         assert seconds == {pod_placement.LOST_SECONDS}

@@ -27,19 +27,19 @@ from understudy.kube.client import Object
 
 
 class TestStandbys:
-    def test_as_many_as_the_pool_says_for_each_workload(self) -> None:
+    def test_each_workload_has_the_standbys_that_the_pool_specifies(self) -> None:
         assert len(created(World(workload(), policy("hot"), hot(per_workload=3)).plan(), "pods")) == 3
 
-    def test_none_for_a_workload_that_the_pool_does_not_select(self) -> None:
+    def test_a_workload_that_the_pool_does_not_select_has_no_standby(self) -> None:
         world = World(workload(labels={"task": "other"}), policy("hot"), hot())
         assert not created(world.plan(), "pods")
 
-    def test_pods_that_were_created_and_not_seen_yet_count(self) -> None:
+    def test_created_pods_that_are_not_yet_observed_count(self) -> None:
         world = World(workload(), policy("hot"), hot(per_workload=2))
         world.expected = {"hot": 2}
         assert not created(world.plan(), "pods")
 
-    def test_the_active_one_counts_so_that_instances_stay_one_more(self) -> None:
+    def test_an_active_standby_counts_so_that_no_further_one_is_created(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active = standby_pod("w-s", of=world.workload)
         world.pods = [active, source_pod("w-a", template_hash=world.own_hash)]
@@ -48,14 +48,14 @@ class TestStandbys:
         assert not created(plan, "pods")
         assert not deleted(plan)
 
-    def test_the_active_one_is_not_replaced_for_an_old_template(self) -> None:
+    def test_the_active_instance_is_not_replaced_for_an_old_template(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active = standby_pod("w-s", of=world.workload, template_hash="old")
         world.pods = [active]
         world.own(gate(world.workload, active=active, epoch=2))
         assert not deleted(world.plan())
 
-    def test_those_that_end_in_a_recovery_that_lasts_do_not_become_more_and_more(self) -> None:
+    def test_ended_standbys_do_not_accumulate_during_a_long_recovery(self) -> None:
         # Evicted ones, of a robot that was switched off: for each that has ended there is another.
         world = World(workload(), policy("hot"), hot())
         ended = [standby_pod(f"w-{n}", of=world.workload, phase="Failed", age=1000.0 - n) for n in range(5)]
@@ -66,7 +66,7 @@ class TestStandbys:
         assert deleted(plan) == ["w-0", "w-1", "w-2", "w-3"]
         assert len(created(plan, "pods")) == 1
 
-    def test_an_old_one_goes_only_after_its_replacement_is_ready(self) -> None:
+    def test_a_standby_of_an_old_template_is_deleted_after_its_replacement_is_ready(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active, old = source_pod("w-a"), standby_pod("w-old", of=world.workload, template_hash="old")
         world.own(gate(world.workload, active=active, epoch=1))
@@ -80,7 +80,7 @@ class TestStandbys:
         world.pods[-1] = standby_pod("w-new", of=world.workload, template_hash=world.template_hash)
         assert deleted(world.plan()) == ["w-old"]
 
-    def test_an_old_one_that_stands_in_for_one_that_drives_goes_only_after_another_is_ready(self) -> None:
+    def test_an_own_pod_of_an_old_template_is_deleted_after_another_standby_is_ready(self) -> None:
         world = World(workload(), policy("hot"), hot())
         world.build()
         world.build()
@@ -105,7 +105,7 @@ class TestStandbys:
         assert now(other, source_pod("w-new", template_hash=own)) == (0, ["w-t"])
         assert now(source_pod("w-new", template_hash=own)) == (0, [])
 
-    def test_an_old_one_that_stands_in_stays_in_a_recovery_and_where_the_controller_would_make_another_such(
+    def test_an_own_pod_stays_in_a_recovery_and_if_the_controller_has_another_template(
         self,
     ) -> None:
         world = World(workload(), policy("hot"), hot())
@@ -126,8 +126,8 @@ class TestStandbys:
         world.workload["status"] = {"health": "Recovering"}
         assert not deleted(world.plan())
 
-    @pytest.mark.parametrize("driving", ["of a shared pool", "of a pool that keeps none any more"])
-    def test_an_old_one_that_stands_in_for_none_goes_once_when_all_standbys_are_ready(self, driving: str) -> None:
+    @pytest.mark.parametrize("driving", ["of a shared pool", "of a pool without standbys"])
+    def test_an_own_pod_of_no_pool_is_deleted_once_when_all_standbys_are_ready(self, driving: str) -> None:
         pools = [hot("a-none", per_workload=0), hot(), hot("later"), spare()]
         world = World(workload(), policy("hot", "later", "spare"), *pools)
         world.build()
@@ -158,7 +158,7 @@ class TestStandbys:
         for ready in (False, True):
             assert now(source_pod("w-new", template_hash=world.own_hash, ready=ready)) == (0, [])
 
-    def test_none_is_deleted_while_a_recovery_is_under_way(self) -> None:
+    def test_no_standby_is_deleted_during_a_recovery(self) -> None:
         world = World(workload(status={"health": "Recovering"}), policy("hot"), hot())
         world.own(gate(world.workload, active=source_pod("w-a"), epoch=1))
         old = standby_pod("w-old", of=world.workload, template_hash="old")
@@ -166,7 +166,7 @@ class TestStandbys:
         world.pods = [old, new]
         assert not deleted(world.plan())
 
-    def test_nor_while_only_the_gate_tells_of_one_which_lasts_for_some_seconds_and_is_looked_at_again(self) -> None:
+    def test_no_standby_is_deleted_while_the_gate_shows_a_recent_recovery(self) -> None:
         world = World(workload(), policy("hot"), hot())
         told = gate(world.workload, active=source_pod("w-a"), epoch=1)
         progress = Progress.begin("crashed", last_healthy=world.now - 1, detected=world.now - 0.5)
@@ -186,9 +186,9 @@ class TestStandbys:
         [("Preparing", False), ("Switching", False), ("asked for", False), ("Waiting", True), ("Done", True)],
     )
     @pytest.mark.parametrize(
-        "which", ["of an old template", "standing in", "too many", "of a pool that no longer serves"]
+        "which", ["of an old template", "standing in", "too many", "of a pool that no longer serves the workload"]
     )
-    def test_none_is_deleted_that_a_planned_switchover_may_be_about_to_use(
+    def test_a_standby_that_a_planned_switchover_may_use_is_not_deleted(
         self, which: str, phase: str, goes: bool
     ) -> None:
         said = {"kind": "Failover", "phase": "Done" if phase == "asked for" else phase, "handled": "failover 1"}
@@ -205,7 +205,7 @@ class TestStandbys:
             used = standby_pod("w-u", of=world.workload, template_hash=world.template_hash, ready=False)
         else:
             used = standby_pod("w-u", of=world.workload, template_hash="old")
-        if which == "of a pool that no longer serves":
+        if which == "of a pool that no longer serves the workload":
             world.others = [policy("hot"), hot(workloadSelector={"matchLabels": {"task": "other"}})]
             other = used
         world.own(gate(world.workload, active=active, epoch=2))
@@ -213,7 +213,7 @@ class TestStandbys:
         plan = world.plan()
         assert (created(plan, "pods"), deleted(plan)) == ([], [used["metadata"]["name"]] if goes else [])
 
-    def test_the_one_that_drove_before_a_planned_switchover_stays_until_the_next_one_is_seen_to(self) -> None:
+    def test_the_former_instance_of_a_planned_switchover_stays_until_its_end(self) -> None:
         # Its monitor gives the gate back to it where that isn't so.
         world = World(workload(), policy("hot"), hot())
         world.leaving = frozenset({"n"})
@@ -229,14 +229,14 @@ class TestStandbys:
             switched["metadata"]["annotations"][names.RECOVERY] = progress.model_dump_json()
             assert deleted(world.plan()) == gone
 
-    def test_those_of_a_pool_that_no_longer_serves_go_but_never_the_active_one(self) -> None:
+    def test_standbys_of_a_pool_that_no_longer_serves_are_deleted_except_the_active_one(self) -> None:
         world = World(workload(labels={"task": "other"}), policy("hot"), hot())
         active, idle = standby_pod("w-s", of=world.workload), standby_pod("w-t", of=world.workload)
         world.pods = [active, idle]
         world.own(gate(world.workload, active=active, epoch=2))
         assert deleted(world.plan()) == ["w-t"]
 
-    def test_claimed_pods_are_not_touched(self) -> None:
+    def test_claimed_pods_are_not_changed(self) -> None:
         world = World(workload(), policy("hot", "spare"), hot(), spare())
         claimed = claimed_pod("spare-1", of=spare(), by=world.workload)
         world.pods = [claimed]
@@ -245,7 +245,7 @@ class TestStandbys:
         assert not deleted(plan)
         assert "spare-1" not in patched(plan, "pods")
 
-    def test_labels_keep_them_out_of_the_replica_set(self) -> None:
+    def test_the_labels_of_standbys_do_not_match_the_replica_set(self) -> None:
         world = World(workload(), policy("hot"), hot())
         plan = world.plan()
         (standby,) = created(plan, "pods")
@@ -266,7 +266,7 @@ class TestNewTemplates:
         world.workload["spec"]["template"]["spec"]["containers"][0]["image"] = "app:2"
         return world
 
-    def test_a_standby_goes_first_so_that_a_restart_does_not_fall_for_a_bad_one(self) -> None:
+    def test_a_new_template_is_first_tried_with_a_standby(self) -> None:
         world = self.world()
         assert not applied(world.plan(), "replicasets")
         assert world.condition("Reconciled")["reason"] == "InProgress"
@@ -282,12 +282,12 @@ class TestNewTemplates:
         assert applied(world.plan(), "replicasets")
         assert world.condition("Reconciled")["status"] == "True"
 
-    def test_it_is_taken_at_once_where_there_are_no_standbys(self) -> None:
+    def test_a_new_template_is_applied_at_once_without_standbys(self) -> None:
         world = self.world()
         world.others = [policy("Restart")]
         assert applied(world.plan(), "replicasets")
 
-    def test_it_is_taken_at_once_while_a_standby_is_in_control(self) -> None:
+    def test_a_new_template_is_applied_at_once_while_a_standby_is_active(self) -> None:
         world = self.world()
         world.own(gate(world.workload, active=world.pods[1], epoch=2))
         assert applied(world.plan(), "replicasets")
@@ -308,21 +308,21 @@ class TestReplicas:
         world.pods = [active] if active else []
         return world
 
-    def test_none_while_a_claimed_pod_drives_and_no_standby_is_wanted(self) -> None:
+    def test_the_replica_count_is_zero_while_a_claimed_pod_drives_and_no_standby_is_wanted(self) -> None:
         claimed = claimed_pod("spare-1", of=spare(), by=workload())
         world = self.world(policy("spare"), spare(), replicas=1, active=claimed)
         assert self.scaled(world) == {"spec": {"replicas": 0}}
 
-    def test_one_while_a_claimed_pod_drives_and_a_standby_is_wanted(self) -> None:
+    def test_the_replica_count_is_one_while_a_claimed_pod_drives_and_a_standby_is_wanted(self) -> None:
         claimed = claimed_pod("spare-1", of=spare(), by=workload())
         world = self.world(policy("hot", "spare"), hot(), spare(), replicas=0, active=claimed)
         assert self.scaled(world) == {"spec": {"replicas": 1}}
 
-    def test_one_again_when_the_claimed_pod_is_gone(self) -> None:
+    def test_the_replica_count_is_one_when_the_claimed_pod_is_deleted(self) -> None:
         claimed = claimed_pod("spare-1", of=spare(), by=workload(), deletionTimestamp="2026-01-01T00:00:00Z")
         world = self.world(policy("spare"), spare(), replicas=0, active=claimed)
         assert self.scaled(world) == {"spec": {"replicas": 1}}
 
     @pytest.mark.parametrize("replicas", [0, 1])
-    def test_as_it_is_while_the_gate_is_closed(self, replicas: int) -> None:
+    def test_the_replica_count_is_unchanged_while_the_gate_is_closed(self, replicas: int) -> None:
         assert self.scaled(self.world(policy("spare"), spare(), replicas=replicas, active=None)) is None

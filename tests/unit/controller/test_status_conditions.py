@@ -8,7 +8,7 @@ from understudy.controller.status import workload_status
 from understudy.kube.client import Object
 
 
-def test_a_taken_name_is_told_in_both_conditions() -> None:
+def test_a_name_conflict_is_reported_in_both_conditions() -> None:
     problem = Problem("NameTaken", 'NetworkPolicy "w-gate" exists')
     found = World(workload(), policy("Restart"))
     assert found.condition("Accepted", problem)["reason"] == "NameTaken"
@@ -36,21 +36,21 @@ class TestTransitions:
         live = {"status": {"conditions": [wire(found) for found in before]}}
         return len(workload_status.transitions(live, {"conditions": [wire(after)]}))
 
-    def test_what_is_only_not_finished_yet_is_no_event(self) -> None:
+    def test_a_start_that_is_not_finished_causes_no_event(self) -> None:
         assert self.told([], ("Protected", "False", "MonitorNotReady")) == 0
         assert self.told([("Protected", "False", "MonitorNotReady")], ("Protected", "False", "StandbyNotReady")) == 0
 
-    def test_what_was_missing_and_now_only_is_not_finished_is_no_event(self) -> None:
+    def test_an_improvement_that_is_not_finished_causes_no_event(self) -> None:
         assert self.told([("Ready", "False", "NoMatchingWorkload")], ("Ready", "False", "PodsNotReady")) == 0
 
-    def test_lost_protection_is_one(self) -> None:
+    def test_lost_protection_causes_an_event(self) -> None:
         assert self.told([("Protected", "True", "FirstStrategyReady")], ("Protected", "False", "StandbyNotReady")) == 1
 
-    def test_a_pool_that_runs_dry_is_told_by_those_that_wait(self) -> None:
+    def test_a_dry_pool_causes_no_event_because_the_waiting_workloads_report_it(self) -> None:
         assert self.told([("Available", "True", "Available")], ("Available", "False", "Dry")) == 0
 
-    def test_bad_input_is_one_at_once(self) -> None:
+    def test_invalid_input_causes_an_event_at_once(self) -> None:
         assert self.told([], ("Accepted", "False", "PolicyNotFound")) == 1
 
-    def test_the_same_again_is_none(self) -> None:
+    def test_an_unchanged_condition_causes_no_event(self) -> None:
         assert self.told([("Accepted", "False", "PolicyNotFound")], ("Accepted", "False", "PolicyNotFound")) == 0

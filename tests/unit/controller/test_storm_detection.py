@@ -43,21 +43,19 @@ def fleet(failing: int, of: int) -> list[Object]:
     return [robot(i, "Failed" if i < failing else "Healthy") for i in range(of)]
 
 
-def test_more_than_the_share_must_fail() -> None:
+def test_a_storm_requires_more_failures_than_the_percentage() -> None:
     assert judged(*fleet(3, 6))[0].status == "False", "half of them isn't more than half"
     found, again = judged(*fleet(4, 6))
     assert (found.status, found.reason, again) == ("True", "ManyFail", None)
     assert_golden("operator", found.message, "4 of 6", "10s", "w-0", "w-1", "w-2", "w-3")
 
 
-def test_and_at_least_so_many() -> None:
+def test_a_storm_requires_at_least_three_failures() -> None:
     assert judged(*fleet(2, 2))[0].status == "False", "two robots of two are no storm"
     assert judged(*fleet(3, 3))[0].status == "True"
 
 
-def test_those_that_failed_a_moment_ago_count_whatever_became_of_it_and_it_is_looked_at_again_when_they_do_no_longer() -> (
-    None
-):
+def test_recent_failures_count_for_a_limited_time_even_if_they_were_recovered() -> None:
     recent = [robot(0, failed=NOW - 4), robot(1, "Recovering", failed=NOW - 1), robot(2, failed=NOW - 7)]
     found, again = judged(*recent, robot(3))
     assert found.status == "True"
@@ -66,7 +64,7 @@ def test_those_that_failed_a_moment_ago_count_whatever_became_of_it_and_it_is_lo
     assert judged(robot(0, failed=NOW - 10), *recent[1:], robot(3))[0].status == "False"
 
 
-def test_a_planned_hand_over_is_no_failure() -> None:
+def test_a_planned_switchover_is_not_a_failure() -> None:
     handed = robot(0)
     handed["status"]["recoveries"] = [{"moments": {"detected": rfc3339(NOW - 1)}, "planned": True}]
     assert storm_detection.counted_until(handed, None, NOW, 10.0) is None
@@ -74,7 +72,7 @@ def test_a_planned_hand_over_is_no_failure() -> None:
     assert storm_detection.counted_until(robot(1), gate(robot(1), progress), NOW, 10.0) is None
 
 
-def test_a_failure_that_only_its_gate_tells_of_counts_like_one_that_the_status_tells_of() -> None:
+def test_a_failure_known_only_from_the_gate_counts() -> None:
     workload = robot(0, failed=NOW - 50)
     progress = Progress.begin("crashed", last_healthy=NOW - 1, detected=NOW - 0.5)
     assert storm_detection.counted_until(workload, gate(workload, None), NOW, 10.0) is None
@@ -89,20 +87,20 @@ def test_a_failure_that_only_its_gate_tells_of_counts_like_one_that_the_status_t
     assert storm_detection.counted_until(workload, unreadable, NOW, 10.0) is None
 
 
-def test_what_is_paused_neither_fails_nor_counts_as_well() -> None:
+def test_paused_workloads_do_not_count() -> None:
     said = [{"type": "Paused", "status": "True", "reason": "Maintenance"}]
     paused = [robot(i, "Failed", conditions=said) for i in range(10, 14)]
     assert judged(*paused, robot(0))[0].status == "False"
     assert judged(*paused, *fleet(3, 4))[0].status == "True"
 
 
-def test_while_it_is_on_its_text_stays_so_that_no_monitor_hears_of_each_robot() -> None:
+def test_the_message_stays_the_same_during_a_storm() -> None:
     first, _ = judged(*fleet(4, 6))
     later, _ = judged(*fleet(6, 6), live=first)
     assert later.message == first.message
 
 
-def test_it_is_told_when_it_begins_and_ends_and_not_before() -> None:
+def test_a_storm_causes_events_at_its_begin_and_end() -> None:
     policy = world.policy("Restart")
     calm, storm = judged(*fleet(0, 6))[0], judged(*fleet(6, 6))[0]
 
@@ -118,7 +116,7 @@ def test_it_is_told_when_it_begins_and_ends_and_not_before() -> None:
     assert told({"status": status(storm)}, status(calm)) == [("Storm", "False")]
 
 
-def test_a_policy_with_a_guard_is_looked_at_when_a_workloads_health_is_another_and_others_are_not() -> None:
+def test_a_change_of_health_reconciles_only_policies_with_a_storm_guard() -> None:
     store, policy = Store(), world.policy("Restart")
     store.put(change_index.POLICIES, policy)
     key = Key("failurepolicies", world.NAMESPACE, "policy")

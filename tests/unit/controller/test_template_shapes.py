@@ -54,7 +54,7 @@ def accepted_of_pool(template: Object) -> Object:
         (specifying(affinity={"podAntiAffinity": []}), "affinity.podAntiAffinity must be an object, but is a list"),
     ],
 )
-def test_a_template_of_another_shape_is_told(template: Object, words: str) -> None:
+def test_a_template_with_a_wrong_type_is_reported(template: Object, words: str) -> None:
     world = World(workload(template=copy.deepcopy(template)), policy("hot"), hot())
     world.plan()
     for accepted in (world.condition("Accepted"), accepted_of_pool(template)):
@@ -71,7 +71,7 @@ def test_a_template_of_another_shape_is_told(template: Object, words: str) -> No
         {**TEMPLATE, "metadata": None},
     ],
 )
-def test_what_is_null_is_as_if_it_were_left_out(template: Object) -> None:
+def test_a_null_value_equals_an_omitted_one(template: Object) -> None:
     # The API server takes null out of an object of its own kinds, and leaves it in a template of ours.
     world = World(workload(template=copy.deepcopy(template)), policy("hot"), hot())
     world.build()
@@ -79,7 +79,7 @@ def test_what_is_null_is_as_if_it_were_left_out(template: Object) -> None:
     assert accepted_of_pool(template)["status"] == "True"
 
 
-def test_a_variable_without_a_value_is_empty() -> None:
+def test_a_variable_without_a_value_is_an_empty_string() -> None:
     variables = [{"name": "A", "value": None}, {"name": "B"}, {"name": "C", "value": "c", "valueFrom": None}]
     world = World(workload(template=containing(env=variables)), policy("spare"), spare())
     world.build()

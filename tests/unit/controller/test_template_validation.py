@@ -18,7 +18,7 @@ def refusing(words: str) -> MemoryClient:
     return client
 
 
-async def test_a_quota_without_room_is_no_fault_of_the_template() -> None:
+async def test_an_exceeded_quota_is_not_a_problem_of_the_template() -> None:
     # Else a namespace whose quota is just right would be left as it is by each new leader.
     client = refusing("exceeded quota: fleet, requested: pods=1, used: pods=9, limited: pods=9")
     assert await Judge(client).judge(POD, "spec.template") is None
@@ -32,7 +32,7 @@ async def test_a_quota_without_room_is_no_fault_of_the_template() -> None:
         "no admission",
     ],
 )
-async def test_what_a_template_lacks_is_told(words: str) -> None:
+async def test_a_refusal_because_of_the_template_is_reported(words: str) -> None:
     found = await Judge(refusing(words)).judge(POD, "spec.template")
     assert found is not None
     assert found.reason == "TemplateInvalid"

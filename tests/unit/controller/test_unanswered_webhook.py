@@ -81,11 +81,11 @@ def reconciling_with(client: Guarded, heard: Heard) -> tuple[Reconciler, Store]:
 
 
 @pytest.mark.parametrize("plural", ["robotworkloads", "fallbackpools"])
-@pytest.mark.parametrize("refused", ["all", "what is only tried"])
-async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plural: str, refused: str) -> None:
+@pytest.mark.parametrize("refused", ["all", "dry run"])
+async def test_an_unanswered_webhook_is_reported_once_and_the_request_is_retried(plural: str, refused: str) -> None:
     item, pool = world.workload(), world.spare()
     client, heard = Guarded(item, pool), Heard()
-    if refused == "what is only tried":
+    if refused == "dry run":
         client.failing = lambda method, _: client.refuse() if method == "POST" else None
     reconciler, _ = reconciling_with(client, heard)
     key = Key(plural, item["metadata"]["namespace"], "w" if plural == "robotworkloads" else "spare")
@@ -100,7 +100,7 @@ async def test_a_webhook_that_does_not_answer_is_told_once_and_tried_again(plura
     assert [reason for reason, _ in heard.warnings].count("WebhookUnavailable") == 1
 
 
-async def test_a_burst_of_claims_meanwhile_is_told_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_claims_during_a_webhook_failure_update_the_status_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = world.spare(replicas=3)
     client = Guarded(pool)
     reconciler, store = reconciling_with(client, Heard())

@@ -68,14 +68,14 @@ async def watched(client: Scripted, *namespaces: str) -> list[tuple[str, bool]]:
     return seen
 
 
-async def test_a_watch_goes_on_where_the_last_one_ended() -> None:
+async def test_a_watch_resumes_at_the_version_where_the_last_one_ended() -> None:
     first = [told("ADDED", "a", 3), told(BOOKMARK, "", 7), told("DELETED", "a", 9)]
     client = Scripted((first, None), ([], None))
     assert await watched(client) == [("a", False), ("a", True)]
     assert client.begun == [watches.BEGINNING, "9", "9"]
 
 
-async def test_until_a_bookmark_it_may_have_brought_what_is_there_in_part_only() -> None:
+async def test_a_watch_without_a_bookmark_starts_from_the_beginning() -> None:
     """Objects come in the order of their names, not of their versions."""
     client = Scripted(
         ([told("ADDED", "a", 9), told("ADDED", "b", 3)], aiohttp.ClientPayloadError("broken")), ([], None)
@@ -84,25 +84,25 @@ async def test_until_a_bookmark_it_may_have_brought_what_is_there_in_part_only()
     assert client.begun == [watches.BEGINNING] * 3
 
 
-async def test_a_version_that_is_too_old_begins_anew() -> None:
+async def test_an_expired_version_starts_the_watch_from_the_beginning() -> None:
     client = Scripted(([told(BOOKMARK, "", 7)], None), ([], Expired()))
     await watched(client)
     assert client.begun == [watches.BEGINNING, "7", watches.BEGINNING]
 
 
 @pytest.mark.parametrize("error", [aiohttp.ServerDisconnectedError(), TimeoutError(), OSError("down")])
-async def test_an_error_ends_nothing(error: Exception) -> None:
+async def test_a_connection_error_does_not_end_the_watch(error: Exception) -> None:
     client = Scripted(([told(BOOKMARK, "", 7)], error), ([told("ADDED", "b", 8)], None))
     assert await watched(client) == [("b", False)]
     assert client.begun == [watches.BEGINNING, "7", "8"]
 
 
-async def test_an_object_that_surprises_does_not_keep_others_from_being_seen() -> None:
+async def test_an_object_that_causes_an_error_does_not_block_others() -> None:
     client = Scripted(([told("ADDED", SURPRISING, 3), told("ADDED", "b", 4)], None))
     assert await watched(client) == [("b", False)]
 
 
-async def test_nodes_are_in_no_namespace_and_of_config_maps_only_trees_come() -> None:
+async def test_nodes_are_watched_in_the_cluster_and_config_maps_by_label() -> None:
     client = Scripted()
     await watched(client, "one", "two")
     await asyncio.sleep(0)

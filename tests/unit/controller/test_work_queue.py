@@ -20,14 +20,14 @@ async def drain(queue: Queue[str], wait: float = 0.02) -> list[str]:
         queue.done(key)
 
 
-async def test_many_requests_are_one() -> None:
+async def test_repeated_requests_for_a_key_are_merged() -> None:
     queue: Queue[str] = Queue()
     for key in "aabaab":
         queue.add(key)
     assert await drain(queue) == ["a", "b"]
 
 
-async def test_a_request_during_the_work_is_done_once_more_and_not_at_the_same_time() -> None:
+async def test_a_request_during_the_work_runs_once_more_after_it() -> None:
     queue: Queue[str] = Queue()
     queue.add("a")
     assert await queue.take() == "a"
@@ -38,7 +38,7 @@ async def test_a_request_during_the_work_is_done_once_more_and_not_at_the_same_t
     assert await drain(queue) == ["a"]
 
 
-async def test_errors_wait_longer_each_time_and_a_success_forgets_them() -> None:
+async def test_the_delay_of_retries_grows_until_a_success() -> None:
     queue: Queue[str] = Queue(first_retry=0.1, last_retry=0.5)
     assert [queue.retry("a") for _ in range(5)] == pytest.approx([0.1, 0.2, 0.4, 0.5, 0.5])
     queue.succeeded("a")
@@ -46,7 +46,7 @@ async def test_errors_wait_longer_each_time_and_a_success_forgets_them() -> None
     queue.close()
 
 
-async def test_the_earliest_of_several_delays_counts() -> None:
+async def test_the_shortest_of_several_delays_counts() -> None:
     queue: Queue[str] = Queue()
     queue.add_after("a", 60)
     queue.add_after("a", 0.01)
@@ -55,7 +55,7 @@ async def test_the_earliest_of_several_delays_counts() -> None:
     queue.close()
 
 
-async def test_two_workers_never_have_the_same_key() -> None:
+async def test_two_workers_never_process_the_same_key() -> None:
     queue: Queue[int] = Queue()
     busy: set[int] = set()
     seen: list[int] = []

@@ -32,7 +32,7 @@ def every_object(world: World) -> list[Object]:
     return [write.body for write in plan.writes if hasattr(write, "body") and "metadata" in write.body]
 
 
-def test_all_parts_of_a_workload_are_built() -> None:
+def test_every_object_of_a_workload_is_created() -> None:
     world = World(workload(), policy("hot", "Restart"), hot())
     plan = world.plan()
     assert set(applied(plan, "replicasets")) == {"w"}
@@ -47,7 +47,7 @@ def test_all_parts_of_a_workload_are_built() -> None:
     assert [kube_objects.name(body) for body in created(plan, "pods")] == ["w-new01"]
 
 
-def test_everything_is_owned_by_the_workload_and_blocks_nothing() -> None:
+def test_every_object_is_owned_by_the_workload_without_blocking_its_deletion() -> None:
     for body in every_object(World(workload(), policy("hot"), hot())):
         (owner,) = body["metadata"]["ownerReferences"]
         assert (owner["kind"], owner["name"], owner["controller"]) == ("RobotWorkload", "w", True), body["kind"]
@@ -55,11 +55,11 @@ def test_everything_is_owned_by_the_workload_and_blocks_nothing() -> None:
         assert body["metadata"]["namespace"] == NAMESPACE
 
 
-def test_nothing_ever_has_a_finalizer() -> None:
+def test_no_object_has_a_finalizer() -> None:
     assert "finalizers" not in json.dumps(every_object(World(workload(), policy("hot", "spare"), hot(), spare())))
 
 
-def test_policies_come_before_the_pods_that_they_hold_back() -> None:
+def test_network_policies_are_written_before_the_pods_that_they_restrict() -> None:
     plan = World(workload(), policy("hot"), hot()).plan()
     order = [write.resource.plural for write in plan.writes]
     assert max(i for i, plural in enumerate(order) if plural == "networkpolicies") < min(
@@ -67,7 +67,7 @@ def test_policies_come_before_the_pods_that_they_hold_back() -> None:
     )
 
 
-def test_no_instance_is_made_before_the_discovery_server_has_an_address() -> None:
+def test_no_instance_is_created_before_the_discovery_server_has_an_address() -> None:
     world = World(workload(), policy("hot"), hot())
     world.owned.clear()
     plan = world.plan()
@@ -75,20 +75,20 @@ def test_no_instance_is_made_before_the_discovery_server_has_an_address() -> Non
     assert world.condition("Reconciled")["reason"] == "InProgress"
 
 
-def test_the_discovery_server_tells_its_services_address_which_stays_when_its_pod_is_another() -> None:
+def test_the_discovery_server_announces_the_address_of_its_service() -> None:
     world = World(workload(), policy("hot"), hot())
     (container,) = applied(world.plan(), "deployments")["w-discovery"]["spec"]["template"]["spec"]["containers"]
     assert container["args"] == ["10.96.0.9", "11811"]
 
 
-def test_an_address_that_robots_know_is_asked_for_again() -> None:
+def test_a_recreated_discovery_service_requests_its_former_address() -> None:
     world = World(workload(), policy("hot"), hot())
     world.build()
     del world.owned[("services", "w-discovery")]
     assert applied(world.plan(), "services")["w-discovery"]["spec"]["clusterIP"] == "10.96.0.9"
 
 
-def test_a_discovery_server_that_is_no_longer_managed_is_deleted() -> None:
+def test_a_discovery_server_is_deleted_if_it_is_no_longer_managed() -> None:
     world = World(workload(), policy("hot"), hot())
     world.build()
     world.workload["spec"]["ros"] = {"discovery": {"mode": "External", "server": "10.0.0.7:11811"}}
@@ -98,12 +98,12 @@ def test_a_discovery_server_that_is_no_longer_managed_is_deleted() -> None:
 
 
 class TestGate:
-    def test_it_is_made_closed(self) -> None:
+    def test_a_new_gate_is_closed(self) -> None:
         (made,) = created(World(workload(), policy("Restart")).plan(), "networkpolicies")
         assert made["spec"]["podSelector"]["matchLabels"] == {names.WORKLOAD: "w", names.INSTANCE: names.GATE_CLOSED}
         assert made["metadata"]["annotations"][names.EPOCH] == "0"
 
-    def test_it_is_never_written_again(self) -> None:
+    def test_an_existing_gate_is_not_written(self) -> None:
         world = World(workload(), policy("hot"), hot())
         active = source_pod("w-a")
         world.pods = [active]
@@ -113,7 +113,7 @@ class TestGate:
         assert not created(plan, "networkpolicies")
         assert not patched(plan, "networkpolicies")
 
-    def test_its_rules_are_repaired_without_its_selector_and_annotations(self) -> None:
+    def test_repair_of_a_gate_does_not_change_its_selector_and_annotations(self) -> None:
         world = World(workload(), policy("Restart"))
         active = source_pod("w-a")
         broken = gate(world.workload, active=active, epoch=41)
@@ -125,13 +125,13 @@ class TestGate:
         assert "podSelector" not in patch["spec"]
         assert set(patch["metadata"]) == {"labels"}
 
-    def test_a_new_one_does_not_make_older_commits_valid_again(self) -> None:
+    def test_a_recreated_gate_continues_at_the_epoch_of_the_status(self) -> None:
         world = World(workload(status={"gate": {"epoch": 41, "active": "w-a"}}), policy("Restart"))
         (made,) = created(world.plan(), "networkpolicies")
         assert made["metadata"]["annotations"][names.EPOCH] == "41"
 
 
-class TestBadInputKeepsWhatProtects:
+class TestInvalidInput:
     def built(self, *others: Object) -> World:
         world = World(workload(), *others)
         active = source_pod("w-a")
@@ -141,7 +141,7 @@ class TestBadInputKeepsWhatProtects:
         world.pods[1] = standby_pod("w-s", of=world.workload, template_hash=world.template_hash)
         return world
 
-    def test_a_missing_policy_takes_nothing_away(self) -> None:
+    def test_a_missing_policy_removes_nothing_that_protects(self) -> None:
         world = self.built(policy("hot", "spare"), hot(), spare())
         before = world.owned[("configmaps", "w-settings")]["data"]
         world.others = [hot(), spare()]
@@ -153,7 +153,7 @@ class TestBadInputKeepsWhatProtects:
         assert world.condition("Accepted")["reason"] == "PolicyNotFound"
         assert world.condition("Protected")["status"] == "False"
 
-    def test_a_policy_with_a_bad_tree_takes_nothing_away(self) -> None:
+    def test_a_policy_with_an_invalid_tree_removes_nothing_that_protects(self) -> None:
         world = self.built(policy("hot"), hot())
         world.others = [policy("hot", tree={"topik": {}}), hot()]
         assert not deleted(world.plan())
@@ -162,7 +162,7 @@ class TestBadInputKeepsWhatProtects:
         assert "spec.monitoring.yaml" in accepted["message"]
         assert "topik" in accepted["message"]
 
-    def test_a_bad_template_changes_nothing(self) -> None:
+    def test_an_invalid_template_changes_nothing(self) -> None:
         world = self.built(policy("hot"), hot())
         world.workload["spec"]["template"]["spec"]["hostNetwork"] = True
         assert world.plan().writes == []
@@ -181,7 +181,7 @@ class TestBadInputKeepsWhatProtects:
         understood = dataclasses.replace(world.understood(), problem=Problem("TemplateInvalid", "its own words"))
         assert workload_objects.plan(world.observed(), understood, IMAGES, world.names.fresh()).writes == []
 
-    def test_a_stored_spec_that_does_not_fit_the_kind_changes_nothing(self) -> None:
+    def test_an_invalid_stored_spec_changes_nothing(self) -> None:
         world = self.built(policy("hot"), hot())
         actions = [{"action": f"/a{i}", "type": "nav2_msgs/action/NavigateToPose"} for i in range(25)]
         world.workload["spec"]["outputs"] = actions
@@ -189,7 +189,7 @@ class TestBadInputKeepsWhatProtects:
         assert world.condition("Accepted")["reason"] == "SpecInvalid"
         assert "spec.outputs" in world.condition("Accepted")["message"]
 
-    def test_a_pool_that_is_not_there_leaves_the_next_strategy(self) -> None:
+    def test_a_missing_pool_leaves_the_next_strategy(self) -> None:
         world = self.built(policy("missing", "hot"), hot())
         protected = world.condition("Protected")
         assert (protected["status"], protected["reason"]) == ("False", "NoPool")
@@ -202,7 +202,7 @@ class TestSettings:
         found: Object = json.loads(applied(world.plan(), "configmaps")["w-settings"]["data"]["settings.json"])
         return found
 
-    def test_they_name_the_pools_of_the_policy_that_serve_it(self) -> None:
+    def test_the_settings_list_the_pools_of_the_policy_that_serve_the_workload(self) -> None:
         other = spare("other", workloadSelector={"matchLabels": {"task": "none"}})
         world = World(workload(), policy("spare", "other", "hot"), hot(), spare(), other)
         held = {"metadata": {"name": "spare-held", "annotations": {names.TEMPLATE_HASH: "abc"}}}
@@ -212,7 +212,7 @@ class TestSettings:
             {"name": "hot", "readiness": "Executing", "templateHash": "", "reserved": 0},
         ]
 
-    def test_they_have_the_environment_of_a_claimed_pod(self) -> None:
+    def test_the_settings_contain_the_environment_of_a_claimed_pod(self) -> None:
         world = World(workload(), policy("Restart"))
         env = [
             {"name": "ROBOT", "value": "17"},
@@ -228,19 +228,19 @@ class TestSettings:
         assert {"IP", "URL"}.isdisjoint(found)
 
 
-def test_a_workload_on_its_way_out_gets_nothing_new() -> None:
+def test_a_workload_in_deletion_gets_no_new_objects() -> None:
     world = World(workload(), policy("hot"), hot())
     world.workload["metadata"]["deletionTimestamp"] = "2026-01-01T00:00:00Z"
     assert world.plan().writes == []
 
 
-def test_the_token_of_the_agents_is_never_rotated() -> None:
+def test_the_token_of_the_agents_is_not_created_again() -> None:
     world = World(workload(), policy("hot"), hot())
     world.build()
     assert not created(world.plan(), "secrets")
 
 
-def test_the_monitor_may_touch_its_own_workload_only() -> None:
+def test_the_monitor_may_change_only_its_own_workload() -> None:
     world = World(workload(), policy("spare", "hot"), hot(), spare())
     (role,) = applied(world.plan(), "roles").values()
     only = {
@@ -267,7 +267,7 @@ def _says(world: World, image: str) -> None:
     world.workload["status"] = {"monitor": {"version": "0.2.0", "image": image}}
 
 
-def test_the_monitor_reads_the_policy_of_its_workload_once_it_has_said_that_it_asks_by_name() -> None:
+def test_the_monitor_may_read_only_its_policy_after_it_reports_that_it_reads_by_name() -> None:
     world = World(workload(), policy("Restart"))
     world.build()
     assert _only(world, "failurepolicies", "watch") == [None], "it may be of a version that asks for all"
@@ -280,14 +280,14 @@ def test_the_monitor_reads_the_policy_of_its_workload_once_it_has_said_that_it_a
     assert _only(world, "failurepolicies", "watch") == [["other"]]
 
 
-def test_a_monitor_of_a_workload_with_a_shared_pool_sees_who_waits() -> None:
+def test_the_monitor_of_a_workload_with_a_shared_pool_may_list_gates() -> None:
     world = World(workload(), policy("spare"), spare())
     world.build()
     _says(world, IMAGES.monitor)
     assert _only(world, "networkpolicies", "list") == [["w-gate"], None]
 
 
-def test_the_right_to_read_all_policies_is_there_before_a_monitor_of_another_image() -> None:
+def test_the_right_to_read_all_policies_is_granted_before_the_monitor_image_changes() -> None:
     world = World(workload(), policy("Restart"))
     world.build()
     _says(world, IMAGES.monitor)
@@ -304,20 +304,20 @@ def test_the_right_to_read_all_policies_is_there_before_a_monitor_of_another_ima
     assert _only(world, "failurepolicies", "watch") == [None], "as long as the one that is there may start anew"
 
 
-def test_the_monitor_starts_anew_when_the_gated_ports_change() -> None:
+def test_a_change_of_gated_ports_restarts_the_monitor() -> None:
     world = World(workload(), policy("Restart"))
     before = applied(world.plan(), "deployments")["w-monitor"]["spec"]["template"]
     world.workload["spec"]["outputs"].insert(0, {"topic": "/arm", "type": "std_msgs/msg/String"})
     assert applied(world.plan(), "deployments")["w-monitor"]["spec"]["template"] != before
 
 
-def test_the_monitor_prefers_another_node_than_the_pods_it_watches() -> None:
+def test_the_monitor_prefers_another_node_than_its_pods() -> None:
     spec = applied(World(workload(), policy("Restart")).plan(), "deployments")["w-monitor"]["spec"]["template"]["spec"]
     (preferred,) = spec["affinity"]["podAntiAffinity"]["preferredDuringSchedulingIgnoredDuringExecution"]
     assert preferred["podAffinityTerm"]["labelSelector"] == {"matchLabels": {names.WORKLOAD: "w"}}
 
 
-def test_the_same_world_makes_the_same_plan() -> None:
+def test_equal_objects_give_equal_plans() -> None:
     first = World(workload(), policy("hot", "spare"), hot(), spare()).plan()
     second = World(workload(), policy("hot", "spare"), hot(), spare()).plan()
     assert json.dumps([w.body for w in first.writes], sort_keys=True) == json.dumps(  # type: ignore[union-attr]

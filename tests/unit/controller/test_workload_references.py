@@ -46,20 +46,20 @@ class TestReference:
         owner = {"apiVersion": "apps/v1", "kind": "ReplicaSet", "name": "nav2-1", "uid": "uid-rs", "controller": True}
         return pod(name, owner=owner, **more)  # type: ignore[arg-type]
 
-    def test_the_controller_itself_is_never_written(self) -> None:
+    def test_the_referenced_controller_is_never_written(self) -> None:
         plan = self.world(ReferencedObjects(self.deployment(), [self.user_pod("nav2-1-x")])).plan()
         assert "nav2" not in applied(plan, "deployments")
         assert "nav2" not in patched(plan, "deployments")
         assert "nav2" not in deleted(plan)
         assert not applied(plan, "replicasets")
 
-    def test_its_pods_get_the_labels_that_the_gate_selects_by(self) -> None:
+    def test_the_pods_of_the_controller_receive_the_labels_that_the_gate_selects(self) -> None:
         plan = self.world(ReferencedObjects(self.deployment(), [self.user_pod("nav2-1-x")])).plan()
         assert patched(plan, "pods")["nav2-1-x"] == {
             "metadata": {"labels": {names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"}}
         }
 
-    def test_labelled_pods_are_left_alone(self) -> None:
+    def test_labelled_pods_are_not_changed(self) -> None:
         labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
         plan = self.world(ReferencedObjects(self.deployment(), [labelled]), labelled).plan()
         assert not patched(plan, "pods")
@@ -71,18 +71,18 @@ class TestReference:
             "metadata": {"labels": {names.WORKLOAD: None, names.INSTANCE: None}}
         }
 
-    def test_pods_of_a_workload_that_is_gone_lose_the_labels_but_ours_keep_them(self) -> None:
+    def test_pods_of_a_deleted_workload_lose_the_labels_except_created_ones(self) -> None:
         labelled = self.user_pod("nav2-1-x", labels={names.WORKLOAD: "w", names.INSTANCE: "nav2-1-x"})
         ours = [source_pod("w-a"), standby_pod("w-s", of=workload())]
         assert set(patched(workload_objects.abandoned("w", [labelled, *ours]), "pods")) == {"nav2-1-x"}
 
-    def test_its_standbys_would_not_be_adopted(self) -> None:
+    def test_the_selector_of_the_controller_does_not_match_standbys(self) -> None:
         plan = self.world(ReferencedObjects(self.deployment(), [])).plan()
         (standby,) = created(plan, "pods")
         assert {"app", "robot"}.isdisjoint(standby["metadata"]["labels"])
         assert standby["metadata"]["labels"]["team"] == "a"
 
-    def test_while_a_standby_is_in_control_there_is_another_since_the_controllers_own_pods_have_no_agent(self) -> None:
+    def test_a_referenced_workload_needs_another_standby_while_a_standby_is_active(self) -> None:
         world = self.world(ReferencedObjects(self.deployment(), [self.user_pod("nav2-1-x")]))
         driving = standby_pod("w-s", of=world.workload)
         world.own(gate(world.workload, active=driving, epoch=2))
@@ -96,7 +96,7 @@ class TestReference:
         assert not deleted(plan)
         assert world.condition("Protected")["status"] == "True"
 
-    def test_its_pods_are_held_back_from_birth(self) -> None:
+    def test_the_pods_of_the_controller_are_gated_from_their_creation(self) -> None:
         found = applied(self.world(ReferencedObjects(self.deployment(), [])).plan(), "networkpolicies")
         assert found["w-standby-ref"]["spec"]["podSelector"] == {"matchLabels": {"app": "nav", "robot": "17"}}
         peers = [peer["podSelector"]["matchExpressions"] for peer in found["w-standby"]["spec"]["ingress"][0]["from"]]
@@ -127,7 +127,7 @@ class TestReference:
             ),
         ],
     )
-    def test_what_can_not_be_protected_is_said(
+    def test_a_reference_that_cannot_be_protected_is_reported(
         self, referred: ReferencedObjects, rivals: list[str], reason: str
     ) -> None:
         world = self.world(referred)
@@ -136,7 +136,7 @@ class TestReference:
         assert "nav2" in world.condition("Accepted")["message"]
         assert not created(world.plan(), "pods")
 
-    def test_a_second_workload_leaves_the_pods_of_the_first_one_alone(self) -> None:
+    def test_a_second_workload_does_not_change_the_pods_of_the_first_one(self) -> None:
         # With the label of another workload the pod that drives is behind no gate that is open.
         labels = {"app": "nav", "robot": "17", names.WORKLOAD: "older", names.INSTANCE: "nav2-abc"}
         world = self.world(ReferencedObjects(self.deployment(), [pod("nav2-abc", labels=labels)]))

@@ -34,29 +34,29 @@ def tools(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_the_workload_is_applied_with_the_strategys_policy(strategy: str) -> None:
+def test_the_workload_is_applied_with_the_policy_of_the_strategy(strategy: str) -> None:
     changed = _with_policy((MANIFESTS / "robotworkload.yaml").read_text(), strategy)
     policy = yaml.safe_load(changed)["spec"]["failurePolicyRef"]["name"]
     kinds = list(yaml.safe_load_all((MANIFESTS / "strategies" / f"{strategy}.yaml").read_text()))
     assert policy in {m["metadata"]["name"] for m in kinds if m["kind"] == "FailurePolicy"}
 
 
-def test_a_manifest_without_a_policy_is_not_guessed_at() -> None:
+def test_a_manifest_without_a_policy_is_refused() -> None:
     with pytest.raises(ValueError, match="expected one failurePolicyRef"):
         _with_policy("spec: {}", "restart")
 
 
-def test_two_pods_that_drive_at_once_are_a_problem() -> None:
+def test_two_simultaneously_driving_pods_are_a_problem() -> None:
     overlapping = RobotLog([command(n / 20, "ba"[n % 2]) for n in range(40)])
     (problem,) = _returns(overlapping)
     assert "two pods drove the robot at once for up to 1.85" in problem
 
 
-def test_one_late_command_within_an_enforcement_is_none() -> None:
+def test_a_late_command_within_the_enforcement_time_is_not_a_problem() -> None:
     assert _returns(RobotLog([command(1.0, "a"), command(1.01, "b"), command(1.03, "a"), command(1.06, "b")])) == []
 
 
-def test_a_command_that_fails_is_told_with_what_it_said(tools: dict[str, str], tmp_path: Path) -> None:
+def test_a_failed_command_is_reported_with_its_output(tools: dict[str, str], tmp_path: Path) -> None:
     program(tmp_path, "kubectl", "echo 'pods \"x\" not found' >&2; exit 1")
     with pytest.raises(CommandFailed, match=r'kubectl -n ns get pods x: pods "x" not found'):
         Kubectl("ns", tools)("get", "pods", "x")
@@ -74,7 +74,7 @@ def test_an_absent_object_is_empty(tools: dict[str, str], tmp_path: Path) -> Non
     assert Kubectl("ns", tools).get("pods", "x") == {}
 
 
-def test_what_was_last_seen_is_said_when_it_does_not_come_about(tools: dict[str, str]) -> None:
+def test_a_timeout_reports_the_last_observed_state(tools: dict[str, str]) -> None:
     play = Play(Kubectl("ns", tools), lambda _: None)
     with pytest.raises(NotSo, match=r"not within 0 s: the robot flies\. Last seen: it rolls"):
         play.until("the robot flies", lambda: (False, "it rolls"), within=0)
@@ -91,7 +91,7 @@ def test_manifests_are_applied_with_the_images_of_another_registry(tools: dict[s
     assert "name: quickstart-restart" in applied
 
 
-def test_why_a_pod_does_not_run_is_said_in_one_line() -> None:
+def test_the_reason_why_a_pod_does_not_run_is_one_line() -> None:
     waiting = {"reason": "ImagePullBackOff", "message": "no such image"}
     pod = {"status": {"phase": "Pending", "containerStatuses": [{"state": {"waiting": waiting}}]}}
     assert _why([pod]) == "ImagePullBackOff no such image"
@@ -99,7 +99,7 @@ def test_why_a_pod_does_not_run_is_said_in_one_line() -> None:
     assert _why([]) == "not there"
 
 
-def test_a_workloads_state_is_said_with_what_is_wrong() -> None:
+def test_the_state_of_a_workload_is_reported_with_its_problems() -> None:
     conditions = [
         {"type": "Accepted", "status": "True", "message": "fine"},
         {"type": "Protected", "status": "False", "message": "no standby is ready"},
@@ -116,7 +116,7 @@ def test_unknown_strategies_are_refused(capsys: pytest.CaptureFixture[str]) -> N
     assert "executing" in capsys.readouterr().err
 
 
-def test_the_script_says_what_it_does() -> None:
+def test_the_script_documents_its_options() -> None:
     said = subprocess.run(
         [REPOSITORY / "scripts" / "demo", "--help"], capture_output=True, text=True, check=True
     ).stdout

@@ -58,51 +58,51 @@ def visible(svg: str, at: float) -> list[str]:
     return found
 
 
-def test_text_goes_on_in_the_next_row_and_the_first_one_leaves() -> None:
+def test_text_continues_in_the_next_row_and_scrolls() -> None:
     assert shown("abcdefg\r\nhi") == ["abcde", "fg", "hi"]
     assert shown("abcdefg\r\nhi\r\n\r\nj") == ["hi", "", "j"]
     assert shown("abcde\r\nf") == ["abcde", "f", ""], "a row that is just full is followed by one new one"
 
 
-def test_the_live_status_is_drawn_as_terminals_do() -> None:
+def test_the_live_status_is_drawn_as_in_a_terminal() -> None:
     line = "\x1b[?7l\x1b[Habcdefg\x1b[K\r\r\n"
     assert shown("old\r\nold\r\nold", f"{line}\x1b[J") == ["abcd", "", ""], "of a full row the last character is lost"
     assert shown("und", "\x1b[?1049h\x1b[?25l\x1b[H", "over", "\x1b[?25h\x1b[?1049l", "er") == ["under", "", ""]
     assert shown("abc\x1b[2J\x1b[2;3Hx\ty") == ["", "  x y", ""]
 
 
-def test_a_sequence_may_come_in_pieces() -> None:
+def test_a_control_sequence_may_be_split() -> None:
     assert shown("ab\x1b", "[2", ";1", "Hc") == ["ab", "c", ""]
 
 
 @pytest.mark.parametrize(
     "unknown", ["\x1b[3A", "\x1b[1K", "\x1b[?12h", "\x1b[38;5;1m", "\x1b[9;9H", "\b", "\x1b7", "漢"]
 )
-def test_what_it_does_not_know_is_refused(unknown: str) -> None:
+def test_an_unknown_control_sequence_is_refused(unknown: str) -> None:
     with pytest.raises(ValueError, match=r"control|SGR|column|isn't one column wide"):
         shown(f"{unknown}x")
 
 
 @given(ROWS)
-def test_a_row_that_is_written_anew_is_the_same(row: list[tuple[str, Style]]) -> None:
+def test_a_row_is_unchanged_by_encoding_and_decoding(row: list[tuple[str, Style]]) -> None:
     screen = Screen(len(row), 1)
     screen.feed(f"\x1b[1;1H{sequences(tuple(row))}")
     assert screen.rows() == [tuple(row)]
 
 
-def test_a_recording_is_read_as_it_was_written() -> None:
+def test_a_recording_is_unchanged_by_encoding_and_decoding() -> None:
     recorded = cast((0.0, "\x1b[1;1Hé→"), (1.25, "b\r\n"))
     assert asciicast.from_text(asciicast.to_text(recorded)) == recorded
     with pytest.raises(ValueError, match="asciicast v3, not v2"):
         asciicast.from_text('{"version": 3}\n')
 
 
-def test_a_frame_for_every_change_but_for_those_that_nobody_sees() -> None:
+def test_each_visible_change_is_a_frame() -> None:
     played = frames(cast((0.0, "a"), (1.0, "b"), (1.01, "c"), (2.0, "\r"), (3.0, "d")))
     assert [(frame.time, text_of(frame.rows[0])) for frame in played] == [(0.0, "a"), (1.0, "abc"), (3.0, "dbc")]
 
 
-def test_the_picture_shows_each_moment_as_it_was_and_begins_anew() -> None:
+def test_the_picture_shows_each_moment_and_starts_again() -> None:
     svg = render(cast((0.0, "a <b>\r\nstays"), (1.0, "\x1b[1;1H\x1b[K\x1b[32mc  d\x1b[0m"), (2.5, "\x1b[1;1He")))
     end = 2.5 + HOLD
     assert visible(svg, 0.0) == visible(svg, 0.99) == ["a <b>", "stays"]
@@ -111,7 +111,7 @@ def test_the_picture_shows_each_moment_as_it_was_and_begins_anew() -> None:
     assert visible(svg, end + 0.1) == ["a <b>", "stays"]
 
 
-def test_characters_stand_in_their_cells_whatever_the_font() -> None:
+def test_characters_are_placed_in_cells_for_any_font() -> None:
     row = "ab   \x1b[1;31mcd\x1b[0m"
     texts = list(ElementTree.fromstring(render(cast((0.0, row)))).iter(f"{NAMESPACE}text"))
     (first, second), width = texts, float(texts[0].attrib["textLength"]) / 2
@@ -119,7 +119,7 @@ def test_characters_stand_in_their_cells_whatever_the_font() -> None:
     assert second.attrib["class"] == "c1 b"
 
 
-def test_bars_are_areas_of_their_length() -> None:
+def test_bars_are_drawn_as_rectangles_of_their_length() -> None:
     svg = ElementTree.fromstring(render(cast((0.0, "a ░██▌ 5 ms"), columns=12)))
     width = float(next(svg.iter(f"{NAMESPACE}text")).attrib["textLength"])
     areas = [area for group in svg.iter(f"{NAMESPACE}g") for area in group.iter(f"{NAMESPACE}rect")]
@@ -128,7 +128,7 @@ def test_bars_are_areas_of_their_length() -> None:
     assert visible(render(cast((0.0, "a ██ 5 ms"))), 0.0) == ["a", "5 ms"]
 
 
-def test_who_wants_nothing_to_move_sees_the_end() -> None:
+def test_with_reduced_motion_the_picture_shows_the_last_frame() -> None:
     svg = render(cast((0.0, "begin"), (1.0, "\rend\x1b[K")))
     hidden = {
         text.text: group.get("class") for group in ElementTree.fromstring(svg).iter(f"{NAMESPACE}g") for text in group
@@ -138,7 +138,7 @@ def test_who_wants_nothing_to_move_sees_the_end() -> None:
     assert "{.a,.p{animation:none}}" in svg
 
 
-def test_the_picture_in_the_repository_is_the_recordings() -> None:
+def test_the_picture_in_the_repository_is_rendered_from_the_recording() -> None:
     recorded = asciicast.from_text(CAST.read_text())
     svg = SVG.read_text()
     assert svg == render(recorded), "scripts/record --render draws it again"
@@ -148,7 +148,7 @@ def test_the_picture_in_the_repository_is_the_recordings() -> None:
     assert "href" not in svg
 
 
-def test_a_mark_for_each_command_and_a_line_for_each_that_takes_over() -> None:
+def test_each_command_is_a_mark_and_each_takeover_a_line() -> None:
     marks = Marks(columns=12)
     told = [marks.take(command(n / 20, "robot-1-drive-aaaaa")) for n in range(5)]
     told.append(marks.take(command(0.712, "robot-1-drive-bbbbb")))
@@ -161,7 +161,7 @@ def test_a_mark_for_each_command_and_a_line_for_each_that_takes_over() -> None:
     )
 
 
-def test_programs_side_by_side_are_recorded_with_their_times() -> None:
+def test_programs_in_two_panes_are_recorded_with_their_times() -> None:
     panes = (
         Pane("above", ["sh", "-c", f"printf 'hello\\n{'x' * 30}'; sleep 60"], rows=2),
         Pane("below", ["sh", "-c", 'read line; sleep 0.5; printf "got $line"; sleep 60'], rows=2, typed=True),
@@ -183,7 +183,7 @@ def test_programs_side_by_side_are_recorded_with_their_times() -> None:
     assert played[-1].time - typed > 0.5
 
 
-def test_a_program_that_ends_is_told_with_what_it_showed() -> None:
+def test_a_program_that_ends_early_is_reported_with_its_output() -> None:
     with (
         Split((Pane("short", ["sh", "-c", "echo no such robot"], rows=2),), 30, dict(os.environ)) as split,
         pytest.raises(NotShown, match=r"has ended\. It showed:\nno such robot"),
@@ -222,7 +222,7 @@ class Hasty(Split):
         super().wait(seconds / 20)
 
 
-def test_what_is_done_in_the_recording_goes_by_what_is_shown(tmp_path: Path) -> None:
+def test_the_script_of_the_recording_follows_what_is_shown(tmp_path: Path) -> None:
     """Its commands are stand-ins, but for the marks."""
     state = tmp_path / "state"
     state.write_text("robot-1-drive-aaaaa")

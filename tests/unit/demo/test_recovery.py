@@ -52,30 +52,30 @@ def log(*spans: tuple[str, float, float]) -> RobotLog:
     return RobotLog(sorted(commands, key=lambda c: c.received), motions)
 
 
-def test_an_entry_of_the_status_is_read() -> None:
+def test_an_entry_of_the_status_is_parsed() -> None:
     recovered = Recovered.read(entry())
     assert recovered.parts == {"detection": 0.503, "cluster": 0.006, "startup": 0.0, "reinitialization": 0.0}
     assert recovered.moments["detected"] == pytest.approx(START + 0.503, abs=1e-5)
     assert recovered.start == pytest.approx(START)
 
 
-def test_a_recovery_that_has_only_begun_is_read() -> None:
+def test_a_recovery_that_has_only_begun_is_parsed() -> None:
     recovered = Recovered.read({"id": "r", "reason": "x", "result": "Running", "moments": {"detected": rfc3339(1.0)}})
     assert recovered.start == pytest.approx(START + 1.0)
     assert recovered.earliest_switch is None
     assert "Running" in render(recovered, None)
 
 
-def test_an_executing_standby_may_drive_from_the_decision_on() -> None:
+def test_an_executing_standby_may_drive_after_the_decision() -> None:
     assert Recovered.read(entry()).earliest_switch == pytest.approx(START + 0.504, abs=1e-5)
 
 
-def test_an_instance_that_had_to_start_may_drive_from_when_it_was_ready() -> None:
+def test_a_started_instance_may_drive_after_it_is_ready() -> None:
     moments = {"claimed": 0.51, "started": 1.2, "ready": 1.6, "routed": 1.61, "firstOutput": 1.65}
     assert Recovered.read(entry(moments=moments)).earliest_switch == pytest.approx(START + 1.6, abs=1e-5)
 
 
-def test_a_standby_that_was_ready_anew_after_the_switch_does_not_move_it() -> None:
+def test_a_standby_that_is_ready_again_after_the_switch_does_not_move_it() -> None:
     assert Recovered.read(entry(moments={"ready": 0.7})).earliest_switch == pytest.approx(START + 0.504, abs=1e-5)
 
 
@@ -103,14 +103,14 @@ def test_a_good_recovery_has_no_problems() -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_said(changes: dict[str, Any], spans: list[tuple[str, float, float]], problem: str) -> None:
+def test_problems_are_reported(changes: dict[str, Any], spans: list[tuple[str, float, float]], problem: str) -> None:
     recovered = Recovered.read(entry(**changes))
     found = recovered.problems(recovered.handover(log(*spans)), strategy="Fallback/Executing")
     assert len(found) == 1
     assert re.search(problem, found[0]), found
 
 
-def test_an_overlap_of_one_enforcement_is_reported_and_allowed() -> None:
+def test_an_overlap_within_the_enforcement_time_is_reported_and_allowed() -> None:
     recovered = Recovered.read(entry())
     seen = recovered.handover(log((OLD, -2.0, 0.55), (NEW, 0.54, 2.0)))
     assert seen.overlap == pytest.approx(0.01, abs=1e-5)
@@ -130,13 +130,13 @@ def test_the_timeline_shows_parts_moments_and_the_robot() -> None:
     assert_golden("demo", text, "fenced +509 ms", "recovered +560 ms", "540 ms without", "31 ms after")
 
 
-def test_leaks_are_counted_in_the_timeline() -> None:
+def test_the_timeline_counts_early_commands() -> None:
     recovered = Recovered.read(entry())
     text = render(recovered, recovered.handover(log((OLD, -2.0, 0.0), (NEW, -1.0, -0.9), (NEW, 0.54, 2.0))))
     assert "3 of …-x8v2m before the switch" in text
 
 
-def test_recoveries_are_compared_to_one_scale() -> None:
+def test_recoveries_are_compared_at_one_scale() -> None:
     slow = entry(strategy="Restart", parts={"detection": 0.5, "cluster": 1.0, "startup": 0.5, "reinitialization": 0.0})
     fast, restart = compare([Recovered.read(entry()), Recovered.read(slow)], width=40).splitlines()[:2]
     assert restart.count("░") == 10
@@ -154,7 +154,7 @@ def test_the_picture_is_drawn(tmp_path: Path) -> None:
     assert file.stat().st_size > 10_000
 
 
-def test_a_picture_without_any_command_is_drawn(tmp_path: Path) -> None:
+def test_a_picture_without_commands_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     draw(RobotLog(), [Recovered.read(entry(result="Failed", parts=None))], tmp_path / "demo.png", title="None")
     assert (tmp_path / "demo.png").exists()

@@ -34,7 +34,7 @@ def drive(source: str, start: float, end: float, period: float = 0.05) -> list[t
     return [(start + period * n, source) for n in range(count)]
 
 
-def test_records_are_read_and_other_lines_left_out() -> None:
+def test_records_are_parsed_and_other_lines_are_ignored() -> None:
     odometry = json.dumps(
         {"event": "odometry", "time": 9.5, "x": 0, "y": 0, "heading": 0, "speed": 0.2, "turn": 0.0, "held": True}
     )
@@ -55,7 +55,7 @@ def test_records_are_read_and_other_lines_left_out() -> None:
     assert [(m.time, m.speed, m.held) for m in read.motions] == [(9.5, 0.2, True)]
 
 
-def test_lines_with_a_time_stamp_before_the_record_are_read() -> None:
+def test_lines_with_a_leading_time_stamp_are_parsed() -> None:
     assert parse("2024-11-21T10:00:00Z " + command(1.0, "a")).sources() == ["a"]
 
 
@@ -63,7 +63,7 @@ def test_commands_are_ordered_by_reception() -> None:
     assert [c.received for c in log((2.0, "a"), (1.0, "a")).commands] == [1.0, 2.0]
 
 
-def test_a_clean_handover() -> None:
+def test_a_clean_handover_has_a_gap_and_no_overlap() -> None:
     read = log(*drive("old", 0.0, 10.0), *drive("new", 10.53, 12.0))
     handover = read.handover("old", "new", switch=10.51)
     assert handover.clean
@@ -110,13 +110,13 @@ def test_a_new_pod_that_only_leaked_is_not_clean() -> None:
     assert len(handover.early) == 1
 
 
-def test_the_first_source_of_all_has_no_gap_before_it() -> None:
+def test_the_first_source_has_no_gap_before_it() -> None:
     handover = log(*drive("new", 1.0, 2.0)).handover("old", "new")
     assert handover.last_old is None
     assert handover.gap is None
 
 
-def test_silences_and_their_neighbours() -> None:
+def test_silences_are_listed_with_their_neighbours() -> None:
     read = log(*drive("a", 0.0, 1.0), *drive("b", 1.7, 2.0), *drive("b", 2.3, 2.5))
     assert [(s.before, s.after, round(s.seconds, 3)) for s in read.silences(0.2)] == [("a", "b", 0.7), ("b", "b", 0.3)]
     longest = read.longest_silence()
@@ -125,7 +125,7 @@ def test_silences_and_their_neighbours() -> None:
     assert log((1.0, "a")).longest_silence() is None
 
 
-def test_reigns_follow_each_other() -> None:
+def test_consecutive_commands_of_a_source_form_a_reign() -> None:
     read = log(*drive("a", 0.0, 1.0), *drive("b", 2.0, 3.0))
     assert [(r.source, r.first, r.last, r.count) for r in read.reigns()] == [
         ("a", 0.0, 1.0, 21),
@@ -133,13 +133,13 @@ def test_reigns_follow_each_other() -> None:
     ]
 
 
-def test_a_part_of_the_log() -> None:
+def test_a_part_of_the_log_can_be_selected() -> None:
     read = log(*drive("a", 0.0, 10.0)).between(2.0, 3.0)
     assert read.commands[0].received == pytest.approx(2.0)
     assert read.commands[-1].received == pytest.approx(2.95)
 
 
-def test_sources_that_have_other_names() -> None:
+def test_sources_can_be_renamed() -> None:
     read = log((1.0, "010fdc53"), (2.0, "010f1111"), (3.0, "010fdc53")).renamed({"010fdc53": "pod-a"})
     assert [c.source for c in read.commands] == ["pod-a", "010f1111", "pod-a"]
     assert [c.received for c in read.commands] == [1.0, 2.0, 3.0]

@@ -53,7 +53,7 @@ def building(folder: Path, environment: Path) -> list[str]:
     return [sys.executable, *(places.get(word, word) for word in shlex.split(found))]
 
 
-def test_what_is_typed_has_the_builder_make_the_user_s_package_and_no_other(workspace: Path) -> None:
+def test_the_documented_commands_build_only_the_package_of_the_user(workspace: Path) -> None:
     order = runpy.run_path(str(workspace / "interfaces" / "build"))["ORDER"]
     assert order == ("my_msgs",)
     assert all((workspace / "interfaces" / name / "package.xml").is_file() for name in order)
@@ -64,7 +64,7 @@ def test_what_is_typed_has_the_builder_make_the_user_s_package_and_no_other(work
     assert "no virtual environment" in done.stderr, "it takes these options"
 
 
-def test_the_image_is_made_as_the_example_s_is() -> None:
+def test_the_documented_image_is_built_like_that_of_the_example() -> None:
     example = (EXAMPLE.parent / "Dockerfile").read_text()
     (building_them,) = re.findall(r"python /interfaces/build .*", SOURCES)
     for command in ("pip list --format=freeze >/installed.txt", building_them):
@@ -76,7 +76,7 @@ def test_the_image_is_made_as_the_example_s_is() -> None:
 @pytest.mark.long
 @pytest.mark.ros
 @pytest.mark.timeout(900)
-def test_the_user_s_types_are_there_once_their_wheel_is_installed(workspace: Path) -> None:
+def test_the_types_of_the_user_exist_after_their_wheel_is_installed(workspace: Path) -> None:
     if not shutil.which("cmake") or not shutil.which("g++"):
         pytest.skip("there is no compiler")
     environment = workspace / "environment"

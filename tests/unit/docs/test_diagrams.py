@@ -19,7 +19,7 @@ DRAWN = {
 
 
 @pytest.mark.parametrize("draw", DRAWN.values(), ids=DRAWN)
-def test_nothing_is_drawn_outside_and_who_can_not_see_it_is_told(draw: Callable[[], str]) -> None:
+def test_diagrams_stay_within_their_frame_and_have_a_text_alternative(draw: Callable[[], str]) -> None:
     root = ElementTree.fromstring(draw())
     width, height = map(float, root.attrib["viewBox"].split()[2:])
     for box in root.iter(f"{SVG}rect"):
@@ -36,28 +36,28 @@ def test_nothing_is_drawn_outside_and_who_can_not_see_it_is_told(draw: Callable[
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_each_is_on_a_page(name: str) -> None:
+def test_each_diagram_is_on_a_page(name: str) -> None:
     assert any(f"images/{name})" in page.read_text() for page in PAGES)
 
 
-def test_an_arrow_s_head_is_there() -> None:
+def test_every_arrow_head_is_defined() -> None:
     for draw in DRAWN.values():
         root = ElementTree.fromstring(draw())
         there = {f"url(#{head.attrib['id']})" for head in root.iter(f"{SVG}marker")}
         assert {line.attrib["marker-end"] for line in root.iter(f"{SVG}path") if "marker-end" in line.attrib} == there
 
 
-def test_a_module_that_is_gone_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_module_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(diagrams.MODULES, "judge", ("monitor/judge/gone",))
     with pytest.raises(ValueError, match="monitor/judge/gone"):
         diagrams.pipeline()
 
 
-def test_a_failure_passes_at_most_fifteen_modules() -> None:
+def test_a_failure_passes_through_at_most_fifteen_modules() -> None:
     assert sum(len(modules) for stage, modules in diagrams.MODULES.items() if stage != "report") <= 15
 
 
-def test_a_strategy_that_the_diagram_lacks_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_strategy_that_is_missing_in_the_diagram_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(diagrams.STEPS, "Initialized")
     with pytest.raises(ValueError, match="others than the diagram's"):
         diagrams.failover()

@@ -62,7 +62,7 @@ def spec_of(page: str, kind: str, fields: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(("page", "of", "part"), SHOWN)
-def test_what_is_shown_is_in_the_example_or_can_be_followed(page: str, of: str, part: Any) -> None:
+def test_shown_manifests_are_in_the_example_or_load(page: str, of: str, part: Any) -> None:
     if of == TREE:
         load(part)
     elif kind := IN_SPEC.fullmatch(of):
@@ -80,14 +80,14 @@ def test_what_is_shown_is_in_the_example_or_can_be_followed(page: str, of: str, 
 
 
 @pytest.mark.parametrize("page", EXAMPLES)
-def test_every_policy_of_the_example_is_in_the_table_of_what_waits(page: str) -> None:
+def test_the_table_lists_every_policy_of_the_example(page: str) -> None:
     text = (REPOSITORY / "docs" / "how-to" / page).read_text()
     told = set(re.findall(r"^\| `\w+` \| `([\w-]+\.yaml)` \|", text, re.MULTILINE))
     assert told == {file.name for file in EXAMPLES[page].glob("*.yaml")} - {"workload.yaml"}
 
 
 @pytest.mark.parametrize("page", EXAMPLES)
-def test_commands_name_what_is_there(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_documented_commands_name_existing_files_and_verbs(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(REPOSITORY)
     (commands,) = fenced(page, "sh")
     checked = False
@@ -102,7 +102,7 @@ def test_commands_name_what_is_there(page: str, monkeypatch: pytest.MonkeyPatch)
     assert checked
 
 
-def test_the_times_are_those_of_the_example() -> None:
+def test_the_documented_times_equal_those_of_the_example() -> None:
     example = (REPOSITORY / "examples" / "navigation" / "README.md").read_text()
     (head,) = re.findall(r"^\|( \| restart \|.*) \|$", example, re.MULTILINE)
     (row,) = re.findall(r"^\| robot without commands, p50 / p95 (\|.*) \|$", example, re.MULTILINE)
@@ -115,7 +115,7 @@ def test_the_times_are_those_of_the_example() -> None:
     assert told == [measured[name] for name in ("full navigation", "localization running", "restart")]
 
 
-def test_a_part_is_told_from_what_is_no_part() -> None:
+def test_the_comparison_recognizes_parts_of_a_manifest() -> None:
     whole = {"spec": {"keep": [{"topic": "/a", "age": 1}, {"topic": "/b"}, {"topic": "/c"}]}}
     assert contains(whole, {"spec": {"keep": [{"topic": "/a"}, {"topic": "/c"}]}})
     for wrong in ([{"topic": "/c"}, {"topic": "/a"}], [{"topic": "/d"}], {"topic": "/a"}):

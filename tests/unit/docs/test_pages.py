@@ -39,7 +39,7 @@ def manifests() -> list[Any]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_resolve(page: Path) -> None:
     for target in re.findall(r"\]\(([^)\s]+)\)", page.read_text()):
         path = target.partition("#")[0]
         if path and "://" not in target:
@@ -47,13 +47,13 @@ def test_links_lead_somewhere(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_yaml_in_pages_is_yaml(page: Path) -> None:
+def test_yaml_in_pages_is_valid(page: Path) -> None:
     for text in FENCE.findall(page.read_text()):
         list(yaml.safe_load_all(text))
 
 
 @pytest.mark.parametrize(("item", "lent"), manifests())
-def test_manifests_in_pages_are_what_the_models_say(item: dict[str, Any], lent: dict[str, dict[str, str]]) -> None:
+def test_manifests_in_pages_conform_to_the_models(item: dict[str, Any], lent: dict[str, dict[str, str]]) -> None:
     # The models ignore unknown fields; whatever was written must come back.
     spec = MODELS[item["kind"]].model_validate(item["spec"])
     assert covers(spec.to_wire(), item["spec"])
@@ -65,7 +65,7 @@ def test_manifests_in_pages_are_what_the_models_say(item: dict[str, Any], lent: 
             load_text(referred.form, lent[referred.name][referred.key], path=referred.key, grace=30.0)
 
 
-def test_there_are_manifests_in_the_pages() -> None:
+def test_the_pages_contain_manifests() -> None:
     assert len(manifests()) >= 4
 
 
@@ -81,13 +81,13 @@ def paths() -> list[Any]:
 
 
 @pytest.mark.parametrize("path", paths())
-def test_what_commands_in_pages_look_at_is_there(path: str) -> None:
+def test_status_paths_in_documented_commands_exist(path: str) -> None:
     schema = root(next(kind for kind in KINDS if kind.short == "rw"))
     for part in re.sub(r"\[[^]]*\]", ".[]", path).split("."):
         schema = schema["items"] if part == "[]" else schema["properties"][part]
 
 
-def test_there_are_paths_in_the_pages() -> None:
+def test_the_pages_contain_status_paths() -> None:
     assert len(paths()) >= 10
 
 

@@ -32,14 +32,14 @@ def sections(page: str) -> dict[str, str]:
     return {part.partition("\n")[0]: part for part in re.split(r"^#{2,3} ", page, flags=re.MULTILINE)}
 
 
-def test_every_leaf_and_step_is_there_with_each_of_its_values() -> None:
+def test_the_reference_lists_every_leaf_and_step_with_its_keys() -> None:
     found = sections(leaves.page())
     for kind, declared in {**LEAVES, **procedure_leaves.STEPS, **procedure_leaves.CONDITIONS}.items():
         for key in declared.keys:
             assert f"| `{key}` |" in found[kind]
 
 
-def test_what_must_be_given_and_what_need_not_is_as_the_loaders_have_it() -> None:
+def test_the_reference_marks_required_and_optional_keys_as_the_loaders_do() -> None:
     found = sections(leaves.page())
     assert "| `state` | `state` | `state` | `unconfigured` \\| " in found["set_lifecycle"]
     assert "| required | unconfigured, inactive, active or finalized |" in found["set_lifecycle"]
@@ -72,7 +72,7 @@ def looks(value: Any) -> Any:
 
 
 @pytest.mark.parametrize(("tag", "port", "default"), list(defaults()))
-def test_a_default_is_what_is_taken_where_nothing_is_given(tag: str, port: str, default: str) -> None:
+def test_a_documented_default_equals_an_omitted_value(tag: str, port: str, default: str) -> None:
     node = NODES[tag]
     example = yaml.safe_load(LEAVES[node.key].example)
     given = {p: str(example[key]) for p, where in node.ports.items() if (key := where.partition(".")[2]) in example}
@@ -89,7 +89,7 @@ def test_a_default_is_what_is_taken_where_nothing_is_given(tag: str, port: str, 
 # -- metrics ------------------------------------------------------------------------------------------------------------
 
 
-def test_every_metric_that_is_named_in_the_code_is_there() -> None:
+def test_the_reference_lists_every_metric_of_the_code() -> None:
     page = metrics.page()
     makers = [
         path
@@ -105,7 +105,7 @@ def test_every_metric_that_is_named_in_the_code_is_there() -> None:
 # -- command line -------------------------------------------------------------------------------------------------------
 
 
-def test_every_verb_is_there() -> None:
+def test_the_reference_lists_every_verb() -> None:
     found = sections(commands.page())
     assert set(PARSERS) <= set(found)
     for verb in (verb.name for verb in VERBS if not verb.has_options):
@@ -113,14 +113,14 @@ def test_every_verb_is_there() -> None:
 
 
 @pytest.mark.parametrize("verb", PARSERS)
-def test_every_option_says_what_it_does_and_every_verb_what_its_exit_status_means(verb: str) -> None:
+def test_every_option_is_described_and_every_verb_documents_its_exit_status(verb: str) -> None:
     parser = PARSERS[verb]
     assert parser.description
     assert (parser.epilog or "").startswith("Exit status: 0")
     assert [action.dest for action in parser._actions if not action.help] == []
 
 
-def test_the_page_is_the_same_for_whoever_writes_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_generated_page_does_not_depend_on_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     before = commands.page()
     for name in ("LOGNAME", "USER", "POD_NAME", "UNDERSTUDY_NAMESPACE", "UNDERSTUDY_LOG_LEVEL", "UNDERSTUDY_TRACKER"):
         monkeypatch.setenv(name, "another")
@@ -129,7 +129,7 @@ def test_the_page_is_the_same_for_whoever_writes_it(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_name)
-def test_verbs_and_options_that_a_page_names_are_there(page: Path) -> None:
+def test_verbs_and_options_named_in_pages_exist(page: Path) -> None:
     for verb, more in re.findall(r"`(?:kubectl )?understudy ([a-z][a-z-]*)([^`\n]*)`", page.read_text()):
         assert verb in {verb.name for verb in VERBS}
         known = set(PARSERS[verb]._option_string_actions) if verb in PARSERS else set()
@@ -147,7 +147,7 @@ def ours() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("line", list(ours()))
-def test_what_a_page_says_to_type_is_understood(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_commands_in_pages_are_parsed(line: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = shlex.split(line, comments=True)
     ends = [words.index(end) for end in ("|", ">", "&&", "&") if end in words]
     verb, *arguments = words[: min(ends, default=len(words))]

@@ -14,7 +14,7 @@ from scripts import pages
 REPOSITORY = Path(__file__).parents[3]
 
 
-def test_the_site_is_built_of_all_pages_and_no_link_in_it_leads_nowhere(tmp_path: Path) -> None:
+def test_the_site_contains_every_page_without_broken_links(tmp_path: Path) -> None:
     found = pages.lay_out(REPOSITORY, tmp_path / "pages")
     every = {str(page.relative_to(REPOSITORY)) for page in (REPOSITORY / "docs").rglob("*.md")}
     assert every <= set(found)
@@ -24,7 +24,7 @@ def test_the_site_is_built_of_all_pages_and_no_link_in_it_leads_nowhere(tmp_path
     assert "failurepolicy-what-you-say-spec" in (tmp_path / "site/docs/reference/api.html").read_text()
 
 
-def test_search_works_where_a_page_is_opened_from_its_folder_and_no_page_asks_another_host_for_a_script(
+def test_search_works_from_files_and_no_page_loads_foreign_scripts(
     tmp_path: Path,
 ) -> None:
     site = tmp_path / "site"
@@ -44,14 +44,14 @@ def test_search_works_where_a_page_is_opened_from_its_folder_and_no_page_asks_an
     assert re.search(r'class="md-search-result__meta">\s*[1-9][0-9]* matching document', document)
 
 
-def test_a_link_that_leads_nowhere_is_an_error(tmp_path: Path) -> None:
+def test_a_broken_link_is_an_error(tmp_path: Path) -> None:
     pages.lay_out(REPOSITORY, tmp_path / "pages")
     with (tmp_path / "pages/docs/trees.md").open("a") as page:
         page.write("\n[there is no such heading](reference/api.md#no-such-heading)\n")
     assert pages.mkdocs(tmp_path / "pages", ["build", "--site-dir", str(tmp_path / "site")]) == 1
 
 
-def test_a_link_to_a_folder_leads_to_its_page_or_to_a_list_of_its_files(tmp_path: Path) -> None:
+def test_a_link_to_a_folder_resolves_to_its_page_or_to_a_list_of_its_files(tmp_path: Path) -> None:
     source = tmp_path / "repository"
     for path, text in {
         "README.md": "[all](docs/README.md) [one](one) [two](two#here)",
@@ -73,7 +73,7 @@ def test_a_link_to_a_folder_leads_to_its_page_or_to_a_list_of_its_files(tmp_path
     assert (tmp_path / "pages/two/index.md").read_text() == "# two\n\n- [a.yaml](a.yaml)\n"
 
 
-def test_a_bar_in_code_in_a_table_is_shown_without_the_backslash_that_keeps_it_in_its_cell(tmp_path: Path) -> None:
+def test_an_escaped_bar_in_code_in_a_table_is_shown_without_backslash(tmp_path: Path) -> None:
     source = tmp_path / "source"
     (source / "docs").mkdir(parents=True)
     (source / "docs" / "README.md").write_text("")

@@ -98,14 +98,14 @@ XML = f'<root BTCPP_format="4"><BehaviorTree ID="Healthy">{inline("<AcmeLively "
 OSC = f"import osc.understudy\n\nscenario healthy:\n    do parallel:\n        {inline('acme_lively(')}\n"
 
 
-def test_the_pages_own_test_passes(site: Path, tmp_path: Path) -> None:
+def test_the_documented_test_passes(site: Path, tmp_path: Path) -> None:
     (tmp_path / "test_leaves.py").write_text(TEST)
     status, said = run(site, "pytest", "-q", "-p", "no:cacheprovider", "test_leaves.py", cwd=tmp_path)
     assert (status, "1 passed" in said) == (0, True), said
 
 
 @pytest.mark.parametrize("text", [POLICY, policy(xml=XML), policy(osc=OSC)], ids=["yaml", "xml", "osc"])
-def test_a_policy_that_names_it_is_checked_with_it(site: Path, tmp_path: Path, text: str) -> None:
+def test_a_policy_with_the_leaf_is_checked(site: Path, tmp_path: Path, text: str) -> None:
     (tmp_path / "policy.yaml").write_text(text)
     status, said = run(site, "understudy", "check", "--strict", "policy.yaml", cwd=tmp_path)
     assert status == 0, said
@@ -116,14 +116,14 @@ def test_a_policy_that_names_it_is_checked_with_it(site: Path, tmp_path: Path, t
     assert "parsec" in said
 
 
-def test_without_the_package_it_is_unknown(tmp_path: Path) -> None:
+def test_without_the_package_the_leaf_is_unknown(tmp_path: Path) -> None:
     (tmp_path / "policy.yaml").write_text(POLICY)
     status, said = run(tmp_path, "understudy", "check", "policy.yaml", cwd=tmp_path)
     assert status == 1
     assert "unknown key 'acme_lively'" in said
 
 
-def test_scans_that_come_again_are_found_in_a_bag(site: Path, tmp_path: Path) -> None:
+def test_repeated_scans_are_found_in_a_bag(site: Path, tmp_path: Path) -> None:
     (tmp_path / "policy.yaml").write_text(POLICY)
     scans = [one._replace(fields={"ranges": [min(one.at, 5.0), 2.0]}) for one in every("/scan", SCAN, 0, 8, 10)]
     write(tmp_path / "recorded", scans)
@@ -133,7 +133,7 @@ def test_scans_that_come_again_are_found_in_a_bag(site: Path, tmp_path: Path) ->
     assert "1x, 1.8 s, first at 6.100 s  Failed" in said
 
 
-def test_a_package_that_can_t_be_imported_is_told_of_where_a_tree_names_its_leaf(tmp_path: Path) -> None:
+def test_a_package_that_cannot_be_imported_is_reported_at_its_leaf(tmp_path: Path) -> None:
     site = install(tmp_path, "import acme_drivers\n")
     why = (
         "acme_lively of acme-leaves 1.0 cannot be used: acme_leaves:Lively cannot be loaded, "
@@ -154,7 +154,7 @@ def test_a_package_that_can_t_be_imported_is_told_of_where_a_tree_names_its_leaf
     assert (status, said.count(why)) == (0, 1), "trees that don't name it are as good as ever"
 
 
-def test_the_chart_s_values_are_called_so() -> None:
+def test_the_documented_chart_values_exist() -> None:
     values = yaml.safe_load((REPOSITORY / "charts" / "understudy" / "values.yaml").read_text())
     given = re.findall(r"--set (\S+)=", PAGE)
     assert len(given) == 4
@@ -164,7 +164,7 @@ def test_the_chart_s_values_are_called_so() -> None:
             found = found[part]
 
 
-def test_what_is_generated_is_the_same_with_it(site: Path) -> None:
+def test_installed_leaves_do_not_change_generated_files(site: Path) -> None:
     program = (
         "from scripts.generation.scenarios import library\nfrom pathlib import Path\n"
         "assert library() == Path('operator/understudy/trees/languages/osc/lib_osc/understudy.osc').read_text()\n"

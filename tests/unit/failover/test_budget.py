@@ -8,7 +8,7 @@ from understudy.failover.progress import Progress
 WINDOW = 100.0
 
 
-def test_what_is_left_and_when_the_next_may_begin() -> None:
+def test_the_budget_reports_what_is_left_and_when_the_next_recovery_may_begin() -> None:
     assert left([], 1000.0, recoveries=2, within=WINDOW) == 2
     assert left([950.0], 1000.0, recoveries=2, within=WINDOW) == 1
     assert free_from([950.0], recoveries=2, within=WINDOW) <= 1000.0
@@ -22,7 +22,7 @@ def test_old_recoveries_leave_the_window() -> None:
     assert free_from([*spent, 1050.0], recoveries=2, within=WINDOW) == 1090.0, "the two latest count"
 
 
-def test_a_budget_that_was_lowered_counts_what_was_before() -> None:
+def test_a_lowered_budget_counts_earlier_recoveries() -> None:
     assert free_from([950.0, 960.0, 970.0], recoveries=1, within=WINDOW) == 1070.0
     assert left([950.0, 960.0, 970.0], 1000.0, recoveries=1, within=WINDOW) == 0
 
@@ -37,7 +37,7 @@ def test_a_resume_from_the_future_is_ignored_except_for_small_clock_differences(
     assert counted([950.0], 1001.0 + CLOCKS_DIFFER, 1000.0) == [950.0]
 
 
-def test_a_recovery_that_was_held_counts_from_its_release_and_its_parts_do_without_that_time() -> None:
+def test_a_held_recovery_counts_from_its_release_and_its_parts_exclude_the_hold() -> None:
     progress = Progress.begin("it ended", last_healthy=999.5, detected=1000.0)
     assert progress.began == 1000.0
     progress.moments["held"] = 1000.1

@@ -72,7 +72,7 @@ def test_a_limit_alone_leads_to_the_decision_of_its_row(row: LimitRow, trigger: 
 
 
 @pytest.mark.parametrize("trigger", Trigger)
-def test_of_two_limits_the_one_that_comes_first_in_the_table_decides(trigger: Trigger) -> None:
+def test_the_earlier_of_two_limits_in_the_table_decides(trigger: Trigger) -> None:
     rows = [row for row in LIMITS if trigger in row.triggers]
     for first, second in pairwise(rows):
         if first.limit != second.limit:  # a trigger has one requirement at a time
@@ -87,13 +87,13 @@ def test_a_limit_that_does_not_apply_to_a_trigger_does_not_prevent_it(trigger: T
 
 
 @pytest.mark.parametrize("row", TRIGGERS, ids=lambda row: row.trigger)
-def test_a_trigger_that_nothing_prevents_leads_to_the_decision_of_its_row(row: TriggerRow) -> None:
+def test_a_trigger_without_limits_leads_to_the_decision_of_its_row(row: TriggerRow) -> None:
     decision = decide(facts(row.trigger))
     assert isinstance(decision, row.decision)
     assert (decision.reason, decision.message) == (row.trigger.value, "no /cmd_vel for 500 ms")
 
 
-def test_every_trigger_has_one_row_and_the_first_one_present_decides() -> None:
+def test_every_trigger_has_one_row_and_the_first_present_one_decides() -> None:
     assert {row.trigger for row in TRIGGERS} == set(Trigger)
     assert len(TRIGGERS) == len(Trigger)
     for index, row in enumerate(TRIGGERS):
@@ -105,7 +105,7 @@ def test_nothing_is_due_without_a_trigger() -> None:
     assert decide(Facts(NOW)) == Wait("NothingDue")
 
 
-def test_a_prevented_trigger_that_yields_leaves_the_next_one_to_be_considered() -> None:
+def test_a_deferred_trigger_that_yields_lets_the_next_one_be_considered() -> None:
     waiting = LimitsInForce(waiting=ActiveLimit(until=LATER))
     reaction, takeover = Occurrence(Trigger.DEPENDENCY_RECOVERED), Occurrence(Trigger.UNSETTLED_SWITCHOVER)
     assert isinstance(decide(Facts(NOW, (reaction, takeover), waiting)), SwitchOver)
@@ -117,7 +117,7 @@ def test_a_prevented_trigger_that_yields_leaves_the_next_one_to_be_considered() 
     ]
 
 
-def test_a_prevented_trigger_that_does_not_yield_is_the_last_one_considered() -> None:
+def test_a_deferred_trigger_that_does_not_yield_is_the_last_one_considered() -> None:
     failure = Occurrence(Trigger.HEALTH_FAILED, counts_from=LATER)
     switchover = Occurrence(Trigger.SWITCHOVER_REQUESTED)
     assert decide(Facts(NOW, (failure, switchover))) == Wait(
@@ -132,18 +132,18 @@ def test_a_storm_does_not_defer_a_failure_if_a_standby_is_ready() -> None:
     assert isinstance(decide(replace(found, standby_ready=True)), Recover)
 
 
-def test_the_robot_that_follows_a_standby_already_is_never_held() -> None:
+def test_a_takeover_by_the_reflex_is_never_held() -> None:
     everything = LimitsInForce(ActiveLimit(), ActiveLimit(), ActiveLimit(), ActiveLimit())
     assert isinstance(decide(Facts(NOW, (Occurrence(Trigger.REFLEX_TAKEOVER),), everything)), Recover)
 
 
-def test_the_strategy_to_start_with_is_that_of_the_trigger() -> None:
+def test_the_decision_starts_with_the_strategy_of_the_trigger() -> None:
     decision = decide(Facts(NOW, (Occurrence(Trigger.POD_LOST, first_strategy=1),)))
     assert isinstance(decision, Recover)
     assert decision.first_strategy == 1
 
 
-def test_all_limits_in_force_are_listed_in_order_with_the_decision_of_each() -> None:
+def test_all_limits_in_force_are_listed_in_order_with_their_decisions() -> None:
     every = LimitsInForce(ActiveLimit("paused"), ActiveLimit(until=LATER), ActiveLimit("storm"), ActiveLimit("spent"))
     found = list(in_force(Facts(NOW, (), every), Occurrence(Trigger.HEALTH_FAILED)))
     assert [one.row.limit for one in found] == [Limit.PAUSE, Limit.WAIT_AFTER_RECOVERY, Limit.STORM, Limit.BUDGET]

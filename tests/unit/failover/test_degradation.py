@@ -34,7 +34,7 @@ def lasting(seen: list[tuple[int, TreeState, bool]], told: TreeState) -> int:
 
 
 @given(COURSE, st.integers(0, 50), st.integers(0, 50))
-def test_it_comes_exactly_with_the_debounce_and_goes_exactly_with_the_clear_time(
+def test_degradation_begins_after_the_debounce_and_ends_after_the_clear_time(
     course: list[tuple[int, TreeState]], debounce: int, clear_after: int
 ) -> None:
     seen = run(course, debounce=debounce, clear_after=clear_after)
@@ -49,7 +49,7 @@ def test_it_comes_exactly_with_the_debounce_and_goes_exactly_with_the_clear_time
 
 
 @given(COURSE, st.integers(1, 50), st.integers(1, 50))
-def test_two_changes_are_never_closer_than_what_was_waited_for(
+def test_two_changes_are_at_least_the_waiting_time_apart(
     course: list[tuple[int, TreeState]], debounce: int, clear_after: int
 ) -> None:
     changed, before = [], False
@@ -61,21 +61,21 @@ def test_two_changes_are_never_closer_than_what_was_waited_for(
         assert later - earlier >= (debounce if degraded else clear_after)
 
 
-def test_since_when_it_is_so_counts_from_when_the_tree_began_to_fail() -> None:
+def test_degradation_counts_from_the_moment_when_the_tree_began_to_fail() -> None:
     level = Level()
     assert not level.note("Failed", 10.0, debounce=2.0, clear_after=5.0)
     assert level.note("Failed", 12.0, debounce=2.0, clear_after=5.0)
     assert level.since == 10.0
 
 
-def test_at_the_edge_it_stays_degraded() -> None:
+def test_a_workload_that_recovers_only_briefly_stays_degraded() -> None:
     level = Level()
     assert level.note("Failed", 0.0, debounce=0.0, clear_after=10.0)
     for second in range(1, 100):
         assert level.note("Healthy" if second % 8 else "Failed", float(second), debounce=0.0, clear_after=10.0)
 
 
-def test_one_that_is_taken_over_from_an_earlier_monitor_has_to_be_well_for_as_long() -> None:
+def test_degradation_known_to_an_earlier_monitor_ends_only_after_the_clear_time() -> None:
     level = Level(since=-100.0)
     assert level.note("Starting", 0.0, debounce=2.0, clear_after=10.0)
     assert level.note("Healthy", 1.0, debounce=2.0, clear_after=10.0)

@@ -45,33 +45,33 @@ def committed(id: str = "r2", *, onset: float = NOW - 0.5, result: str = "Runnin
     return progress
 
 
-class TestWhatIsSeen:
-    def test_a_failure_is_known_from_the_gate_before_the_status_tells_of_it(self) -> None:
+class TestUpstreamState:
+    def test_the_gate_shows_a_failure_before_the_status(self) -> None:
         seen = UpstreamState.of(RobotWorkloadStatus(health="Healthy", recoveries=[recovered()]), committed())
         assert seen.failing
         assert seen.failing_since == pytest.approx(NOW - 0.5)
 
-    def test_a_recovery_that_is_in_the_status_is_over_whatever_stands_beside_the_gate(self) -> None:
+    def test_a_recovery_in_the_status_has_ended_whatever_the_gate_records(self) -> None:
         status = RobotWorkloadStatus(health="Healthy", recoveries=[recovered("r2")])
         assert not UpstreamState.of(status, committed("r2")).failing
 
-    def test_an_older_recovery_beside_the_gate_that_the_status_no_longer_has_is_over_too(self) -> None:
+    def test_a_recovery_at_the_gate_that_is_older_than_those_in_the_status_has_ended(self) -> None:
         status = RobotWorkloadStatus(health="Healthy", recoveries=[recovered("r3")])
         assert not UpstreamState.of(status, committed("r1", onset=NOW - 60)).failing
 
-    def test_a_recovery_that_came_to_nothing_and_was_left_to_an_instance_that_runs_is_over(self) -> None:
+    def test_a_failed_recovery_at_the_gate_of_a_healthy_workload_has_ended(self) -> None:
         assert not UpstreamState.of(RobotWorkloadStatus(health="Healthy"), committed(result="Failed")).failing
 
-    def test_the_beginning_of_a_failure_that_is_not_acted_on_is_in_the_status(self) -> None:
+    def test_the_status_reports_when_a_failure_began_that_is_not_acted_on(self) -> None:
         seen = UpstreamState.of(RobotWorkloadStatus(health="Failed", failing_since=rfc3339(NOW - 1)), None)
         assert seen.failing
         assert seen.failing_since == pytest.approx(NOW - 1)
 
     @pytest.mark.parametrize(("health", "failing"), [("Degraded", False), ("Unknown", False), ("Starting", True)])
-    def test_what_is_degraded_can_be_depended_on_and_what_starts_cannot(self, health: Any, failing: bool) -> None:
+    def test_a_degraded_dependency_is_usable_and_a_starting_one_is_not(self, health: Any, failing: bool) -> None:
         assert UpstreamState.of(RobotWorkloadStatus(health=health), None).failing == failing
 
-    def test_nothing_is_concluded_where_nothing_is_there(self) -> None:
+    def test_a_dependency_without_data_is_not_failing(self) -> None:
         assert not UpstreamState().failing
 
 
@@ -80,30 +80,30 @@ def last(id: str = "r1", onset: float = NOW - 5, end: float | None = NOW - 2) ->
 
 
 class TestOutages:
-    def test_it_lasts_from_the_last_healthy_output_until_the_recovery_is_verified(self) -> None:
+    def test_an_outage_lasts_from_the_last_healthy_output_until_the_recovery_is_verified(self) -> None:
         began = outage(None, UpstreamState("Failed", NOW - 5), NOW - 4)
         assert began == Outage(NOW - 5)
         assert outage(began, UpstreamState("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
 
-    def test_one_that_was_over_before_anything_was_seen_of_it_is_known_too(self) -> None:
+    def test_an_outage_that_ended_before_it_was_observed_is_recorded(self) -> None:
         """An executing standby takes over in milliseconds, and its monitor writes the status once."""
         assert outage(None, UpstreamState("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
         before = Outage(NOW - 50, NOW - 45)
         assert outage(before, UpstreamState("Healthy", last=last()), NOW) == Outage(NOW - 5, NOW - 2)
 
-    def test_one_that_got_well_by_itself_is_over_when_that_is_seen(self) -> None:
+    def test_an_outage_without_a_recovery_ends_when_the_dependency_is_healthy(self) -> None:
         assert outage(Outage(NOW - 5), UpstreamState("Healthy"), NOW) == Outage(NOW - 5, NOW)
         older = UpstreamState("Healthy", last=last("r0", NOW - 90, NOW - 80))
         assert outage(Outage(NOW - 5), older, NOW) == Outage(NOW - 5, NOW)
 
-    def test_it_goes_on_through_everything_that_is_tried(self) -> None:
+    def test_an_outage_continues_through_all_recovery_attempts(self) -> None:
         assert outage(Outage(NOW - 5), UpstreamState("Starting"), NOW) == Outage(NOW - 5)
         assert outage(Outage(NOW - 5), UpstreamState("Recovering", NOW - 1), NOW) == Outage(NOW - 5)
 
-    def test_where_its_beginning_is_not_known_everything_may_follow_from_it(self) -> None:
+    def test_an_outage_with_an_unknown_begin_precedes_every_failure(self) -> None:
         assert outage(None, UpstreamState("Starting"), NOW) == Outage(-math.inf)
 
-    def test_what_is_healthy_and_never_failed_has_none(self) -> None:
+    def test_a_healthy_dependency_without_failures_has_no_outage(self) -> None:
         assert outage(None, UpstreamState("Healthy"), NOW) is None
         assert outage(None, UpstreamState("Healthy", last=last(end=None)), NOW) is None
 
@@ -113,39 +113,39 @@ def held_at(now: float, *dependencies: Dependency, onset: float = NOW, **outages
     return held(onset, onset + 0.5, now, depends_on=dependencies or (needs(),), outages=outages)
 
 
-class TestHolding:
-    def test_without_dependencies_nothing_is_put_off(self) -> None:
+class TestHeldFailures:
+    def test_a_failure_without_dependencies_is_not_held(self) -> None:
         assert held(NOW, NOW, NOW, depends_on=[], outages={}) is None
 
-    def test_it_is_looked_for_a_moment_whether_another_failed_first(self) -> None:
+    def test_a_failure_is_held_briefly_to_notice_an_earlier_one(self) -> None:
         assert held_at(NOW + 0.5) == HeldFailure(NOW + 0.8)
         assert held_at(NOW + 0.81) is None
 
-    def test_a_failure_after_that_of_another_is_held_for_as_long_as_that_one_is_not_healthy(self) -> None:
+    def test_a_failure_that_follows_the_outage_of_a_dependency_is_held_during_the_outage(self) -> None:
         found = held_at(NOW + 30, localization=Outage(NOW - 0.05))
         assert found == HeldFailure(NOW + 120.5, "localization")
 
-    def test_it_is_acted_on_after_a_bounded_time_all_the_same(self) -> None:
+    def test_a_failure_is_held_for_a_bounded_time(self) -> None:
         assert held_at(NOW + 121, localization=Outage(NOW - 0.05)) is None
 
-    def test_a_failure_before_that_of_another_is_its_own(self) -> None:
+    def test_a_failure_that_precedes_the_outage_of_a_dependency_is_not_held(self) -> None:
         assert held_at(NOW + 1, localization=Outage(NOW + 0.2)) is None
 
-    def test_clocks_of_two_nodes_may_differ_a_little(self) -> None:
+    def test_small_clock_differences_between_nodes_are_tolerated(self) -> None:
         found = held_at(NOW + 1, localization=Outage(NOW + 0.08))
         assert found is not None
         assert found.name == "localization"
 
-    def test_once_the_other_is_healthy_again_it_has_time_to_settle_and_no_more(self) -> None:
+    def test_after_the_dependency_is_healthy_a_failure_is_held_for_the_settling_time(self) -> None:
         over = Outage(NOW - 1, NOW + 5)
         assert held_at(NOW + 6, localization=over) == HeldFailure(NOW + 15, "localization", settling=True)
         assert held_at(NOW + 15.1, localization=over) is None
 
-    def test_a_failure_long_after_the_other_was_healthy_again_is_its_own(self) -> None:
+    def test_a_failure_long_after_the_outage_of_a_dependency_is_not_held(self) -> None:
         over = Outage(NOW - 60, NOW - 55)
         assert held_at(NOW + 0.9, localization=over) is None
 
-    def test_what_is_depended_on_through_others_counts_with_the_longest_times(self) -> None:
+    def test_an_indirect_dependency_holds_a_failure_for_the_longest_of_its_times(self) -> None:
         dependencies = needs("planning", settleWithin="20s"), needs("maps", waitFor="5m")
         assert held_at(NOW + 1, *dependencies, localization=Outage(NOW - 1)) == HeldFailure(NOW + 300.5, "localization")
         over = Outage(NOW - 1, NOW)
@@ -153,12 +153,12 @@ class TestHolding:
             NOW + 20, "localization", settling=True
         )
 
-    def test_of_several_the_one_that_takes_longest_counts(self) -> None:
+    def test_the_dependency_with_the_longest_hold_counts(self) -> None:
         found = held_at(NOW + 1, needs("a"), needs("b"), a=Outage(NOW - 1, NOW), b=Outage(NOW - 1))
         assert found is not None
         assert found.name == "b"
 
-    def test_nothing_is_looked_for_where_that_is_not_wanted(self) -> None:
+    def test_a_notice_time_of_zero_holds_nothing(self) -> None:
         assert held_at(NOW + 0.5, needs(noticeWithin="0s")) is None
 
 
@@ -178,26 +178,26 @@ def due_now(
     return None if found is None else [f"{one.name}/{one.recovery}" for one in found.follows]
 
 
-class TestWhatIsDue:
+class TestDueReactions:
     known = {"localization": "r0", "planning": "p0"}  # noqa: RUF012
 
-    def test_nothing_while_nobody_was_recovered(self) -> None:
+    def test_no_reaction_is_due_without_a_recovery_of_a_dependency(self) -> None:
         assert due_now(self.known, localization=healthy("r0"), planning=healthy("p0", localization="r0")) is None
 
-    def test_a_recovery_of_another_once(self) -> None:
+    def test_a_reaction_to_a_recovery_is_due_once(self) -> None:
         seen = {"localization": healthy("r1"), "planning": healthy("p0", localization="r1")}
         assert due_now(self.known, **seen) == ["localization/r1"]
         assert due_now(self.known | {"localization": "r1"}, **seen) is None
 
-    def test_not_before_those_that_come_first_have_done_theirs(self) -> None:
+    def test_a_reaction_waits_for_the_reactions_of_earlier_dependencies(self) -> None:
         seen = {"localization": healthy("r1"), "planning": healthy("p0", localization="r0")}
         assert due_now(self.known, **seen) is None
 
-    def test_once_for_all_that_came_before(self) -> None:
+    def test_one_reaction_covers_all_earlier_recoveries(self) -> None:
         seen = {"localization": healthy("r1"), "planning": healthy("p1", localization="r1")}
         assert due_now(self.known, **seen) == ["localization/r1", "planning/p1"]
 
-    def test_not_while_one_that_comes_first_is_not_healthy(self) -> None:
+    def test_a_reaction_waits_until_earlier_dependencies_are_healthy(self) -> None:
         seen = {
             "localization": healthy("r1"),
             "planning": UpstreamState("Recovering", NOW - 1, followed={"localization": "r1"}),
@@ -208,14 +208,14 @@ class TestWhatIsDue:
         seen = {"localization": healthy("r1", NOW - 121), "planning": healthy("p0", localization="r0")}
         assert due_now(self.known, **seen) == ["localization/r1"]
 
-    def test_never_while_the_recovered_one_is_failing_again(self) -> None:
+    def test_a_reaction_is_not_due_while_the_recovered_dependency_fails_again(self) -> None:
         failing = replace(healthy("r1", NOW - 500), health="Failed")
         assert due_now(self.known, localization=failing, planning=healthy("p0", localization="r1")) is None
 
-    def test_one_that_was_not_seen_before_is_not_followed_yet(self) -> None:
+    def test_a_dependency_that_was_not_observed_before_causes_no_reaction(self) -> None:
         assert due_now({}, localization=healthy("r1"), planning=healthy()) is None
 
-    def test_a_recovery_that_came_to_nothing_and_an_instance_that_is_healthy_since(self) -> None:
+    def test_a_reaction_is_due_if_the_dependency_became_healthy_after_a_failed_recovery(self) -> None:
         seen = UpstreamState("Healthy", last=last("r1", NOW - 9, None))
         outages = {"localization": Outage(NOW - 9, NOW - 1)}
         found = due([needs()], CHAIN[:1], {"localization": seen}, outages, followed={"localization": "r0"}, now=NOW)
@@ -231,7 +231,7 @@ GRAPHS = {
 
 
 @pytest.mark.parametrize(("graph", "expected"), GRAPHS.values(), ids=GRAPHS.keys())
-def test_every_graph_is_recovered_in_order_at_the_same_time_where_it_can_be_and_each_once(
+def test_every_dependency_graph_is_recovered_in_parallel_waves_and_once_per_workload(
     graph: dict[str, list[str]], expected: list[list[str]]
 ) -> None:
     def upstream(name: str) -> list[Upstream]:
@@ -294,8 +294,8 @@ def following(world: World) -> Progress:
     return progress
 
 
-class TestBringingUpAgain:
-    async def test_it_is_done_behind_a_closed_gate_and_the_same_instance_drives_on(self) -> None:
+class TestReaction:
+    async def test_the_procedures_run_behind_a_closed_gate_and_the_same_instance_continues(self) -> None:
         store = driving()
         world = World(store)
         done = await recover(following(world), choices(BOTH, Restart()), world.means())
@@ -316,7 +316,7 @@ class TestBringingUpAgain:
         assert (done.result, done.strategy) == ("Recovered", "Restart")
         assert store.deleted == ["w-1"], "what could not be brought up again has failed"
 
-    async def test_an_instance_that_is_gone_is_replaced(self) -> None:
+    async def test_a_missing_instance_is_replaced(self) -> None:
         store = driving()
         world = World(store)
         progress = following(world)
@@ -324,7 +324,7 @@ class TestBringingUpAgain:
         done = await recover(progress, choices(AGAIN, Restart()), world.means())
         assert (done.result, done.strategy) == ("Recovered", "Restart")
 
-    async def test_a_monitor_that_is_killed_at_any_step_leaves_it_to_be_finished_once(self) -> None:
+    async def test_a_reaction_is_finished_once_although_the_monitor_is_killed_at_any_step(self) -> None:
         for step in range(1, 30):
             store = driving()
             first = World(store, dies_after=step)
@@ -344,7 +344,7 @@ class TestBringingUpAgain:
                 return
         pytest.fail("it never got through")
 
-    def test_that_it_fails_right_after_is_no_reason_to_pass_over_the_policy_s_first_strategy(self) -> None:
+    def test_a_failure_right_after_a_reaction_starts_with_the_first_strategy(self) -> None:
         done = Progress.begin("localization was recovered", last_healthy=NOW, detected=NOW)
         done.follows, done.result = [DependencyRecovery(name="localization", recovery="r1")], "Recovered"
         done.target, done.moments["verified"] = PodIdentity(name="w-1", uid="uid-w-1"), NOW

@@ -37,22 +37,22 @@ def recovered(index: int, *, uid: str = "uid-2", at: float = 100.0) -> Progress:
         (0, "uid-2", 100.0 + DELAY, 0),
         (0, "uid-3", 101.0, 0),
     ],
-    ids=["the next strategy", "none after the last one", "it has worked", "another instance"],
+    ids=["next strategy", "none after the last one", "healthy for long enough", "another instance"],
 )
-def test_an_instance_that_fails_as_soon_as_it_is_active_has_the_next_strategy_tried(
+def test_an_instance_that_fails_right_after_its_takeover_causes_the_next_strategy(
     index: int, uid: str, onset: float, expected: int | None
 ) -> None:
     latest = Takeover.of(recovered(index))
     assert first_strategy(latest, uid, onset, 2, healthy_delay=DELAY) == expected
 
 
-def test_a_recovery_that_failed_is_no_reason_to_skip_a_strategy() -> None:
+def test_a_failed_recovery_does_not_skip_a_strategy() -> None:
     latest = Takeover.of(recovered(0).model_copy(update={"result": "Failed"}))
     assert latest is None
     assert first_strategy(latest, "uid-2", 101.0, 2, healthy_delay=DELAY) == 0
 
 
-def test_a_flapping_application_has_every_strategy_tried_in_turn_until_it_was_healthy_for_long_enough() -> None:
+def test_a_flapping_application_causes_each_strategy_in_turn_until_it_stays_healthy() -> None:
     delay = 60.0
     latest = Takeover.of(recovered(0, uid="uid-2", at=100.0))
     assert latest is not None
@@ -69,7 +69,7 @@ def crash_looping(name: str, store: Store) -> None:
     store.pods[name] = replace(store.pods[name], crashing=True, ready=False)
 
 
-async def test_a_crash_looping_understudy_is_given_up_early() -> None:
+async def test_a_crash_looping_standby_is_abandoned_early() -> None:
     store = protected(pool="spare", held=True)
     store.broken.add("w-2")
     world = World(store)

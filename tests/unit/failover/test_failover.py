@@ -30,7 +30,7 @@ async def test_an_executing_standby_takes_over_in_one_commit() -> None:
     assert done.epoch == 2
 
 
-async def test_the_parts_add_up_from_last_healthy_to_routed() -> None:
+async def test_the_parts_of_a_recovery_add_up_from_last_healthy_to_routed() -> None:
     world = World(protected(pool="hot"))
     done = await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"], abs=1e-6)
@@ -40,7 +40,7 @@ async def test_the_parts_add_up_from_last_healthy_to_routed() -> None:
     )
 
 
-async def test_a_claimed_pod_is_started_only_behind_a_closed_gate() -> None:
+async def test_a_claimed_pod_is_started_behind_a_closed_gate() -> None:
     store = protected(pool="spare", held=True)
     world = World(store)
     done = await recover(failure(world), choices(UninitializedFallback("spare")), world.means())
@@ -50,7 +50,7 @@ async def test_a_claimed_pod_is_started_only_behind_a_closed_gate() -> None:
     assert {"claimed", "fenced", "started", "ready", "routed", "verified"} <= set(done.moments)
 
 
-async def test_losing_a_claim_means_trying_another_pod() -> None:
+async def test_a_workload_that_loses_a_claim_claims_another_pod() -> None:
     store = protected(pool="spare", held=True)
     store.add("w-3", pool="spare", held=True)
     store.others_claim.add("w-2")
@@ -60,7 +60,7 @@ async def test_losing_a_claim_means_trying_another_pod() -> None:
     assert done.target == PodIdentity(name="w-3", uid="uid-w-3")
 
 
-async def test_an_empty_pool_leaves_the_gate_alone_and_the_next_strategy_is_tried() -> None:
+async def test_an_empty_pool_leaves_the_gate_unchanged_and_the_next_strategy_is_tried() -> None:
     store = protected()
     world = World(store)
     done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.means())
@@ -72,7 +72,7 @@ async def test_an_empty_pool_leaves_the_gate_alone_and_the_next_strategy_is_trie
     assert store.commits == ["", "w-new1"]
 
 
-async def test_restart_never_opens_the_gate_for_the_pod_that_failed() -> None:
+async def test_a_restart_never_opens_the_gate_for_the_failed_pod() -> None:
     store = protected()
     world = World(store)
     done = await recover(failure(world), choices(Restart()), world.means())
@@ -82,7 +82,7 @@ async def test_restart_never_opens_the_gate_for_the_pod_that_failed() -> None:
     assert "w-1" not in store.commits
 
 
-async def test_a_standby_that_does_not_verify_is_followed_by_the_next_strategy_and_deleted() -> None:
+async def test_a_standby_that_is_not_verified_is_deleted_and_the_next_strategy_is_tried() -> None:
     store = protected(pool="hot")
     store.broken.add("w-2")
     world = World(store)
@@ -93,7 +93,7 @@ async def test_a_standby_that_does_not_verify_is_followed_by_the_next_strategy_a
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 
-async def test_the_strategy_that_is_being_tried_stands_beside_the_gate(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_gate_records_the_strategy_that_is_being_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     store = protected(pool="hot")
     store.broken.add("w-2")
     world = World(store)
@@ -110,7 +110,7 @@ async def test_the_strategy_that_is_being_tried_stands_beside_the_gate(monkeypat
 
 
 @pytest.mark.parametrize("loss", ["terminating", "gone"])
-async def test_an_understudy_that_is_lost_is_given_up_at_once(loss: str) -> None:
+async def test_a_lost_standby_is_abandoned_at_once(loss: str) -> None:
     store = protected(pool="spare", held=True)
     store.broken.add("w-2")
     world = World(store)
@@ -129,7 +129,7 @@ async def test_an_understudy_that_is_lost_is_given_up_at_once(loss: str) -> None
     assert world.clock() - begun < 20.0, "the time of the first strategy was waited for"
 
 
-async def test_when_nothing_verifies_the_recovery_has_failed_and_says_why() -> None:
+async def test_a_recovery_without_a_verified_instance_fails_with_the_reason() -> None:
     store = protected()
     store.source_makes_broken = True
     world = World(store)
@@ -138,7 +138,7 @@ async def test_when_nothing_verifies_the_recovery_has_failed_and_says_why() -> N
     assert "within 0.3 s" in done.attempts[0].message
 
 
-async def test_a_standby_that_is_not_ready_is_not_chosen() -> None:
+async def test_a_standby_that_is_not_ready_is_not_used() -> None:
     store = protected(pool="hot", ready=False)
     world = World(store)
     done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
@@ -147,7 +147,7 @@ async def test_a_standby_that_is_not_ready_is_not_chosen() -> None:
     assert done.strategy == "Restart"
 
 
-async def test_a_stale_monitor_never_undoes_a_newer_epoch() -> None:
+async def test_a_stale_monitor_does_not_undo_a_newer_epoch() -> None:
     store = protected(pool="hot")
     world = World(store)
     means = world.means()
@@ -176,7 +176,7 @@ async def test_without_a_failed_pod_any_ready_instance_takes_over() -> None:
         pytest.param(protected, [Restart()], id="restart"),
     ],
 )
-async def test_a_monitor_killed_at_any_step_is_finished_by_the_next(
+async def test_a_recovery_interrupted_at_any_step_is_finished_by_the_next_monitor(
     make: Callable[[], Store], strategies: list[object]
 ) -> None:
     whole = World(make())
@@ -209,7 +209,7 @@ async def test_a_held_strategy_is_skipped_and_claims_nothing() -> None:
     assert (store.commits, store.deleted) == ([], []), "nothing was claimed, fenced or deleted"
 
 
-async def test_a_recovery_that_a_previous_monitor_began_is_not_held() -> None:
+async def test_a_recovery_that_a_previous_monitor_started_is_not_held() -> None:
     store = protected(pool="hot")
     world = World(store)
     progress = failure(world)
@@ -218,7 +218,7 @@ async def test_a_recovery_that_a_previous_monitor_began_is_not_held() -> None:
     assert done.result == "Recovered"
 
 
-async def test_a_claim_that_is_refused_leaves_no_commit_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_refused_claim_leaves_no_pending_commit(monkeypatch: pytest.MonkeyPatch) -> None:
     # A commit that is carried out after the recovery was given up would look to the next one like another writer's.
     store = protected(pool="spare", held=True)
     world = World(store)

@@ -33,7 +33,7 @@ def test_a_pause_lasts_until_its_end_or_until_it_is_removed(until: float | None,
 @pytest.mark.parametrize(
     ("ended", "until"),
     [(None, None), (NOW - 3, NOW + 2), (NOW - 5, None), (NOW + 100, NOW + 5)],
-    ids=["no recovery", "just ended", "over", "other clock is ahead"],
+    ids=["no recovery", "just ended", "expired", "clock of the other node is ahead"],
 )
 def test_a_cooldown_lasts_from_the_end_of_a_recovery(ended: float | None, until: float | None) -> None:
     found = cooldown.in_force(policy(limits={"cooldown": "5s"}), ended, NOW)
@@ -44,7 +44,7 @@ def test_a_policy_with_priority_safety_has_no_cooldown() -> None:
     assert cooldown.in_force(policy(limits={"cooldown": "5s"}, priority="Safety"), NOW, NOW) is None
 
 
-def test_each_backoff_is_twice_the_last_one_up_to_a_maximum() -> None:
+def test_each_backoff_is_twice_the_previous_one_up_to_a_maximum() -> None:
     backoff, waits = Backoff(), []
     for _ in range(7):
         backoff = backoff.failed(NOW, policy())
@@ -57,7 +57,7 @@ def test_each_backoff_is_twice_the_last_one_up_to_a_maximum() -> None:
     assert backoff.cleared(NOW).in_force(NOW) is None
 
 
-def test_after_the_clock_was_set_back_no_wait_is_longer_than_it_was_meant_to_be() -> None:
+def test_a_clock_that_is_set_back_does_not_prolong_a_backoff() -> None:
     assert Backoff().after(10.0, NOW).at(NOW - 3600).not_before == NOW - 3590
 
 
@@ -66,7 +66,7 @@ def _policy_in_a_storm(since: float, status: str = "True") -> dict[str, Any]:
     return {"status": {"conditions": [condition]}}
 
 
-def test_a_storm_lasts_while_the_operator_reports_it_but_not_longer_than_hold_for() -> None:
+def test_a_storm_lasts_while_the_operator_reports_it_but_at_most_for_hold_for() -> None:
     guard = StormGuard(hold_for="1m")
     found = storm.in_force(guard, _policy_in_a_storm(NOW - 10), NOW)
     assert found is not None
@@ -76,7 +76,7 @@ def test_a_storm_lasts_while_the_operator_reports_it_but_not_longer_than_hold_fo
     assert storm.in_force(guard, None, NOW) is None
 
 
-def test_a_budget_is_spent_until_the_window_has_moved_on_or_somebody_resumes() -> None:
+def test_a_budget_is_spent_until_the_window_moves_on_or_somebody_resumes() -> None:
     limit = Budget(recoveries=2, within="100s")
     assert budget.in_force(limit, [NOW - 10], None, NOW) is None
     found = budget.in_force(limit, [NOW - 90, NOW - 10], None, NOW)

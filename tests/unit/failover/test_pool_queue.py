@@ -94,14 +94,14 @@ PODS = st.lists(TIMES, max_size=8)
 
 
 @given(st.lists(ROBOTS, max_size=7), PODS)
-def test_among_the_living_nobody_is_served_before_one_that_ranks_before_it(
+def test_among_running_workloads_none_is_served_before_a_higher_ranked_one(
     robots: list[Robot], pods: list[float]
 ) -> None:
     assert play(robots, pods).overtaken == []
 
 
 @given(st.lists(MORTALS, max_size=7), PODS)
-def test_a_pod_drives_one_robot_and_nobody_waits_for_a_vanished_one_for_long(
+def test_a_pod_serves_one_workload_and_a_vanished_one_delays_it_only_briefly(
     robots: list[Robot], pods: list[float]
 ) -> None:
     course = play(robots, pods)
@@ -112,7 +112,7 @@ def test_a_pod_drives_one_robot_and_nobody_waits_for_a_vanished_one_for_long(
 
 
 @given(st.lists(MORTALS, max_size=7), PODS)
-def test_a_living_one_is_overtaken_only_at_a_pod_that_was_left_for_as_long_as_it_can_be(
+def test_a_running_workload_is_overtaken_only_after_the_longest_yield_time(
     robots: list[Robot], pods: list[float]
 ) -> None:
     assert all(left >= YIELD_MOST - 1e-9 for left in play(robots, pods).overtaken)
@@ -123,7 +123,7 @@ def test_workloads_are_ordered_by_priority_then_waiting_time_then_name() -> None
     assert [w.workload for w in in_order(waiters, POOL, now=4)] == ["d", "c", "a", "b"]
 
 
-def test_whose_time_is_over_or_who_waits_for_another_pool_is_before_nobody() -> None:
+def test_an_expired_waiter_and_one_of_another_pool_are_not_ahead() -> None:
     late = place("late", priority=9, until=5)
     elsewhere = place("elsewhere", priority=9).model_copy(update={"pool": "other"})
     assert before(place("me"), [late, elsewhere], now=5) == 0
@@ -140,7 +140,7 @@ def test_whose_time_is_over_or_who_waits_for_another_pool_is_before_nobody() -> 
         (50, [3.0], 3.0 + YIELD_MOST),
     ],
 )
-def test_a_free_pod_is_left_to_each_that_is_before_for_a_moment(
+def test_a_free_pod_is_left_for_a_moment_to_each_workload_that_is_ahead(
     ahead: int, free: list[float], at: float | None
 ) -> None:
     assert due(ahead, free) == at

@@ -35,7 +35,7 @@ def refill(fleet: list[Store], name: str) -> None:
         store.add(name, pool=POOL, held=True)
 
 
-async def test_a_dry_pool_is_waited_for_behind_a_closed_gate_and_the_wait_does_not_count_as_verifying() -> None:
+async def test_a_workload_waits_behind_a_closed_gate_and_the_wait_is_not_verification_time() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     running = asyncio.create_task(fails(store, wait_for=5.0))
@@ -67,7 +67,7 @@ async def test_after_its_maximum_wait_a_workload_tries_the_next_strategy() -> No
     assert waiter(store.gate.recovery.model_dump_json()) is None  # type: ignore[union-attr]
 
 
-async def test_a_pod_that_the_workload_s_own_controller_has_up_first_is_taken_and_no_other_waited_for() -> None:
+async def test_a_pod_of_the_workload_controller_that_is_ready_first_ends_the_wait() -> None:
     store = robot("a", [])
     running = asyncio.create_task(fails(store, wait_for=60.0))
     await until(lambda: store.told)
@@ -98,7 +98,7 @@ async def test_each_pool_is_awaited_in_order() -> None:
     assert (done.index, done.result) == (1, "Recovered")
 
 
-async def test_a_more_critical_workload_is_served_first_although_it_came_later() -> None:
+async def test_a_workload_of_higher_priority_is_served_first_although_it_came_later() -> None:
     fleet: list[Store] = []
     low, high = robot("low", fleet), robot("high", fleet, priority=100)
     tasks = [asyncio.create_task(fails(low, 10.0))]
@@ -113,7 +113,7 @@ async def test_a_more_critical_workload_is_served_first_although_it_came_later()
     assert (list(low.claims), list(high.claims)) == (["p2"], ["p1"])
 
 
-async def test_two_pods_at_once_serve_two_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_two_simultaneous_pods_serve_two_workloads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pool_queue, "YIELD", 60.0)
     monkeypatch.setattr(pool_queue, "YIELD_MOST", 60.0)
     fleet: list[Store] = []
@@ -197,7 +197,7 @@ async def test_the_reserved_pods_of_a_pool_are_kept_for_critical_workloads(pods:
     assert done.strategy == ("Fallback/Uninitialized" if taken else "Restart")
 
 
-async def test_one_that_waits_leaves_the_reserve_to_the_critical_and_takes_what_comes_beyond_it() -> None:
+async def test_a_waiting_workload_takes_only_pods_beyond_the_reserve() -> None:
     fleet: list[Store] = []
     store, critical = robot("a", fleet), robot("b", fleet, priority=100)
     refill(fleet, "p1")
@@ -228,7 +228,7 @@ async def test_a_workload_that_loses_a_claim_returns_to_the_queue() -> None:
     assert done.strategy == "Fallback/Uninitialized"
 
 
-async def test_a_monitor_killed_at_any_step_of_a_wait_is_finished_by_the_next() -> None:
+async def test_a_wait_interrupted_at_any_step_is_finished_by_the_next_monitor() -> None:
     async def run(store: Store, world: World, progress: Progress) -> Progress:
         there = "p1" in store.pods or store.claims
         coming = asyncio.get_running_loop().call_later(0.03, lambda: there or refill(store.fleet, "p1"))
@@ -291,7 +291,7 @@ def test_a_workload_tries_pods_in_an_order_that_does_not_depend_on_the_list() ->
 # -- looking for pods ---------------------------------------------------------------------------------------------------
 
 
-async def test_who_fails_with_a_full_pool_asks_for_its_part_and_watches_nothing() -> None:
+async def test_a_workload_lists_only_its_part_of_a_full_pool_and_watches_nothing() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     for number in range(4):
@@ -314,7 +314,7 @@ async def test_a_workload_whose_part_of_the_pool_is_empty_lists_all_pods() -> No
     assert (list(store.claims), store.looks) == (["p0"], ["part", "all"])
 
 
-async def test_where_the_pool_keeps_some_for_others_all_are_asked_for_since_they_count() -> None:
+async def test_a_workload_lists_all_pods_of_a_pool_with_a_reserve() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     for number in range(2):
@@ -335,7 +335,7 @@ async def test_a_workload_without_a_pod_watches_the_pool_until_it_has_one() -> N
     assert store.looks == ["part", "all", "followed"]
 
 
-async def test_while_nothing_has_failed_it_goes_by_what_the_operator_says_of_the_pool() -> None:
+async def test_before_a_failure_the_status_of_the_operator_tells_whether_the_pool_has_a_pod() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     strategy = UninitializedFallback(POOL)

@@ -29,13 +29,13 @@ def bring_up(name: str = "bringUp", procedure: Procedure = ACTIVATE) -> BringUp:
     return found
 
 
-def test_a_tree_that_restores_state_is_known_to() -> None:
+def test_a_procedure_that_restores_state_is_recognized() -> None:
     assert bring_up("recovery", RESTORING).restores_state
     assert not bring_up().restores_state
     assert BringUp.of("recovery", None) is None
 
 
-def test_the_same_procedure_in_another_language_is_the_same() -> None:
+def test_equal_procedures_in_two_languages_have_the_same_digest() -> None:
     text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/amcl", lifecycle_state!active)\n'
     written = bring_up(procedure=Procedure(osc=text, within="10s"))
     assert (written.tree, written.digest) == (bring_up().tree, bring_up().digest)
@@ -55,7 +55,7 @@ async def test_an_initialized_standby_is_brought_up_behind_a_closed_gate() -> No
     assert store.deleted == ["w-1"]
 
 
-async def test_nothing_is_started_of_an_initialized_standby() -> None:
+async def test_an_initialized_standby_has_no_startup_time() -> None:
     """The paper: t_startup ends when processes are up, and those were; what is left is re-initialization."""
     world = World(protected(pool="warm"))
     done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up())), world.means())
@@ -64,7 +64,7 @@ async def test_nothing_is_started_of_an_initialized_standby() -> None:
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"], abs=1e-6)
 
 
-async def test_an_application_that_brings_itself_up_needs_no_procedure() -> None:
+async def test_an_initialized_standby_can_take_over_without_a_procedure() -> None:
     store = protected(pool="warm")
     world = World(store)
     done = await recover(failure(world), choices(InitializedFallback("warm")), world.means())
@@ -73,7 +73,7 @@ async def test_an_application_that_brings_itself_up_needs_no_procedure() -> None
     assert store.brought_up == []
 
 
-async def test_started_instances_are_brought_up_too_and_that_is_no_startup() -> None:
+async def test_a_started_instance_is_brought_up_and_the_time_counts_as_reinitialization() -> None:
     for strategy, pod in (
         (UninitializedFallback("spare", recovery=bring_up()), "w-2"),
         (Restart(recovery=bring_up()), "w-new1"),
@@ -87,7 +87,7 @@ async def test_started_instances_are_brought_up_too_and_that_is_no_startup() -> 
         assert done.parts["reinitialization"] > 0.0
 
 
-async def test_an_executing_standby_is_only_touched_where_the_policy_says_so() -> None:
+async def test_an_executing_standby_runs_a_procedure_only_if_the_policy_has_one() -> None:
     store = protected(pool="hot")
     world = World(store)
     await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
@@ -99,7 +99,7 @@ async def test_an_executing_standby_is_only_touched_where_the_policy_says_so() -
     assert store.brought_up == [("w-2", "recovery")]
 
 
-async def test_a_procedure_that_fails_is_said_with_its_leaf_and_the_next_strategy_is_tried() -> None:
+async def test_a_failed_procedure_is_reported_with_its_leaf_and_the_next_strategy_is_tried() -> None:
     store = protected(pool="warm")
     store.unwilling.add("w-2")
     world = World(store)
@@ -111,7 +111,7 @@ async def test_a_procedure_that_fails_is_said_with_its_leaf_and_the_next_strateg
     assert {"w-1", "w-2"} <= set(store.deleted)
 
 
-async def test_a_procedure_that_never_ends_leaves_time_to_say_at_which_leaf_it_hung() -> None:
+async def test_a_procedure_that_never_ends_is_stopped_in_time_to_report_its_leaf() -> None:
     store = protected(pool="warm")
     store.endless.add("w-2")
     world = World(store)
@@ -124,7 +124,7 @@ async def test_a_procedure_that_never_ends_leaves_time_to_say_at_which_leaf_it_h
     assert done.attempts[0].message == "bringUp.wait_for: node /nobody is not there"
 
 
-async def test_the_standbys_of_another_readiness_are_not_taken() -> None:
+async def test_standbys_of_another_readiness_are_not_used() -> None:
     store = protected(pool="hot")
     store.add("w-3", pool="warm")
     world = World(store)
@@ -138,7 +138,7 @@ async def test_the_standbys_of_another_readiness_are_not_taken() -> None:
     assert done.attempts[0].message == "pool warm has no standby for this workload"
 
 
-async def test_what_the_controller_makes_waits_as_a_standby_of_the_first_pool_only() -> None:
+async def test_a_pod_of_the_workload_controller_is_a_standby_only_of_the_first_pool() -> None:
     store = protected()
     store.add("w-2")
     world = World(store)
@@ -147,7 +147,7 @@ async def test_what_the_controller_makes_waits_as_a_standby_of_the_first_pool_on
 
 
 @pytest.mark.parametrize("procedure", [ACTIVATE, RESTORING])
-async def test_state_is_restored_before_the_tree_unless_the_tree_says_where(procedure: Procedure) -> None:
+async def test_state_is_restored_before_the_procedure_unless_the_procedure_restores_it(procedure: Procedure) -> None:
     store = protected(pool="warm")
     world = World(store)
     kept = KeptState(samples=(KeptSample("/amcl_pose", "a/msg/B", 0.0, b"x", to="/initialpose"),))
@@ -162,7 +162,7 @@ async def test_state_is_restored_before_the_tree_unless_the_tree_says_where(proc
 
 
 @pytest.mark.parametrize("dies_after", range(14))
-async def test_a_monitor_that_dies_while_bringing_up_is_finished_by_the_next(dies_after: int) -> None:
+async def test_a_bring_up_interrupted_at_any_step_is_finished_by_the_next_monitor(dies_after: int) -> None:
     store = protected(pool="warm")
     world = World(store, dies_after=dies_after)
     # Long, since the first of them must verify however busy the machine is.

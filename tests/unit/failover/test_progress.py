@@ -35,13 +35,13 @@ def test_a_command_after_the_first_probe_changes_nothing() -> None:
     assert progress.parts["cluster"] == pytest.approx(0.02)
 
 
-def test_a_failed_pod_that_was_heard_later_was_fenced_later() -> None:
+def test_a_failed_pod_whose_last_command_came_later_was_fenced_later() -> None:
     progress = switched(routed=100.09, fenced=100.12)
     progress.note_first_output(100.05)
     assert (progress.moments["routed"], progress.moments["fenced"]) == (100.05, 100.12)
 
 
-def test_by_the_reflex_the_first_command_came_before_the_commit() -> None:
+def test_with_the_reflex_the_first_command_precedes_the_commit() -> None:
     progress = switched(routed=100.09)
     progress.taken_over = PodIdentity(name="p", uid="u")
     progress.moments["first_output"] = 99.9
@@ -49,14 +49,14 @@ def test_by_the_reflex_the_first_command_came_before_the_commit() -> None:
     assert (progress.moments["first_output"], progress.moments["routed"]) == (99.9, 100.09)
 
 
-def test_without_a_probe_no_time_is_recorded() -> None:
+def test_without_a_probe_no_routing_time_is_recorded() -> None:
     progress = Progress.begin("silent", last_healthy=99.5, detected=100.0)
     progress.note_first_output(100.05)
     assert "routed" not in progress.moments
     assert "cluster" not in progress.parts
 
 
-def test_that_it_is_planned_outlives_a_monitor_and_is_recorded() -> None:
+def test_a_planned_recovery_stays_planned_after_a_restart_and_in_the_record() -> None:
     begun = Progress.begin("degraded: slow", last_healthy=99.9, detected=100.0, planned=True)
     taken_up = Progress.model_validate_json(begun.model_dump_json())
     assert taken_up.to_recovery(1).planned
@@ -74,15 +74,15 @@ def beside(**moments: float) -> Progress:
     return progress
 
 
-class TestWhatOnlyAGateTellsOf:
+class TestUnderWay:
     """A status contains the recovery of its gate once the recovery is over, or takes long."""
 
-    def test_a_recovery_that_the_status_has_not_is_under_way(self) -> None:
+    def test_a_recovery_that_is_only_at_the_gate_is_under_way(self) -> None:
         committed = Committed.of(beside())
         assert under_way(committed, [])
         assert under_way(committed, [("r1", rfc3339(NOW - 60))], NOW)
 
-    def test_one_that_the_status_has_is_told_whatever_else_it_says(self) -> None:
+    def test_a_recovery_in_the_status_is_not_under_way(self) -> None:
         committed = Committed.of(beside())
         assert not under_way(committed, [("r2", rfc3339(NOW - 0.5))])
         assert not under_way(committed, [("r1", None), ("r2", None)]), "and however many others there are"
@@ -91,13 +91,15 @@ class TestWhatOnlyAGateTellsOf:
         assert not under_way(None, [], NOW)
 
     @pytest.mark.parametrize("result", ["Recovered", "Failed"])
-    def test_one_that_has_come_to_its_end_by_the_gate_is_over(self, result: Literal["Recovered", "Failed"]) -> None:
+    def test_a_recovery_with_a_result_at_the_gate_is_not_under_way(
+        self, result: Literal["Recovered", "Failed"]
+    ) -> None:
         progress = beside()
         progress.result = result
         assert not under_way(Committed.of(progress), [], NOW)
 
     @pytest.mark.parametrize(("later", "expected"), [(0.0, False), (10.0, False), (-10.0, True)])
-    def test_one_that_began_no_later_than_one_in_the_status_is_told_with_that(
+    def test_a_recovery_that_began_no_later_than_one_in_the_status_is_not_under_way(
         self, later: float, expected: bool
     ) -> None:
         """Of several that failed like each other only the last is kept, and the status keeps ten."""
@@ -108,21 +110,21 @@ class TestWhatOnlyAGateTellsOf:
         assert not under_way(Committed.of(beside()), told)
         assert not under_way(Committed.of(beside()), reversed(told))
 
-    def test_after_a_while_it_may_have_been_given_up_which_nothing_tells(self) -> None:
+    def test_a_recovery_is_under_way_for_a_bounded_time(self) -> None:
         committed = Committed.of(beside())
         assert under_way(committed, [], NOW - 0.5 + LASTS - 0.001)
         assert not under_way(committed, [], NOW - 0.5 + LASTS)
         assert under_way(committed, []), "who has a bound of their own asks for none"
         assert under_way(committed, [], NOW - 60), "by a clock that is behind it has only just begun"
 
-    def test_one_that_was_held_begins_when_it_is_released(self) -> None:
+    def test_a_held_recovery_begins_at_its_release(self) -> None:
         committed = Committed.of(beside(held=NOW, released=NOW + 300))
         assert under_way(committed, [], NOW + 305)
         assert not under_way(committed, [("r1", rfc3339(NOW + 1))], NOW + 305), (
             "it is as old as its failure all the same"
         )
 
-    def test_of_one_without_a_time_only_its_id_is_known(self) -> None:
+    def test_a_recovery_without_a_time_is_known_only_by_its_id(self) -> None:
         progress = beside()
         progress.moments, progress.cursor = {}, 0.0
         committed = Committed.of(progress)

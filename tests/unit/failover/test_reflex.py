@@ -32,11 +32,11 @@ def seen(active: list[float], standby: list[float], now: float) -> tuple[float, 
     return switched(active, standby, deadline=DEADLINE, now=now)
 
 
-def test_a_standby_heard_after_the_deadline_drives() -> None:
+def test_a_standby_that_is_heard_after_the_deadline_drives() -> None:
     assert seen(every(0.05, 1, 2), [2.13], 2.14) == (2.0, 2.13)
 
 
-def test_while_the_one_in_control_is_heard_nothing_else_counts() -> None:
+def test_while_the_active_instance_is_heard_no_standby_drives() -> None:
     assert seen(every(0.05, 1, 2), [], 2.3) is None, "silence alone is the health tree's business"
     assert seen(every(0.05, 1, 2), [0.9], 2.01) is None, "what was before its last output"
     assert seen([*every(0.05, 1, 2), 2.14], [2.12], 2.2) is None, "it was late once and took the robot back"
@@ -47,12 +47,12 @@ def test_a_writer_that_left_gives_way_at_once_but_must_stay_silent() -> None:
     assert seen(every(0.05, 1, 2), [2.02, 2.07], 2.11) == (2.0, 2.02)
 
 
-def test_a_standby_that_begins_first_after_a_pause_is_given_a_deadline_to_lose_again() -> None:
+def test_a_standby_that_is_first_after_a_pause_drives_only_after_a_deadline() -> None:
     assert seen(every(0.05, 1, 2), [9.0], 9.02) is None
     assert seen(every(0.05, 1, 2), [9.0, 9.05], 9.11) == (2.0, 9.0)
 
 
-def test_before_the_one_in_control_was_heard_nothing_is_concluded() -> None:
+def test_no_standby_drives_before_the_active_instance_was_heard() -> None:
     assert seen([], every(0.05, 5, 9), 9.01) is None, "a monitor that starts may discover the standby first"
 
 
@@ -90,7 +90,7 @@ async def carried_out(progress: Progress, world: World) -> Progress:
     return await recover(progress, choices, world.means())
 
 
-async def test_it_is_committed_once_and_only_the_detection_counts() -> None:
+async def test_a_takeover_is_committed_once_and_only_the_detection_counts() -> None:
     world = World(fallen_over())
     done = await carried_out(begun(world), world)
     assert (done.result, done.strategy, done.epoch) == ("Recovered", "Fallback/Executing (reflex)", 2)
@@ -107,7 +107,7 @@ async def test_it_is_committed_once_and_only_the_detection_counts() -> None:
     assert done.moments["routed"] == done.moments["first_output"] < done.moments["fenced"]
 
 
-async def test_an_api_server_that_is_away_for_long_delays_only_the_commit() -> None:
+async def test_a_slow_api_server_delays_only_the_commit() -> None:
     world = World(fallen_over())
     means = world.means()
     commit = means.gate.commit
@@ -124,7 +124,7 @@ async def test_an_api_server_that_is_away_for_long_delays_only_the_commit() -> N
     assert sum(done.parts.values()) == pytest.approx(0.125)
 
 
-async def test_a_standby_that_is_gone_before_the_commit_is_replaced_by_the_next_strategy() -> None:
+async def test_a_standby_that_stops_before_the_commit_is_replaced_by_the_next_strategy() -> None:
     store = fallen_over()
     store.pods["w-2"] = replace(store.pods["w-2"], running=False)
     store.add("w-3", pool="hot")
@@ -136,7 +136,7 @@ async def test_a_standby_that_is_gone_before_the_commit_is_replaced_by_the_next_
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"])
 
 
-async def test_a_monitor_killed_at_any_step_is_finished_by_the_next() -> None:
+async def test_a_takeover_interrupted_at_any_step_is_finished_by_the_next_monitor() -> None:
     whole = World(fallen_over())
     await carried_out(begun(whole), whole)
     for step in range(whole.effects):
@@ -152,7 +152,7 @@ async def test_a_monitor_killed_at_any_step_is_finished_by_the_next() -> None:
         assert "w-1" not in store.pods, f"killed at step {step}"
 
 
-async def test_an_ordinary_fallback_takes_the_standby_that_is_let_through() -> None:
+async def test_an_ordinary_fallback_uses_the_admitted_standby() -> None:
     store = fallen_over()
     store.add("w-0", pool="hot", created="2020-01-01T00:00:00Z")
     world = World(store)

@@ -11,7 +11,7 @@ CARRYING, DOCKING = Rule("carrying", 0.0, 10.0), Rule("docking", 2.0, 0.0)
 BOTH = (CARRYING, DOCKING)
 
 
-def test_it_is_in_force_at_once_and_for_a_time_after_its_end() -> None:
+def test_a_situation_is_in_force_at_once_and_for_the_clear_time_after_its_end() -> None:
     found = Situations()
     assert found.note(BOTH, {"carrying": False, "docking": False}, 0.0) is None
     assert found.note(BOTH, {"carrying": True, "docking": False}, 1.0) == "carrying"
@@ -20,19 +20,19 @@ def test_it_is_in_force_at_once_and_for_a_time_after_its_end() -> None:
     assert found.note(BOTH, {"carrying": False, "docking": False}, 12.0) is None
 
 
-def test_a_task_that_begins_again_before_that_ends_nothing() -> None:
+def test_a_situation_that_returns_within_the_clear_time_does_not_end() -> None:
     found = Situations()
     for second in range(60):
         assert found.note(BOTH, {"carrying": second % 6 == 0}, float(second)) == "carrying"
 
 
-def test_one_that_does_not_last_never_is() -> None:
+def test_a_situation_that_is_shorter_than_its_debounce_is_never_in_force() -> None:
     found = Situations()
     for second in range(60):
         assert found.note(BOTH, {"docking": second % 2 == 0}, float(second)) is None
 
 
-def test_the_first_of_the_list_goes_before_the_others() -> None:
+def test_an_earlier_situation_of_the_list_takes_precedence() -> None:
     found = Situations()
     assert found.note(BOTH, {"docking": True}, 0.0) is None
     assert found.note(BOTH, {"docking": True, "carrying": False}, 2.0) == "docking"
@@ -41,7 +41,7 @@ def test_the_first_of_the_list_goes_before_the_others() -> None:
     assert found.note(BOTH, {"docking": True, "carrying": False}, 14.0) == "docking"
 
 
-def test_what_can_not_be_told_changes_nothing_however_long_it_lasts() -> None:
+def test_an_undecided_situation_changes_nothing() -> None:
     found = Situations()
     assert found.note(BOTH, {"carrying": True}, 0.0) == "carrying"
     assert found.note(BOTH, {"carrying": False}, 1.0) == "carrying"
@@ -51,7 +51,7 @@ def test_what_can_not_be_told_changes_nothing_however_long_it_lasts() -> None:
     assert found.note(BOTH, {"carrying": False}, 110.0) is None
 
 
-def test_one_that_was_in_force_before_goes_on() -> None:
+def test_a_situation_of_an_earlier_monitor_stays_in_force() -> None:
     found = Situations()
     found.adopt("carrying", 5.0)
     assert found.note(BOTH, {}, 5.0) == "carrying"
@@ -63,7 +63,7 @@ SEEN = st.fixed_dictionaries({rule.name: st.sampled_from([True, False, None]) fo
 
 
 @given(st.lists(st.tuples(st.integers(1, 30), SEEN), min_size=1, max_size=50))
-def test_however_it_flickers_none_is_in_force_for_less_than_its_clear_time(
+def test_a_situation_is_in_force_for_at_least_its_clear_time(
     course: list[tuple[int, dict[str, bool | None]]],
 ) -> None:
     found, now, entered = Situations(), 0.0, None

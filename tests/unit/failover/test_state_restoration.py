@@ -57,7 +57,7 @@ EXPECTED = [
 ]
 
 
-async def test_a_claimed_pod_is_given_the_state_behind_the_closed_gate() -> None:
+async def test_a_claimed_pod_receives_the_state_behind_the_closed_gate() -> None:
     made = store(pool="spare", held=True)
     done = await recover(failure(world := World(made)), [Choice(UninitializedFallback("spare"), 0.5)], world.means())
     assert done.result == "Recovered"
@@ -65,14 +65,14 @@ async def test_a_claimed_pod_is_given_the_state_behind_the_closed_gate() -> None
     assert recorded(done) == EXPECTED
 
 
-async def test_a_restarted_pod_is_given_the_state() -> None:
+async def test_a_restarted_pod_receives_the_state() -> None:
     made = store()
     done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.means())
     assert (done.result, list(made.given)) == ("Recovered", ["w-new1"])
     assert recorded(done) == EXPECTED
 
 
-async def test_an_executing_standby_has_its_own_state() -> None:
+async def test_an_executing_standby_receives_no_state() -> None:
     made = store(pool="hot")
     done = await recover(failure(world := World(made)), [Choice(ExecutingFallback("hot"), 0.5)], world.means())
     assert (done.result, made.given, done.state) == ("Recovered", {}, [])
@@ -118,7 +118,7 @@ async def test_a_second_attempt_records_the_state_of_its_own_instance() -> None:
     assert recorded(done) == EXPECTED
 
 
-async def test_whenever_the_monitor_is_killed_the_next_one_has_the_state_given() -> None:
+async def test_state_is_restored_although_the_monitor_is_killed_at_any_step() -> None:
     for step in range(60):
         made = store(pool="spare", held=True)
         world = World(made, dies_after=step)

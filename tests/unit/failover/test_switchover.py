@@ -68,7 +68,7 @@ EACH = pytest.mark.parametrize(("strategy", "standby"), STRATEGIES, ids=["execut
 
 
 @EACH
-async def test_the_gate_is_written_once_and_never_closed(strategy: Strategy, standby: dict[str, object]) -> None:
+async def test_the_gate_is_committed_once_and_never_closed(strategy: Strategy, standby: dict[str, object]) -> None:
     store = driven(**standby)
     done = await switched(World(store), strategy)
     assert (done.result, store.gate.active, store.gate.epoch) == ("Recovered", "w-2", 2)
@@ -77,7 +77,7 @@ async def test_the_gate_is_written_once_and_never_closed(strategy: Strategy, sta
 
 
 @EACH
-async def test_nothing_is_changed_at_the_gate_before_the_understudy_can_drive(
+async def test_the_gate_does_not_change_before_the_standby_can_drive(
     strategy: Strategy, standby: dict[str, object]
 ) -> None:
     store = driven(**standby)
@@ -88,7 +88,7 @@ async def test_nothing_is_changed_at_the_gate_before_the_understudy_can_drive(
     assert store.journal is None, "a new monitor has nothing to go on with: it begins anew"
 
 
-async def test_an_initialized_standby_gets_fresh_state_and_is_brought_up_while_the_former_one_drives() -> None:
+async def test_an_initialized_standby_is_brought_up_with_fresh_state_before_the_switch() -> None:
     store = driven(pool="warm")
     done = await switched(World(store), InitializedFallback("warm", recovery=BRING_UP))
     assert store.given == {"w-2": store.kept}
@@ -96,7 +96,7 @@ async def test_an_initialized_standby_gets_fresh_state_and_is_brought_up_while_t
     assert [(entry.name, entry.restored) for entry in done.to_recovery(1).state] == [("/amcl_pose", True)]
 
 
-async def test_its_record_counts_what_the_robot_saw_and_not_the_preparation() -> None:
+async def test_the_record_of_a_switchover_excludes_its_preparation() -> None:
     world = World(driven(pool="spare", held=True))
     recovery = (await switched(world, UninitializedFallback("spare", recovery=BRING_UP))).to_recovery(4)
     assert (recovery.planned, recovery.switchover) == (True, "Failover")
@@ -107,13 +107,13 @@ async def test_its_record_counts_what_the_robot_saw_and_not_the_preparation() ->
     assert [(a.strategy, a.result) for a in recovery.attempts] == [("Fallback/Uninitialized", "Verified")]
 
 
-async def test_when_a_standbys_processes_were_started_is_of_no_interest() -> None:
+async def test_the_start_of_the_standby_is_not_recorded() -> None:
     done = await switched(World(driven(pool="warm")), InitializedFallback("warm", recovery=BRING_UP))
     assert "started" not in done.moments, "long ago"
     assert "ready" in done.moments
 
 
-async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is_told() -> None:
+async def test_without_a_ready_standby_nothing_changes_and_the_reason_is_reported() -> None:
     store = driven(pool="hot", ready=False)
     found = await prepared_by(World(store), ExecutingFallback("hot"), UninitializedFallback("spare"), Restart())
     assert found.target is None
@@ -124,9 +124,7 @@ async def test_where_no_understudy_is_ready_nothing_is_changed_and_the_reason_is
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
 
 
-async def test_an_understudy_that_does_not_get_ready_in_its_time_is_deleted_and_the_next_strategy_has_its_turn() -> (
-    None
-):
+async def test_a_standby_that_is_not_ready_in_time_is_deleted_and_the_next_strategy_is_tried() -> None:
     store = driven(pool="warm")
     store.broken.add("w-2")
     store.add("w-3", pool="spare", held=True)
@@ -138,7 +136,7 @@ async def test_an_understudy_that_does_not_get_ready_in_its_time_is_deleted_and_
     assert "was ready within 0.3 s" in found.attempts[0].message
 
 
-async def test_a_procedure_that_fails_is_told_and_nothing_is_changed() -> None:
+async def test_a_failed_procedure_is_reported_and_nothing_changes() -> None:
     store = driven(pool="warm")
     store.unwilling.add("w-2")
     found = await prepared_by(World(store), InitializedFallback("warm", recovery=BRING_UP))
@@ -160,7 +158,9 @@ async def test_an_unsuitable_instance_is_not_used(strategy: Strategy, standby: d
     assert found.target.name == "w-3"
 
 
-async def test_where_the_robot_is_not_seen_to_be_driven_the_gate_is_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_gate_returns_to_the_former_instance_if_the_robot_receives_no_output(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(switchover, "SEEN_WITHIN", 0.1)
     store = driven(pool="hot")
     store.broken.add("w-2")
@@ -174,7 +174,7 @@ async def test_where_the_robot_is_not_seen_to_be_driven_the_gate_is_given_back(m
     assert [pod.name for pod in done.replaced] == ["w-2"], "the former one isn't one that was replaced"
 
 
-async def test_where_the_former_instance_is_gone_too_the_gate_is_left_for_what_follows(
+async def test_the_gate_stays_if_the_former_instance_is_missing_too(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(switchover, "SEEN_WITHIN", 0.1)
@@ -198,7 +198,7 @@ async def test_a_switchover_does_not_wait_for_a_silent_api_server(monkeypatch: p
     assert (store.gate.active, store.deleted) == ("w-1", [])
 
 
-async def test_a_commit_of_another_monitor_in_between_wins() -> None:
+async def test_a_commit_of_another_monitor_takes_precedence() -> None:
     store = driven(pool="hot")
     world = World(store)
     found, means = await prepared_by(world, ExecutingFallback("hot")), world.means()
@@ -208,7 +208,7 @@ async def test_a_commit_of_another_monitor_in_between_wins() -> None:
     assert store.deleted == []
 
 
-async def test_an_overtaken_switchover_changes_nothing() -> None:
+async def test_a_superseded_switchover_changes_nothing() -> None:
     store = driven(pool="hot")
     world = World(store)
     progress = planned(world)
@@ -217,7 +217,7 @@ async def test_an_overtaken_switchover_changes_nothing() -> None:
         await settle(progress, world.means())
 
 
-async def test_home_is_a_pod_that_the_workloads_own_controller_starts_beside_the_one_that_drives() -> None:
+async def test_a_failback_starts_a_pod_of_the_workload_controller_and_switches_to_it() -> None:
     store = driven()
     store.pods.clear()
     store.add("s-1", pool="spare", claim="uid-w/1")
@@ -235,7 +235,7 @@ async def test_home_is_a_pod_that_the_workloads_own_controller_starts_beside_the
 
 
 @EACH
-async def test_whenever_the_monitor_is_killed_one_instance_drives_and_the_next_monitor_makes_an_end(
+async def test_a_switchover_interrupted_at_any_step_leaves_one_active_instance_and_is_finished(
     strategy: Strategy, standby: dict[str, object]
 ) -> None:
     for step in range(60):
@@ -276,7 +276,7 @@ async def test_a_preparation_can_be_cancelled() -> None:
     assert (store.gate.active, store.commits, store.deleted) == ("w-1", [], [])
 
 
-async def test_an_understudy_that_is_gone_before_the_switch_changes_nothing() -> None:
+async def test_a_standby_that_disappears_before_the_switch_changes_nothing() -> None:
     store = driven(pool="hot")
     world = World(store)
     found = await prepared_by(world, ExecutingFallback("hot"))

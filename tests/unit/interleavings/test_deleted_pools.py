@@ -168,7 +168,7 @@ def run(seed: int, *, tracing: bool = False, scene: Scene | None = None) -> tupl
             made.dispose()
 
 
-def test_whoever_drives_can_be_commanded_after_its_pool_was_deleted() -> None:
+def test_the_active_instance_can_be_commanded_after_its_pool_was_deleted() -> None:
     seen: Counter[str] = Counter()
     for seed in range(FIRST, FIRST + RUNS):
         outcome, found = run(seed)
@@ -199,12 +199,12 @@ def found(words: str, within: int = 100) -> None:
 
 
 @pytest.mark.parametrize("words", ["deletes the token", "takes away the right"])
-def test_it_is_found_where_nobody_thinks_of_claims_that_were_not_seen_yet(words: str) -> None:
+def test_the_simulation_detects_an_operator_that_ignores_unobserved_claims(words: str) -> None:
     with mock.patch.object(claim_tokens, "claimable", return_value=False):
         found(words)
 
 
-def test_a_secret_that_is_its_pool_s_is_found() -> None:
+def test_the_simulation_detects_a_secret_that_its_pool_owns() -> None:
     def owned(body: Object, namespace: str) -> Object:
         owner = {"apiVersion": "understudy.dev/v1alpha1", "kind": "FallbackPool", "name": "spare", "uid": "uid-spare"}
         return ownership.ours(body, {**owner, "controller": True}, {"metadata": {"namespace": namespace}})

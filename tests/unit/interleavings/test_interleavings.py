@@ -65,7 +65,7 @@ def found(words: str, scene: Scene, *troubles: str, weather: float = 1.0, within
     pytest.fail(f"no {words!r} in {within} runs")
 
 
-def test_a_claim_without_its_precondition_is_found() -> None:
+def test_a_claim_without_its_precondition_is_detected() -> None:
     writes = {name: getattr(claims, name) for name in ("_write", "_test_and_write")}
 
     def careless(name: str) -> Any:
@@ -79,7 +79,7 @@ def test_a_claim_without_its_precondition_is_found() -> None:
         assert found("was claimed by", SCARCE, "all_fail", weather=3.0, within=300)
 
 
-def test_a_commit_without_its_precondition_is_found() -> None:
+def test_a_commit_without_its_precondition_is_detected() -> None:
     commit = GATE.commit
 
     async def careless(client: Client, *rest: Any, **more: Any) -> Object:
@@ -90,7 +90,7 @@ def test_a_commit_without_its_precondition_is_found() -> None:
         assert found("went from epoch", EXECUTING, "second_monitor", "all_fail")
 
 
-def test_a_gate_that_is_opened_before_the_failed_pod_is_fenced_is_found() -> None:
+def test_a_gate_that_opens_before_the_failed_pod_is_fenced_is_detected() -> None:
     commit, routing = GATE.commit, GATE.routing
     before: dict[str, str] = {}
 
@@ -111,7 +111,7 @@ def test_forgotten_expectations_are_detected() -> None:
         assert found("free pods, ", SHARED, "understudy_fails", "watch_falls_silent", weather=3.0, within=400)
 
 
-def test_a_claim_whose_lost_answer_is_taken_for_a_refusal_is_found() -> None:
+def test_a_claim_with_a_lost_answer_that_counts_as_refused_is_detected() -> None:
     with (
         mock.patch.object(claims, "_unanswered", return_value=False),
         mock.patch.object(GarbageCollection, "housekeeping"),
@@ -119,7 +119,7 @@ def test_a_claim_whose_lost_answer_is_taken_for_a_refusal_is_found() -> None:
         assert found("nobody deletes it", SHARED, "all_fail", weather=3.0)
 
 
-def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
+def test_the_deletion_of_a_claimed_pod_is_detected() -> None:
     async def careless(client: Client, resource: Any, item: Object) -> None:
         await client.delete(resource, item["metadata"]["namespace"], item["metadata"]["name"])
 
@@ -127,17 +127,17 @@ def test_a_claimed_pod_that_is_deleted_as_if_it_were_free_is_found() -> None:
         assert found("which is claimed", SHARED, "all_fail", "pool_is_resized")
 
 
-def test_a_status_that_a_dead_monitor_overwrites_for_good_is_found() -> None:
+def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
     with mock.patch.object(StatusWriter, "check"):
         assert found("than the status", SCARCE, "monitor_dies_at_a_step", "all_fail", weather=3.0, within=300)
 
 
-def test_a_recovery_that_stands_beside_its_gate_for_ever_is_found() -> None:
+def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:
     with mock.patch.object(Abandonment, "look"):
         assert found("as though it were under way", EXECUTING, "second_monitor", "all_fail")
 
 
-def test_an_operator_that_goes_on_when_another_one_leads_is_found() -> None:
+def test_an_operator_that_continues_while_another_one_leads_is_detected() -> None:
     async def careless(self: Lease) -> None:
         await asyncio.Event().wait()
 

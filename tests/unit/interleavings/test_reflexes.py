@@ -100,7 +100,7 @@ def reader(clock: Clock) -> Reader:
     return made
 
 
-def test_a_reader_takes_the_next_one_after_the_deadline(clock: Clock, reader: Reader) -> None:
+def test_a_reader_follows_the_next_writer_after_the_deadline(clock: Clock, reader: Reader) -> None:
     reader.hear("strong", None)
     clock.until(101.29)
     assert reader.driver == ""
@@ -111,7 +111,7 @@ def test_a_reader_takes_the_next_one_after_the_deadline(clock: Clock, reader: Re
     assert reader.first("weak", 101.0) == pytest.approx(101.31)
 
 
-def test_a_reader_takes_the_stronger_one_back_at_once(clock: Clock, reader: Reader) -> None:
+def test_a_reader_follows_the_stronger_writer_again_at_once(clock: Clock, reader: Reader) -> None:
     reader.hear("strong", None)
     clock.until(102.02)
     reader.hear("strong", STRONG)
@@ -120,7 +120,7 @@ def test_a_reader_takes_the_stronger_one_back_at_once(clock: Clock, reader: Read
     assert reader.last("weak") == pytest.approx(102.01)
 
 
-def test_a_reader_that_waited_for_less_than_the_deadline_takes_nobody_else(clock: Clock, reader: Reader) -> None:
+def test_a_reader_does_not_change_its_writer_before_the_deadline(clock: Clock, reader: Reader) -> None:
     reader.hear("strong", None)
     clock.until(101.21)
     reader.hear("strong", STRONG)
@@ -129,7 +129,7 @@ def test_a_reader_that_waited_for_less_than_the_deadline_takes_nobody_else(clock
     assert not [at for at in reader.arrivals("weak") if at > 101.0]
 
 
-def test_a_writer_that_says_that_it_ends_is_waited_for_no_longer(clock: Clock, reader: Reader) -> None:
+def test_a_reader_does_not_wait_for_a_writer_that_announces_its_end(clock: Clock, reader: Reader) -> None:
     reader.hear("strong", None, left=True)
     clock.until(101.02 + PERIOD)
     assert reader.driver == "weak"
@@ -155,18 +155,18 @@ def found(
     pytest.fail(f"no {words!r} in {within} runs")
 
 
-def test_a_replaced_instance_that_is_told_to_go_on_is_found() -> None:
+def test_a_replaced_instance_that_is_permitted_to_continue_is_detected() -> None:
     # And at once: a second later its node knows the gate of now.
     with mock.patch.object(permits, "word", return_value="Go"), mock.patch.object(permits, "CATCH_UP", 0.0):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
-def test_an_instance_that_is_cut_off_and_not_held_is_found() -> None:
+def test_an_isolated_instance_that_is_not_held_is_detected() -> None:
     with mock.patch.object(Permit, "evaluate"):
         assert found("which its gate shut out", ALONE, "node_is_cut_off")
 
 
-def test_a_standby_that_is_stronger_than_who_drives_is_found() -> None:
+def test_a_standby_that_is_stronger_than_the_active_instance_is_detected() -> None:
     def strength(self: ReflexGuard, instance: Instance) -> tuple[int, int]:
         at = STRONGEST if instance.uid == self._gate.state.active_uid else 0
         return at, at
@@ -175,7 +175,7 @@ def test_a_standby_that_is_stronger_than_who_drives_is_found() -> None:
         assert found("which is no stronger", ALONE, "understudy_fails", "one_fails", "all_fail", within=200)
 
 
-def test_a_standby_that_is_let_through_over_another_write_is_found() -> None:
+def test_a_standby_that_is_admitted_over_another_write_is_detected() -> None:
     admit = GATE.admit
 
     async def careless(client: Client, *rest: Any, **more: Any) -> Object:
@@ -199,7 +199,7 @@ class Crashing(Reflexive):
         self.later(4.0, self.mine.hang, standby, 1.0)
 
 
-def test_a_container_of_the_loser_that_is_heard_again_is_found() -> None:
+def test_a_restarted_container_of_a_replaced_instance_that_is_heard_is_detected() -> None:
     with mock.patch.object(WriterStrengths, "give_way"):
         assert found("after it gave way", ALONE, "crash", kind=Crashing)
 

@@ -29,7 +29,7 @@ def test_no_surplus_pod_is_created_or_remains(name: str, troubles: tuple[str, ..
         assert not outcome.faults, str(simulation.run(seed, tracing=True, scene=scene))
 
 
-def test_a_pool_whose_size_follows_the_failures_has_as_many_as_that_says() -> None:
+def test_a_sized_pool_finally_has_the_computed_number_of_pods() -> None:
     sizing = (
         ("risk", "1%"),
         ("failuresPerRobotHour", 0.5),

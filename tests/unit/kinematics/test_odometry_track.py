@@ -114,12 +114,14 @@ def test_noise_of_a_standing_robot_adds_no_distance() -> None:
 @pytest.mark.parametrize(
     ("after", "reason"),
     [
-        pytest.param(point(planar(0.05), 3.1), "it jumped by 1.45 m within 0.10 s", id="set to its origin"),
-        pytest.param(point(planar(1.15), 3.1), "it jumped by 0.35 m within 0.10 s", id="back a little"),
-        pytest.param(point(planar(1.55, 0.0, 2.0), 3.1), "it turned by 2.00 rad within 0.10 s", id="turned"),
-        pytest.param(point(planar(1.55), 3.1, writer=b"x" * 16), "it comes from another publisher", id="publisher"),
-        pytest.param(point(planar(1.55), 0.5), "its time went back by 2.5 s", id="time"),
-        pytest.param(point(planar(90.0), 8.0), "it jumped by 88.50 m within 5.00 s", id="faster than can be"),
+        pytest.param(point(planar(0.05), 3.1), "it jumped by 1.45 m within 0.10 s", id="reset to the origin"),
+        pytest.param(point(planar(1.15), 3.1), "it jumped by 0.35 m within 0.10 s", id="small step back"),
+        pytest.param(point(planar(1.55, 0.0, 2.0), 3.1), "it turned by 2.00 rad within 0.10 s", id="sudden turn"),
+        pytest.param(
+            point(planar(1.55), 3.1, writer=b"x" * 16), "it comes from another publisher", id="another publisher"
+        ),
+        pytest.param(point(planar(1.55), 0.5), "its time went back by 2.5 s", id="time goes back"),
+        pytest.param(point(planar(90.0), 8.0), "it jumped by 88.50 m within 5.00 s", id="impossible speed"),
         pytest.param(
             Point(planar(1.55), START + 3_100_000_000, 0, "odom2", "base_link", b"w" * 16),
             "its frames changed from odom and base_link to odom2 and base_link",
@@ -137,15 +139,15 @@ def test_a_restart_of_odometry_is_detected_and_discards_the_track(after: Point, 
 @pytest.mark.parametrize(
     "points",
     [
-        pytest.param([*drive(), point(planar(1.5), 3.1), point(planar(1.5), 3.2)], id="stops dead"),
-        pytest.param([*drive(0.0, seconds=1.0), point(planar(0.1), 1.1), point(planar(0.2), 1.2)], id="starts at once"),
-        pytest.param([*drive(), point(planar(1.55), 3.1), point(planar(1.55), 3.1)], id="the same twice"),
+        pytest.param([*drive(), point(planar(1.5), 3.1), point(planar(1.5), 3.2)], id="sudden stop"),
+        pytest.param([*drive(0.0, seconds=1.0), point(planar(0.1), 1.1), point(planar(0.2), 1.2)], id="sudden start"),
+        pytest.param([*drive(), point(planar(1.55), 3.1), point(planar(1.55), 3.1)], id="repeated message"),
         pytest.param(
             [*drive(), point(planar(1.58, 0.03), 3.1), point(planar(1.63, 0.03), 3.2)], id="corrected a little"
         ),
         pytest.param([*drive(3.0, seconds=2.0)], id="fast"),
-        pytest.param([*drive(), point(planar(1.8), 4.5)], id="not watched"),
-        pytest.param([*drive(0.3, 2.0, seconds=10.0, period=0.1)], id="round and round"),
+        pytest.param([*drive(), point(planar(1.8), 4.5)], id="gap"),
+        pytest.param([*drive(0.3, 2.0, seconds=10.0, period=0.1)], id="circles"),
     ],
 )
 def test_ordinary_motion_is_no_restart_of_odometry(points: list[Point]) -> None:

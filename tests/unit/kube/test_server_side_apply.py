@@ -26,7 +26,7 @@ from understudy.kube.client import SECRETS, Object
         ({"a": [1]}, {"a": []}, [".a"]),
     ],
 )
-def test_differences(live: Any, desired: Any, found: list[str]) -> None:
+def test_desired_fields_that_differ_are_listed(live: Any, desired: Any, found: list[str]) -> None:
     assert apply.differences(live, desired) == found
 
 

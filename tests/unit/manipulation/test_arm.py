@@ -29,7 +29,7 @@ def turned(one: Pose, other: Pose) -> float:
     return 2 * math.acos(min(1.0, abs(sum(a * b for a, b in zip(one[3:], other[3:], strict=True)))))
 
 
-def test_it_reaches_as_far_as_its_links_are_long(arm: Arm) -> None:
+def test_the_reach_of_the_arm_is_the_length_of_its_links(arm: Arm) -> None:
     stretched = arm.pose(np.array((0.0, math.pi / 2 - math.atan2(0.04975, 0.25), 0.0, 0.0, 0.0, 0.0)))
     # The shoulder's height, and the links one after the other.
     assert math.hypot(stretched.x, stretched.z - 0.11065) < math.hypot(0.04975, 0.25) + 0.175 + 0.075 + 0.065 + 0.0936
@@ -37,7 +37,7 @@ def test_it_reaches_as_far_as_its_links_are_long(arm: Arm) -> None:
 
 
 @pytest.mark.parametrize("pose", ALL)
-def test_it_takes_every_pose_that_the_client_asks_for(arm: Arm, pose: Pose) -> None:
+def test_the_arm_reaches_every_requested_pose(arm: Arm, pose: Pose) -> None:
     found = arm.solve(pose)
     assert found is not None
     assert arm.free(found)
@@ -45,23 +45,23 @@ def test_it_takes_every_pose_that_the_client_asks_for(arm: Arm, pose: Pose) -> N
     assert turned(arm.pose(found), pose) < 2 * ANGLE
 
 
-def test_every_instance_takes_a_pose_in_the_same_way(arm: Arm) -> None:
+def test_every_instance_solves_a_pose_equally(arm: Arm) -> None:
     assert [Arm().solve(pose).tolist() for pose in ALL] == [arm.solve(pose).tolist() for pose in ALL]  # type: ignore[union-attr]
 
 
-def test_a_pose_that_is_too_far_or_within_something_isn_t_taken(arm: Arm) -> None:
+def test_an_unreachable_or_obstructed_pose_has_no_solution(arm: Arm) -> None:
     assert arm.solve(Pose(0.9, 0.0, 0.2)) is None
     assert arm.solve(Pose(0.33, 0.0, 0.1)) is None, "the post is there"
     assert arm.solve(Pose(0.9, 0.0, 0.2), over=lambda: True) is None
 
 
-def test_the_table_is_in_the_way(arm: Arm) -> None:
+def test_positions_inside_the_table_or_beyond_joint_limits_are_not_free(arm: Arm) -> None:
     assert arm.free(HOME)
     assert not arm.free(np.array((0.0, 1.2, 0.5, 0.0, 0.5, 0.0)))
     assert not arm.free(HOME + np.array((4.0, 0, 0, 0, 0, 0))), "the waist doesn't turn so far"
 
 
-def test_the_servos_hold_where_they_are_told() -> None:
+def test_the_servos_hold_the_commanded_positions() -> None:
     simulation = Simulation()
     simulation.step(1000)
     assert simulation.positions == pytest.approx(HOME, abs=1e-3)
@@ -72,7 +72,7 @@ def test_the_servos_hold_where_they_are_told() -> None:
     assert not simulation.touching
 
 
-def test_the_reference_stays_and_rests_when_commands_end() -> None:
+def test_the_reference_stops_when_commands_end() -> None:
     controller = Controller(HOME)
     assert controller.held(0.0)
     assert controller.command(HOME + 0.01, np.full(6, 0.5), now=1.0) == pytest.approx(0.01)
@@ -83,7 +83,7 @@ def test_the_reference_stays_and_rests_when_commands_end() -> None:
     assert controller.positions == pytest.approx(HOME + 0.01)
 
 
-def test_an_arm_that_is_told_to_stay_stays_wherever_it_is_and_has_been_told() -> None:
+def test_a_stay_command_stops_the_reference_at_its_last_position() -> None:
     controller = Controller(HOME)
     controller.command(HOME + 0.01, np.full(6, 0.5), now=1.0)
     assert controller.stay(now=1.05) == 0.0
@@ -92,7 +92,7 @@ def test_an_arm_that_is_told_to_stay_stays_wherever_it_is_and_has_been_told() ->
     assert not controller.held(1.04 + HELD)
 
 
-def test_a_trajectory_leads_from_where_the_arm_is_through_its_points() -> None:
+def test_a_trajectory_starts_at_the_position_of_the_arm_and_passes_its_points() -> None:
     trajectory = Trajectory(HOME, [1.0, 3.0], [HOME + 0.2, HOME - 0.2])
     assert trajectory.at(0.5) == pytest.approx(HOME + 0.1)
     assert trajectory.at(2.0) == pytest.approx(HOME)
@@ -101,7 +101,7 @@ def test_a_trajectory_leads_from_where_the_arm_is_through_its_points() -> None:
     assert trajectory.done
 
 
-def test_a_trajectory_that_would_make_the_arm_jump_or_go_back_in_time_is_refused() -> None:
+def test_a_trajectory_with_a_jump_or_invalid_times_is_refused() -> None:
     with pytest.raises(ValueError, match="from where the arm is"):
         Trajectory(HOME, [0.0, 1.0], [HOME + 0.2, HOME])
     for times in ([], [1.0, 1.0], [2.0, 1.0], [-1.0, 1.0]):
@@ -109,7 +109,7 @@ def test_a_trajectory_that_would_make_the_arm_jump_or_go_back_in_time_is_refused
             Trajectory(HOME, times, [HOME] * len(times))
 
 
-def test_a_trajectory_that_has_lost_its_place_isn_t_done() -> None:
+def test_a_trajectory_that_was_interrupted_is_not_done() -> None:
     trajectory = Trajectory(HOME, [1.0], [HOME])
     trajectory.end()
     trajectory.at(2.0)

@@ -75,7 +75,7 @@ def assert_no_jump(scene: Scene) -> None:
     assert max(scene.steps) <= 1.2 * UNDISTURBED
 
 
-def test_one_that_is_in_control_goes_its_way_to_the_end() -> None:
+def test_an_active_instance_completes_its_motion() -> None:
     scene = Scene(Follower(motion(1.0)))
     scene.run(4.0, through=0)
     assert scene.moved == pytest.approx(1.0)
@@ -83,7 +83,7 @@ def test_one_that_is_in_control_goes_its_way_to_the_end() -> None:
     assert_no_jump(scene)
 
 
-def test_one_that_stands_by_stays_one_step_from_the_arm_and_takes_over_without_a_jump() -> None:
+def test_a_standby_stays_one_step_from_the_arm_and_takes_over_without_a_jump() -> None:
     scene = Scene(Follower(motion(1.0)), Follower(motion(1.0)))
     scene.run(0.9, through=0)
     before = scene.moved
@@ -96,7 +96,7 @@ def test_one_that_stands_by_stays_one_step_from_the_arm_and_takes_over_without_a
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.02, 0.06, 0.1, 0.2, 1.0, 3.0])
-def test_however_long_nobody_gets_through_there_is_no_jump(gap: float) -> None:
+def test_a_gap_without_commands_of_any_length_causes_no_jump(gap: float) -> None:
     scene = Scene(Follower(motion(1.0)), Follower(motion(1.0)))
     scene.run(0.9, through=0)
     scene.run(gap, through=None, silent=(0,))
@@ -106,7 +106,7 @@ def test_however_long_nobody_gets_through_there_is_no_jump(gap: float) -> None:
 
 
 @pytest.mark.parametrize("gap", [0.04, 0.1, 0.16, 0.5])
-def test_two_that_tick_alike_on_the_same_way_do_not_take_the_other_s_commands_for_their_own(gap: float) -> None:
+def test_two_synchronous_instances_do_not_confuse_their_commands(gap: float) -> None:
     scene = Scene(Follower(motion(1.0)), Follower(motion(1.0)), late=1, apart=0.0)
     scene.run(0.9, through=0)
     scene.run(gap, through=None, silent=(0,))
@@ -115,7 +115,7 @@ def test_two_that_tick_alike_on_the_same_way_do_not_take_the_other_s_commands_fo
     assert_no_jump(scene)
 
 
-def test_one_that_is_cut_off_and_heard_again_much_later_doesn_t_jump() -> None:
+def test_an_instance_that_is_cut_off_for_a_long_time_resumes_without_a_jump() -> None:
     scene = Scene(Follower(motion(1.0)))
     scene.run(0.9, through=0)
     scene.run(3.0, through=None)
@@ -124,7 +124,7 @@ def test_one_that_is_cut_off_and_heard_again_much_later_doesn_t_jump() -> None:
     assert_no_jump(scene)
 
 
-def test_one_that_begins_anew_goes_on_from_where_the_arm_was_left() -> None:
+def test_a_restarted_instance_continues_from_the_position_of_the_arm() -> None:
     scene = Scene(Follower(motion(1.0)))
     scene.run(0.9, through=0)
     scene.run(0.3, through=None)
@@ -138,7 +138,7 @@ def test_one_that_begins_anew_goes_on_from_where_the_arm_was_left() -> None:
     assert_no_jump(scene)
 
 
-def test_one_whose_way_is_another_one_waits_at_the_arm_and_asks_for_a_new_way() -> None:
+def test_a_standby_with_another_path_waits_at_the_arm_and_requests_a_new_path() -> None:
     scene = Scene(Follower(motion(1.0)), Follower(motion(-1.0)))
     scene.run(0.9, through=0)
     first, other = scene.followers
@@ -158,7 +158,7 @@ def test_one_whose_way_is_another_one_waits_at_the_arm_and_asks_for_a_new_way() 
 @pytest.mark.parametrize("gap", [0.02, 0.06, 0.1, 0.3, 1.5])
 @pytest.mark.parametrize("late", [1, 3])
 @pytest.mark.parametrize("ticks", range(6))
-def test_one_that_has_found_a_new_way_to_an_arm_that_was_left_stays_one_step_from_it_until_it_gets_through(
+def test_a_standby_with_a_new_path_stays_one_step_from_the_arm_until_it_takes_over(
     ticks: int, late: int, gap: float
 ) -> None:
     scene = Scene(Follower(motion(1.0)), Follower(motion(-1.0)), late=late)
@@ -177,7 +177,7 @@ def test_one_that_has_found_a_new_way_to_an_arm_that_was_left_stays_one_step_fro
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_whenever_one_is_lost_and_whatever_ways_are_found_meanwhile_there_is_no_jump(seed: int) -> None:
+def test_a_takeover_at_any_time_with_any_path_causes_no_jump(seed: int) -> None:
     chance = np.random.default_rng(seed)
     late, apart = int(chance.integers(1, 4)), float(chance.choice([0.0, 0.1]))
     target = HOME + np.array((1.0, 0.3, -0.2, 0, 0, 0))
@@ -208,7 +208,7 @@ def some_way(start: Joints, target: Joints, chance: np.random.Generator) -> Moti
     return Motion(np.concatenate([np.linspace(start, corner, 80), np.linspace(corner, target, 80)[1:]]))
 
 
-def test_an_arm_that_is_late_makes_a_motion_rest_and_not_go_back() -> None:
+def test_an_arm_that_lags_behind_does_not_move_back() -> None:
     scene = Scene(Follower(motion(1.0)))
     scene.run(0.9, through=0)
     scene.run(0.3, through=None)
@@ -221,7 +221,7 @@ def test_an_arm_that_is_late_makes_a_motion_rest_and_not_go_back() -> None:
 
 
 @pytest.mark.parametrize("stalled", [0.2, 1.0, 5.0])
-def test_an_arm_that_says_nothing_for_long_is_not_taken_for_one_that_follows_another(stalled: float) -> None:
+def test_a_silent_arm_does_not_count_as_following_another_instance(stalled: float) -> None:
     follower = Follower(motion(1.0))
     scene = Scene(follower)
     scene.run(0.9, through=0)

@@ -14,18 +14,18 @@ def lines(name: str) -> list[str]:
     return [line for line in (REPOSITORY / name).read_text().splitlines() if line and not line.startswith("#")]
 
 
-def test_the_image_has_the_versions_that_tests_have() -> None:
+def test_the_image_has_the_same_versions_as_the_tests() -> None:
     wanted = lines("examples/manipulation/requirements.txt")
     assert wanted == [f"ompl=={version('ompl')}"]
     assert set(wanted) <= set(lines("constraints.txt"))
 
 
-def test_the_image_is_built_on_the_navigation_example_s() -> None:
+def test_the_image_is_built_on_that_of_the_navigation_example() -> None:
     image = next(image for image in catalog.images() if image.short == "manipulation")
     assert image.parent == "localhost/understudy-navigation:dev"
 
 
-def test_what_is_copied_is_sent_to_the_builder() -> None:
+def test_copied_files_are_in_the_build_context() -> None:
     sent = {line[1:] for line in (EXAMPLE / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     copied = {line.split()[1] for line in (EXAMPLE / "Dockerfile").read_text().splitlines() if line.startswith("COPY")}
     assert copied == sent

@@ -25,7 +25,7 @@ def of_kind(kind: str, folder: str = "") -> list[dict[str, Any]]:
 OURS = [m for kind in MODELS for m in of_kind(kind)]
 
 
-def test_every_file_is_known_here() -> None:
+def test_the_tests_cover_every_file() -> None:
     assert [str(f.relative_to(EXAMPLE)) for f in FILES] == [
         "manifests/client.yaml",
         "manifests/robot.yaml",
@@ -36,7 +36,7 @@ def test_every_file_is_known_here() -> None:
 
 
 @pytest.mark.parametrize("manifest", OURS, ids=lambda m: m["metadata"]["name"])
-def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
+def test_specs_conform_to_the_models(manifest: dict[str, Any]) -> None:
     spec = MODELS[manifest["kind"]].model_validate(manifest["spec"])
     # The models ignore unknown fields; whatever was written must come back.
     assert covers(spec.to_wire(), manifest["spec"])
@@ -45,20 +45,20 @@ def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("folder", ["manifests", "moveit2"])
-def test_references_lead_somewhere(folder: str) -> None:
+def test_references_resolve(folder: str) -> None:
     (workload,) = of_kind("RobotWorkload", folder)
     assert_references_lead_somewhere(workload, of_kind("FailurePolicy", folder), of_kind("FallbackPool", folder))
 
 
 @pytest.mark.parametrize("folder", ["manifests", "moveit2"])
-def test_every_policy_means_the_same_by_healthy(folder: str) -> None:
+def test_every_policy_has_the_same_health_tree(folder: str) -> None:
     first, *others = of_kind("FailurePolicy", folder)
     for other in others:
         assert other["spec"]["monitoring"] == first["spec"]["monitoring"]
 
 
 @pytest.mark.parametrize("file", ["robot.yaml", "client.yaml"])
-def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
+def test_configuration_comes_from_the_operator(file: str) -> None:
     (workload,) = {m["metadata"]["name"] for m in of_kind("RobotWorkload", "manifests")}
     text = "\n".join(line.split("#")[0] for line in (EXAMPLE / "manifests" / file).read_text().splitlines())
     used = {word.strip("{},") for word in text.split() if word.startswith(f"{workload}-")}
@@ -66,7 +66,7 @@ def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
     assert used <= {names.robot_env(workload), names.robot_profiles(workload)}
 
 
-def test_commands_name_modules_that_are_in_the_image() -> None:
+def test_commands_use_modules_of_the_image() -> None:
     for kind in ("Deployment", "RobotWorkload", "Job"):
         for manifest in of_kind(kind, "manifests"):
             (container,) = manifest["spec"]["template"]["spec"]["containers"]
@@ -75,6 +75,6 @@ def test_commands_name_modules_that_are_in_the_image() -> None:
             assert container["imagePullPolicy"] == "IfNotPresent"
 
 
-def test_real_moveit_is_the_same_workload_to_its_robot() -> None:
+def test_the_moveit_workload_has_the_same_metadata() -> None:
     (ours,), (moveit,) = of_kind("RobotWorkload", "manifests"), of_kind("RobotWorkload", "moveit2")
     assert moveit["metadata"] == ours["metadata"]

@@ -28,7 +28,7 @@ def gone(motion: Motion) -> list[Joints]:
     return commands
 
 
-def test_ways_lead_round_what_is_in_the_way(arm: Arm) -> None:
+def test_paths_avoid_obstacles(arm: Arm) -> None:
     goals = [arm.solve(pose) for pose in places(6)]
     for start, goal in zip([HOME, *goals], goals, strict=False):
         assert start is not None
@@ -40,18 +40,18 @@ def test_ways_lead_round_what_is_in_the_way(arm: Arm) -> None:
         assert all(arm.free(joints) for joints in way)
 
 
-def test_where_nothing_is_in_the_way_it_is_straight(arm: Arm) -> None:
+def test_a_path_without_obstacles_is_straight(arm: Arm) -> None:
     goal = HOME + np.array((0.3, 0.1, 0.0, 0.0, 0.0, 0.0))
     way = plan(arm, HOME, goal)
     assert way == pytest.approx(dense(np.stack([HOME, goal])))
 
 
-def test_a_goal_within_something_has_no_way(arm: Arm) -> None:
+def test_a_goal_inside_an_obstacle_has_no_path(arm: Arm) -> None:
     with pytest.raises(NoWay):
         plan(arm, HOME, np.array((0.0, 1.2, 0.5, 0.0, 0.5, 0.0)))
 
 
-def test_no_command_is_faster_than_the_limit_and_the_last_one_is_the_goal(arm: Arm) -> None:
+def test_commands_stay_within_the_speed_limit_and_end_at_the_goal(arm: Arm) -> None:
     goal = arm.solve(next(places(1)))
     assert goal is not None
     commands = gone(Motion(plan(arm, HOME, goal)))
@@ -61,7 +61,7 @@ def test_no_command_is_faster_than_the_limit_and_the_last_one_is_the_goal(arm: A
     assert commands[-1] == pytest.approx(goal)
 
 
-def test_it_slows_down_for_a_corner() -> None:
+def test_a_motion_slows_down_at_a_corner() -> None:
     corner = np.zeros((3, 6))
     corner[1, 0] = corner[2, 0] = 1.0
     corner[2, 1] = 1.0
@@ -74,7 +74,7 @@ def test_it_slows_down_for_a_corner() -> None:
     assert min(speed for place, speed in speeds if 0.98 < place < 1.02) < SPEED / 2
 
 
-def test_a_way_that_leads_nowhere_is_gone_at_once() -> None:
+def test_a_motion_of_zero_length_ends_at_once() -> None:
     motion = Motion(np.repeat(HOME[None], 2, axis=0))
     assert motion.advance(PERIOD).positions == pytest.approx(HOME)
     assert motion.arrived

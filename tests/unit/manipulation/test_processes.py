@@ -82,7 +82,7 @@ def assert_no_jump(run: Run) -> None:
 
 
 @pytest.mark.timeout(180)
-def test_a_motion_is_completed_by_a_planner_that_is_started_anew(run: Run) -> None:
+def test_a_restarted_planner_completes_the_motion(run: Run) -> None:
     arm = run.start("robot", "-m", "manipulation_robot")
     planner = run.start("planner", "-m", "manipulation_stack")
     client = run.start("client", "-m", "manipulation_client", "--goals", "1")
@@ -104,7 +104,7 @@ def test_a_motion_is_completed_by_a_planner_that_is_started_anew(run: Run) -> No
 
 
 @pytest.mark.timeout(180)
-def test_one_that_executes_beside_it_completes_the_motion_without_a_jump(run: Run) -> None:
+def test_an_executing_standby_completes_the_motion_without_a_jump(run: Run) -> None:
     run.start("robot", "-m", "manipulation_robot")
     opened = run.folder / "opened"
     run.start("gate", NODES, str(opened))
@@ -127,7 +127,7 @@ def test_one_that_executes_beside_it_completes_the_motion_without_a_jump(run: Ru
 
 
 @pytest.mark.timeout(120)
-def test_a_pose_that_can_t_be_reached_is_refused_with_the_reason(run: Run, tmp_path: Path) -> None:
+def test_an_unreachable_pose_is_refused_with_the_reason(run: Run, tmp_path: Path) -> None:
     run.start("robot", "-m", "manipulation_robot")
     run.start("planner", "-m", "manipulation_stack")
     asking = tmp_path / "asking.py"
@@ -147,7 +147,7 @@ def test_a_pose_that_can_t_be_reached_is_refused_with_the_reason(run: Run, tmp_p
 
 
 @pytest.mark.timeout(120)
-def test_the_arm_goes_through_whole_trajectories_until_something_else_moves_it(run: Run, tmp_path: Path) -> None:
+def test_the_arm_executes_a_whole_trajectory_and_then_holds(run: Run, tmp_path: Path) -> None:
     run.start("robot", "-m", "manipulation_robot")
     asking = tmp_path / "asking.py"
     asking.write_text(

@@ -32,7 +32,7 @@ def followed(policy: Object) -> list[Choice]:
     return choices(view.policy, view.settings, view.spec)
 
 
-def test_the_monitor_tries_what_was_chosen_in_that_order_and_in_the_time_that_auto_gives() -> None:
+def test_the_monitor_uses_the_chosen_strategies_in_their_order_and_time() -> None:
     found = followed(auto(verify_within="7s"))
     assert [(one.strategy.name, one.verify_within) for one in found] == [
         ("Fallback/Initialized", 7.0),
@@ -45,7 +45,7 @@ def test_the_monitor_tries_what_was_chosen_in_that_order_and_in_the_time_that_au
     ]
 
 
-async def test_a_failure_is_met_by_what_the_requirements_came_to_and_escalates_in_their_order() -> None:
+async def test_a_failure_is_recovered_with_the_chosen_strategies_in_their_order() -> None:
     store = Store()
     store.add("w-1")
     store.add("w-2", pool="hot")

@@ -14,20 +14,20 @@ def lines(name: str) -> list[str]:
     return [line for line in (REPOSITORY / name).read_text().splitlines() if line and not line.startswith("#")]
 
 
-def test_the_image_has_the_versions_that_tests_have() -> None:
+def test_the_image_has_the_same_versions_as_the_tests() -> None:
     wanted = lines("examples/navigation/requirements.txt")
     assert wanted
     assert set(wanted) <= set(lines("constraints.txt"))
     assert f"mujoco-core=={mujoco.__version__}" in wanted
 
 
-def test_the_image_is_built_on_the_monitor_s_and_keeps_what_takes_long() -> None:
+def test_the_image_is_built_on_that_of_the_monitor_and_caches_slow_steps() -> None:
     image = next(image for image in catalog.images() if image.short == "navigation")
     assert image.parent == "localhost/understudy-monitor:dev"
     assert image.stages == ("interfaces",)
 
 
-def test_what_is_copied_is_sent_to_the_builder() -> None:
+def test_copied_files_are_in_the_build_context() -> None:
     sent = {line[1:] for line in (EXAMPLE / ".dockerignore").read_text().splitlines() if line.startswith("!")}
     copied = {
         line.split()[1]

@@ -149,7 +149,7 @@ def test_types_have_the_fields_of_the_originals(package: str, type_name: str, fi
     assert list(found.get_fields_and_field_types().items()) == list(fields.items())
 
 
-def test_messages_survive_the_wire() -> None:
+def test_messages_are_unchanged_by_serialization() -> None:
     from nav2_msgs.action import NavigateToPose
     from rclpy.serialization import deserialize_message, serialize_message
     from tf2_msgs.msg import TFMessage
@@ -162,7 +162,7 @@ def test_messages_survive_the_wire() -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_wheels_say_what_the_packages_say(package: str) -> None:
+def test_wheels_have_the_metadata_of_their_packages(package: str) -> None:
     described = ElementTree.parse(INTERFACES / package / "package.xml").getroot()
     installed = metadata(f"ros-jazzy-{package.replace('_', '-')}")
     assert installed["Version"] == described.findtext("version")
@@ -171,7 +171,7 @@ def test_wheels_say_what_the_packages_say(package: str) -> None:
     assert needed <= set(installed.get_all("Requires-Dist") or [])
 
 
-def test_what_is_defined_is_built() -> None:
+def test_every_defined_interface_is_built() -> None:
     for package in PACKAGES:
         listed = (INTERFACES / package / "CMakeLists.txt").read_text()
         for file in (INTERFACES / package).glob("*/*.*"):
@@ -179,7 +179,7 @@ def test_what_is_defined_is_built() -> None:
             assert hasattr(importlib.import_module(f"{package}.{file.parent.name}"), file.stem)
 
 
-def test_a_folder_that_is_no_environment_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_an_environment_is_reported(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, INTERFACES / "build", "--environment", tmp_path / "none", "--out", tmp_path],
         capture_output=True,

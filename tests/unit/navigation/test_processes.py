@@ -30,7 +30,7 @@ def run(tmp_path: Path) -> Iterator[Run]:
 
 
 @pytest.mark.timeout(180)
-def test_the_robot_drives_as_it_is_told_and_stops_when_nobody_does(run: Run) -> None:
+def test_the_robot_follows_commands_and_stops_without_them(run: Run) -> None:
     run.start("listen", NODES, "listen")
     robot = run.start("robot", "-m", "navigation_robot")
     steer = run.start("steer", NODES, "steer", "0.0", "0.6")
@@ -74,7 +74,7 @@ def test_the_robot_drives_as_it_is_told_and_stops_when_nobody_does(run: Run) -> 
 
 
 @pytest.mark.timeout(120)
-def test_the_client_works_through_its_goals_and_says_what_came_of_each(run: Run) -> None:
+def test_the_client_pursues_its_goals_and_reports_each_result(run: Run) -> None:
     run.start("navigate", NODES, "navigate", "no", "succeed", "abort", "succeed")
     client = run.start("client", "-m", "navigation_client", "--goals", "3", "--wait", "60")
     assert client.wait(90) == 1
@@ -98,7 +98,7 @@ def test_the_client_works_through_its_goals_and_says_what_came_of_each(run: Run)
 
 
 @pytest.mark.timeout(60)
-def test_the_client_ends_where_there_is_no_navigator(run: Run) -> None:
+def test_the_client_ends_without_a_navigator(run: Run) -> None:
     client = run.start("client", "-m", "navigation_client", "--goals", "2", "--wait", "1")
     assert client.wait(40) == 1
     events = [r["event"] for r in run.records("client")]

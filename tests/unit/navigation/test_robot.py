@@ -41,7 +41,7 @@ def go(simulation: Simulation, speed: float, turn: float, seconds: float, odomet
             odometry.update(*simulation.wheels, TICK)
 
 
-def test_it_stands_where_the_world_says_and_stays_there(world: World) -> None:
+def test_the_robot_starts_at_the_pose_of_the_world_and_stays_there(world: World) -> None:
     simulation = Simulation(world)
     go(simulation, 0.0, 0.0, 5.0)
     assert math.hypot(simulation.pose.x - world.start.x, simulation.pose.y - world.start.y) < 0.002
@@ -49,7 +49,7 @@ def test_it_stands_where_the_world_says_and_stays_there(world: World) -> None:
     assert not simulation.touching
 
 
-def test_it_drives_straight_at_the_speed_it_is_told(world: World) -> None:
+def test_the_robot_drives_straight_at_the_commanded_speed(world: World) -> None:
     start = corridor(world)
     simulation = Simulation(world, start)
     go(simulation, 0.4, 0.0, 1.0)
@@ -63,7 +63,7 @@ def test_it_drives_straight_at_the_speed_it_is_told(world: World) -> None:
 
 
 @pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_it_turns_on_the_spot(world: World, turn: float) -> None:
+def test_the_robot_turns_on_the_spot(world: World, turn: float) -> None:
     start = corridor(world)
     simulation = Simulation(world, start)
     go(simulation, 0.0, turn, 2.0)
@@ -72,7 +72,7 @@ def test_it_turns_on_the_spot(world: World, turn: float) -> None:
     assert math.hypot(simulation.pose.x - start.x, simulation.pose.y - start.y) < 0.03
 
 
-def test_walls_stop_it(world: World) -> None:
+def test_walls_stop_the_robot(world: World) -> None:
     room = max(world.rooms[1:], key=lambda room: room.width * room.depth)
     free = [
         (x, y)
@@ -114,7 +114,7 @@ def test_the_laser_sees_what_the_map_shows(world: World) -> None:
         assert away.max() < 0.12
 
 
-def test_odometry_is_good_for_metres_and_wrong_in_the_end(world: World) -> None:
+def test_odometry_is_accurate_for_metres_and_drifts_later(world: World) -> None:
     """As of a real base: some percent of the way, and a heading that drifts."""
     start = corridor(world)
     errors = []
@@ -129,7 +129,7 @@ def test_odometry_is_good_for_metres_and_wrong_in_the_end(world: World) -> None:
     assert max(errors) > 0.02, "a robot whose odometry is never wrong needs no localization"
 
 
-def test_odometry_says_how_fast_the_wheels_turn(world: World) -> None:
+def test_odometry_reports_the_speed_of_the_wheels(world: World) -> None:
     simulation, odometry = Simulation(world, corridor(world)), Odometry(np.random.default_rng(0))
     go(simulation, 0.3, 0.0, 2.0, odometry)
     assert odometry.pose.x == pytest.approx(simulation.pose.x - corridor(world).x, rel=0.05)
@@ -152,7 +152,7 @@ def test_the_base_stops_when_commands_end() -> None:
     assert (base.speed, base.turn) == (0.0, 0.0)
 
 
-def test_the_base_drives_no_faster_than_it_can_and_changes_no_quicker() -> None:
+def test_the_base_respects_its_limits_of_speed_and_acceleration() -> None:
     limits = Limits()
     base = Base(limits)
     base.command(9.0, -9.0, now=0.0)

@@ -31,7 +31,7 @@ def worlds() -> dict[int, World]:
     return {seed: generate(seed) for seed in SEEDS}
 
 
-def test_a_seed_makes_the_same_world_again_and_another_one_another(worlds: dict[int, World]) -> None:
+def test_a_seed_determines_the_world(worlds: dict[int, World]) -> None:
     again = generate(3)
     assert again == worlds[3]
     assert again.goals(5) == worlds[3].goals(5)
@@ -40,7 +40,7 @@ def test_a_seed_makes_the_same_world_again_and_another_one_another(worlds: dict[
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_every_room_and_every_goal_can_be_reached_with_space_to_spare(worlds: dict[int, World], seed: int) -> None:
+def test_every_room_and_every_goal_can_be_reached_with_clearance(worlds: dict[int, World], seed: int) -> None:
     world = worlds[seed]
     assert len(world.rooms) >= 4
     assert world.things
@@ -83,7 +83,7 @@ def test_the_map_shows_the_world(worlds: dict[int, World], seed: int) -> None:
         assert cells[grid.cell(wall.x, wall.y)] == OCCUPIED
 
 
-def test_files_hold_the_same_map(
+def test_the_files_contain_the_map_of_the_world(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.argv", ["navigation_world", "--seed", "7", "--out", str(tmp_path)])
@@ -107,7 +107,7 @@ def test_files_hold_the_same_map(
     assert described["resolution"] == world.map.grid.resolution
 
 
-def test_places_that_are_cut_off_are_not_reached() -> None:
+def test_isolated_places_are_not_reached() -> None:
     free = np.ones((20, 30), bool)
     free[:, 10] = False
     free[5:, 20] = False

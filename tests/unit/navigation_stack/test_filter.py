@@ -22,7 +22,7 @@ def room() -> Grid:
     return Grid(cells, 0.1, -1.0, -2.0)
 
 
-def test_it_begins_where_it_is_told_with_the_covariance_it_is_told() -> None:
+def test_the_filter_starts_with_the_given_pose_and_covariance() -> None:
     particles = ParticleFilter(room(), particles=20_000, seed=1)
     wanted = [[0.04, 0.01, 0.0], [0.01, 0.02, 0.0], [0.0, 0.0, 0.01]]
     particles.spread(Pose(1.0, 0.5, 3.0), wanted)
@@ -31,7 +31,7 @@ def test_it_begins_where_it_is_told_with_the_covariance_it_is_told() -> None:
     assert covariance == pytest.approx(np.array(wanted), abs=2e-3)
 
 
-def test_motion_is_in_the_robots_own_frame_and_widens_the_spread() -> None:
+def test_motion_is_applied_in_the_robot_frame_and_increases_the_spread() -> None:
     particles = ParticleFilter(room(), seed=1)
     particles.spread(Pose(1.0, 0.0, math.pi / 2), NARROW)
     before = particles.estimate()[1]
@@ -42,7 +42,7 @@ def test_motion_is_in_the_robots_own_frame_and_widens_the_spread() -> None:
     assert covariance[1, 1] > before[1, 1]
 
 
-def test_a_scan_corrects_it() -> None:
+def test_a_scan_corrects_the_pose() -> None:
     world = generate(7)
     truth = as_pose(world.start)
     particles = ParticleFilter(charted(world), seed=1)
@@ -56,7 +56,7 @@ def test_a_scan_corrects_it() -> None:
     assert pose.heading == pytest.approx(truth.heading, abs=0.03)
 
 
-def test_where_the_laser_is_mounted_counts() -> None:
+def test_the_position_of_the_laser_on_the_robot_is_considered() -> None:
     world = generate(7)
     truth = as_pose(world.start)
     mount = Pose(0.1, 0.0, math.pi / 2)
@@ -69,7 +69,7 @@ def test_where_the_laser_is_mounted_counts() -> None:
     assert particles.estimate()[0].distance(truth) < 0.05
 
 
-def test_a_pose_from_before_a_turn_is_found_anywhere() -> None:
+def test_a_pose_with_half_a_second_of_motion_error_is_corrected_at_any_place() -> None:
     """The error is what a robot drives in half a second; the covariance is that of a pose which the localization receives."""
     world = generate(7)
     grid, chance = charted(world), np.random.default_rng(3)
@@ -89,7 +89,7 @@ def test_a_pose_from_before_a_turn_is_found_anywhere() -> None:
     assert not lost
 
 
-def test_a_wrong_place_far_away_stays_wrong() -> None:
+def test_a_distant_wrong_pose_is_not_corrected() -> None:
     """There is no global search: this is why the pose has to be restored."""
     world = generate(7)
     truth, elsewhere = as_pose(world.start), as_pose(world.goals(1)[0])
@@ -101,7 +101,7 @@ def test_a_wrong_place_far_away_stays_wrong() -> None:
     assert particles.estimate()[0].distance(truth) > 1.0
 
 
-def test_a_scan_that_sees_nothing_changes_nothing() -> None:
+def test_a_scan_without_echoes_changes_nothing() -> None:
     particles = ParticleFilter(room(), seed=1)
     particles.spread(Pose(1.0, 0.5, 0.0), NARROW)
     before = particles.estimate()[0]
@@ -109,7 +109,7 @@ def test_a_scan_that_sees_nothing_changes_nothing() -> None:
     assert particles.estimate()[0] == before
 
 
-def test_a_pose_outside_of_the_map_does_not_break_it() -> None:
+def test_a_pose_outside_the_map_is_accepted() -> None:
     particles = ParticleFilter(room(), seed=1)
     particles.spread(Pose(100.0, -50.0, 0.0), NARROW)
     particles.sense(np.full(360, 2.0, np.float32), np.linspace(0, 6, 360, dtype=np.float32), HERE)
@@ -117,6 +117,6 @@ def test_a_pose_outside_of_the_map_does_not_break_it() -> None:
 
 
 @pytest.mark.parametrize("covariance", [[[1.0, 0.0], [0.0, 1.0]], np.full((3, 3), np.nan).tolist()])
-def test_a_covariance_that_is_none_is_refused(covariance: list[list[float]]) -> None:
+def test_an_invalid_covariance_is_refused(covariance: list[list[float]]) -> None:
     with pytest.raises(ValueError, match="covariance: a finite 3 by 3 matrix"):
         ParticleFilter(room()).spread(HERE, covariance)

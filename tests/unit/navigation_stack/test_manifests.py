@@ -56,7 +56,7 @@ def leaves(tree: Any, kind: str) -> Iterator[Any]:
             yield from leaves(value, kind)
 
 
-def test_every_file_is_known_here() -> None:
+def test_the_tests_cover_every_file() -> None:
     assert [str(f.relative_to(EXAMPLE)) for f in FILES] == [
         "manifests/client.yaml",
         "manifests/robot.yaml",
@@ -70,7 +70,7 @@ def test_every_file_is_known_here() -> None:
 
 
 @pytest.mark.parametrize("manifest", [m for kind in MODELS for m in of_kind(kind)], ids=lambda m: m["metadata"]["name"])
-def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
+def test_specs_conform_to_the_models(manifest: dict[str, Any]) -> None:
     spec = MODELS[manifest["kind"]].model_validate(manifest["spec"]).to_wire()
     # The models ignore unknown fields; whatever was written must come back.
     assert covers(spec, manifest["spec"])
@@ -78,7 +78,7 @@ def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("manifest", [m for kind in MODELS for m in of_kind(kind)], ids=lambda m: m["metadata"]["name"])
-def test_trees_can_be_followed(manifest: dict[str, Any]) -> None:
+def test_trees_and_procedures_load(manifest: dict[str, Any]) -> None:
     for path, tree in procedures(manifest):
         load_procedure(tree, path=path)
     if "monitoring" in manifest["spec"]:
@@ -88,19 +88,19 @@ def test_trees_can_be_followed(manifest: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("folder", ["manifests", "nav2"])
-def test_references_lead_somewhere(folder: str) -> None:
+def test_references_resolve(folder: str) -> None:
     (workload,) = of_kind("RobotWorkload", folder)
     assert_references_lead_somewhere(workload, of_kind("FailurePolicy", folder), of_kind("FallbackPool", folder))
 
 
-def test_every_policy_means_the_same_by_healthy_and_keeps_the_same() -> None:
+def test_every_policy_has_the_same_health_tree_and_keeps_the_same_state() -> None:
     first, *others = of_kind("FailurePolicy", "manifests")
     for other in others:
         assert other["spec"]["monitoring"] == first["spec"]["monitoring"]
         assert other["spec"]["state"] == first["spec"]["state"]
 
 
-def test_the_robot_is_said_to_be_where_it_is() -> None:
+def test_the_bring_up_publishes_the_start_pose_of_the_world() -> None:
     (workload,) = of_kind("RobotWorkload", "manifests")
     start = generate(7).start
     (said,) = leaves(workload["spec"]["bringUp"], "publish")
@@ -111,7 +111,7 @@ def test_the_robot_is_said_to_be_where_it_is() -> None:
     assert seeds == {"7"}
 
 
-def test_only_the_first_instance_is_told_where_the_robot_was_at_first() -> None:
+def test_only_the_bring_up_of_the_first_instance_publishes_the_start_pose() -> None:
     for _, manifest in ALL:
         for path, tree in procedures(manifest):
             assert bool(list(leaves(tree, "publish"))) == (path == "spec.bringUp.yaml")
@@ -127,7 +127,7 @@ def test_managed_nodes_are_nodes_of_the_stack() -> None:
 
 
 @pytest.mark.parametrize("file", ["robot.yaml", "client.yaml"])
-def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
+def test_configuration_comes_from_the_operator(file: str) -> None:
     (workload,) = {m["metadata"]["name"] for m in of_kind("RobotWorkload", "manifests")}
     written = {names.robot_env(workload), names.robot_profiles(workload)}
     text = "\n".join(line.split("#")[0] for line in (EXAMPLE / "manifests" / file).read_text().splitlines())
@@ -136,7 +136,7 @@ def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
     assert used <= written
 
 
-def test_commands_name_modules_that_are_in_the_image() -> None:
+def test_commands_use_modules_of_the_image() -> None:
     for kind in ("Deployment", "RobotWorkload", "Job"):
         for manifest in of_kind(kind, "manifests"):
             (container,) = manifest["spec"]["template"]["spec"]["containers"]
@@ -145,7 +145,7 @@ def test_commands_name_modules_that_are_in_the_image() -> None:
             assert container["imagePullPolicy"] == "IfNotPresent"
 
 
-def test_real_nav2_differs_in_its_image_and_its_nodes() -> None:
+def test_the_nav2_workload_differs_only_in_its_image_and_its_nodes() -> None:
     (ours,), (nav2,) = of_kind("RobotWorkload", "manifests"), of_kind("RobotWorkload", "nav2")
     assert nav2["metadata"] == ours["metadata"]
     for field in ("outputs", "tasks", "monitor"):
@@ -156,7 +156,7 @@ def test_real_nav2_differs_in_its_image_and_its_nodes() -> None:
     assert all([{**topic, "maxAge": ""} for topic in k] == [{**topic, "maxAge": ""} for topic in kept[0]] for k in kept)
 
 
-def test_no_key_is_a_truth_value_by_accident() -> None:
+def test_no_key_is_a_yaml_boolean_by_accident() -> None:
     """kubectl reads YAML 1.1, in which y and n are true and false; Python's loader takes them for names."""
     for file in FILES:
         assert not re.search(r"[{,\n]\s*[yn]:", file.read_text()), file

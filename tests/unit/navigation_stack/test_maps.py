@@ -11,7 +11,7 @@ from navigation_world.files import write
 from tests.unit.navigation_stack.drives import charted
 
 
-def test_a_worlds_files_are_its_map(tmp_path: Path) -> None:
+def test_the_files_of_a_world_contain_its_map(tmp_path: Path) -> None:
     world = generate(7)
     write(world, tmp_path)
     found, wanted = maps.read(tmp_path / "map.yaml"), charted(world)
@@ -34,7 +34,9 @@ GOOD = "image: map.pgm\nresolution: 0.1\norigin: [0, 0, 0]\n"
         ("[]", b"", "a mapping is needed"),
     ],
 )
-def test_a_map_that_is_none_says_why(tmp_path: Path, about: str, picture: bytes | None, said: str) -> None:
+def test_an_invalid_map_is_refused_with_the_reason(
+    tmp_path: Path, about: str, picture: bytes | None, said: str
+) -> None:
     (tmp_path / "map.yaml").write_text(about)
     if picture is not None:
         (tmp_path / "map.pgm").write_bytes(picture)

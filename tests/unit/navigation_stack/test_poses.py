@@ -6,13 +6,13 @@ import pytest
 from navigation_stack.poses import Odometry, Pose
 
 
-def test_there_and_back_again() -> None:
+def test_a_transformation_and_its_inverse_cancel() -> None:
     a, b = Pose(1.0, 2.0, 0.7), Pose(-0.5, 3.0, -2.9)
     assert a.then(a.to(b)) == pytest.approx(b)
     assert a.then(a.inverse()) == pytest.approx((0, 0, 0))
 
 
-def test_odometry_between_two_messages() -> None:
+def test_odometry_between_two_messages_is_interpolated() -> None:
     odometry = Odometry()
     odometry.add(1.0, Pose(0.0, 0.0, 3.1))
     odometry.add(2.0, Pose(1.0, 0.0, -3.1))
@@ -21,7 +21,7 @@ def test_odometry_between_two_messages() -> None:
     assert (middle.x, abs(middle.heading)) == pytest.approx((0.5, math.pi), abs=1e-6)
 
 
-def test_odometry_outside_of_what_is_known() -> None:
+def test_odometry_far_outside_the_known_time_is_unknown() -> None:
     odometry = Odometry()
     assert odometry.at(1.0) is None
     odometry.add(1.0, Pose(0.0, 0.0, 0.0))
@@ -30,7 +30,7 @@ def test_odometry_outside_of_what_is_known() -> None:
     assert odometry.at(0.4) is None
 
 
-def test_a_source_that_restarts_begins_a_new_history() -> None:
+def test_a_restarted_source_of_odometry_begins_a_new_history() -> None:
     odometry = Odometry()
     odometry.add(5.0, Pose(9.0, 0.0, 0.0))
     odometry.add(1.0, Pose(0.0, 0.0, 0.0))

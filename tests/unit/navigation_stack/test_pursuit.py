@@ -25,7 +25,7 @@ def driven(pursuit: Pursuit, pose: Pose, seconds: float = 30.0) -> tuple[Pose, l
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.0, math.pi, -2.0])
-def test_it_reaches_the_goal_and_its_heading_whatever_it_looks_at_first(heading: float) -> None:
+def test_the_robot_reaches_the_goal_and_its_heading_from_any_initial_heading(heading: float) -> None:
     pursuit = Pursuit()
     pursuit.follow([*STRAIGHT[:-1], Pose(3.0, 0.0, 2.0)])
     end, commands = driven(pursuit, Pose(0.0, 0.05, heading))
@@ -35,7 +35,7 @@ def test_it_reaches_the_goal_and_its_heading_whatever_it_looks_at_first(heading:
     assert commands[-1] == Command(reached=True)
 
 
-def test_commands_stay_within_the_robots_limits() -> None:
+def test_commands_stay_within_the_limits_of_the_robot() -> None:
     limits = Limits()
     pursuit = Pursuit(limits)
     pursuit.follow([*STRAIGHT, *(Pose(3.0, 0.05 * n, math.pi / 2) for n in range(1, 40))])
@@ -45,7 +45,7 @@ def test_commands_stay_within_the_robots_limits() -> None:
     assert max(faster) <= limits.max_linear_accel * PERIOD + 1e-9
 
 
-def test_a_new_plan_to_the_same_goal_goes_on_at_speed() -> None:
+def test_a_new_path_to_the_same_goal_does_not_reduce_the_speed() -> None:
     pursuit = Pursuit()
     pursuit.follow(STRAIGHT)
     pose = Pose(0.0, 0.0, 0.0)
@@ -56,7 +56,7 @@ def test_a_new_plan_to_the_same_goal_goes_on_at_speed() -> None:
     assert pursuit.command(pose, NOTHING, PERIOD).linear == pytest.approx(command.linear, abs=0.06)
 
 
-def test_it_stops_for_what_is_in_the_way_and_goes_on_when_it_is_gone() -> None:
+def test_the_robot_stops_before_an_obstacle_and_continues_when_it_is_removed() -> None:
     pursuit = Pursuit()
     pursuit.follow(STRAIGHT)
     pose = Pose(0.0, 0.0, 0.0)
@@ -73,21 +73,21 @@ def test_it_stops_for_what_is_in_the_way_and_goes_on_when_it_is_gone() -> None:
     assert pursuit.command(pose, NOTHING, PERIOD).linear > 0
 
 
-def test_a_wall_beside_it_is_no_reason_to_stop() -> None:
+def test_a_wall_beside_the_robot_does_not_stop_it() -> None:
     pursuit = Pursuit()
     pursuit.follow(STRAIGHT)
     wall = np.array([[x, 0.25] for x in np.linspace(-2, 2, 81)], np.float32)
     assert pursuit.command(Pose(0.0, 0.0, 0.0), wall, PERIOD).linear > 0
 
 
-def test_what_is_too_near_already_does_not_keep_it_from_leaving() -> None:
+def test_an_obstacle_behind_the_robot_does_not_stop_it() -> None:
     pursuit = Pursuit()
     pursuit.follow(STRAIGHT)
     behind = np.array([[-0.15, 0.0], [-0.1, 0.1]], np.float32)
     assert pursuit.command(Pose(0.0, 0.0, 0.0), behind, PERIOD).linear > 0
 
 
-def test_what_is_left_shrinks() -> None:
+def test_the_remaining_distance_shrinks() -> None:
     pursuit = Pursuit()
     pursuit.follow(STRAIGHT)
     assert pursuit.left == pytest.approx(3.0)

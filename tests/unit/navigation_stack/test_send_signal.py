@@ -16,7 +16,7 @@ def process() -> Iterator[subprocess.Popen[bytes]]:
     started.wait(10)
 
 
-def test_a_module_is_found_by_its_whole_name(process: subprocess.Popen[bytes]) -> None:
+def test_a_module_is_found_by_its_full_name(process: subprocess.Popen[bytes]) -> None:
     assert list(send_signal.processes("tested_stack.tested_node")) == [process.pid]
     assert not list(send_signal.processes("tested_stack"))
 
@@ -28,7 +28,7 @@ def test_a_module_is_found_by_its_whole_name(process: subprocess.Popen[bytes]) -
         (["STAND"], "found STAND, give a name such as KILL"),
     ],
 )
-def test_what_is_unknown_is_said(
+def test_an_unknown_module_or_signal_is_reported(
     arguments: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["send_signal", *arguments])

@@ -42,7 +42,7 @@ def near(pose: Pose, distance: float) -> Pose:
     raise AssertionError(f"nothing is free {distance} m from {pose}")
 
 
-def test_from_unconfigured_to_goals_reached_replaced_and_canceled(site: Site) -> None:
+def test_the_stack_becomes_active_and_reaches_replaces_and_cancels_goals(site: Site) -> None:
     stack = site.module("navigation_stack")
     person = site.person()
     for node in NODES:
@@ -101,7 +101,7 @@ def test_from_unconfigured_to_goals_reached_replaced_and_canceled(site: Site) ->
     assert "Traceback" not in site.output("navigation_stack")
 
 
-def test_a_new_instance_is_lost_until_it_is_given_the_pose(site: Site) -> None:
+def test_a_new_instance_is_not_localized_until_it_receives_the_pose(site: Site) -> None:
     first = site.module("navigation_stack", NAVIGATION_AUTOSTART="1")
     person = site.person()
     site.wait("somebody listens to /initialpose", lambda: person.localizable)

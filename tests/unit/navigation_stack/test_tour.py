@@ -22,11 +22,11 @@ def test_every_goal_is_reached(driven: Tour) -> None:
         ) % (2 * np.pi) == pytest.approx(2 * np.pi, abs=0.25)
 
 
-def test_the_robot_never_touches_anything(driven: Tour) -> None:
+def test_the_robot_never_touches_an_obstacle(driven: Tour) -> None:
     assert min(driven.clearances) > 0.18
 
 
-def test_it_knows_where_it_is(driven: Tour) -> None:
+def test_the_estimated_pose_is_accurate(driven: Tour) -> None:
     settled = np.array(driven.errors[20:])
     assert np.sqrt(np.mean(settled**2)) < 0.05
     assert settled.max() < 0.15

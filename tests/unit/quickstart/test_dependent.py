@@ -19,11 +19,11 @@ WORKLOADS = {item["metadata"]["name"]: item for item in ITEMS if item["kind"] ==
 CHAIN = ["robot-1-localization", "robot-1-planning", "robot-1-control"]
 
 
-def test_nothing_is_wrong_with_them() -> None:
+def test_the_manifests_pass_the_check_without_findings() -> None:
     assert check([(file.name, file.read_bytes()) for file in FILES]).findings == []
 
 
-def test_each_depends_on_the_one_before() -> None:
+def test_each_workload_depends_on_the_one_before_it() -> None:
     known = dependency_graph.graph(WORKLOADS.values())
     assert [one.name for one in upstream(known, CHAIN[-1])] == CHAIN[:-1]
 
@@ -32,13 +32,13 @@ def containers() -> list[dict[str, Any]]:
     return [one for item in ITEMS for one in (item["spec"].get("template") or {}).get("spec", {}).get("containers", [])]
 
 
-def test_commands_name_modules_that_are_in_the_quickstart_s_image() -> None:
+def test_commands_use_modules_of_the_quickstart_image() -> None:
     for container in containers():
         module = container["command"][2].replace(".", "/")
         assert (EXAMPLES / "quickstart" / "src" / f"{module}.py").is_file()
 
 
-def test_everything_that_reads_an_output_reads_it_at_its_gated_port() -> None:
+def test_every_reader_of_an_output_uses_its_gated_port() -> None:
     read = {"robot-1-planning": CHAIN[0], "robot-1-control": CHAIN[1], "robot-1": CHAIN[2]}
     for name, source in read.items():
         (item,) = (one for one in ITEMS if one["metadata"]["name"] == name)
@@ -50,7 +50,7 @@ def test_everything_that_reads_an_output_reads_it_at_its_gated_port() -> None:
         assert given.get("FASTRTPS_DEFAULT_PROFILES_FILE", "/etc/understudy/profiles.xml") == f"{mount}/profiles.xml"
 
 
-def test_all_are_in_the_graph_of_the_first() -> None:
+def test_all_workloads_use_the_discovery_server_of_the_first_one() -> None:
     server = f"{names.discovery(CHAIN[0])}:{names.DISCOVERY_PORT}"
     for name in CHAIN[1:]:
         assert WORKLOADS[name]["spec"]["ros"]["discovery"] == {"mode": "External", "server": server}

@@ -36,7 +36,7 @@ def run(tmp_path: Path) -> Iterator[Run]:
 
 
 @pytest.mark.timeout(90)
-def test_the_application_drives_the_robot_and_another_goes_on_from_there(run: Run) -> None:
+def test_another_application_continues_to_drive_the_robot_from_where_it_is(run: Run) -> None:
     first = run.pod("drive-a", "application")
     run.wait("the robot passes the first waypoint", lambda: "to waypoint 2" in run.output("drive-a"), within=40)
     assert "map received after" in run.output("drive-a")
@@ -66,7 +66,7 @@ def test_the_application_drives_the_robot_and_another_goes_on_from_there(run: Ru
 
 
 @pytest.mark.timeout(60)
-def test_both_end_when_they_are_told_to(run: Run) -> None:
+def test_robot_and_application_end_on_a_signal(run: Run) -> None:
     application = run.pod("drive-a", "application")
     run.wait("the robot is driven", lambda: len(run.log().commands) > 5, within=30)
     for process in (application, run.robot):

@@ -33,12 +33,12 @@ def test_records_go_to_the_file_and_to_standard_output(tmp_path: Path, capsys: p
     assert len(parse(file.read_text()).commands) == 3
 
 
-def test_without_a_file_it_only_prints(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_file_records_are_only_printed(capsys: pytest.CaptureFixture[str]) -> None:
     fill(Journal(None), 2)
     assert len(parse(capsys.readouterr().out).commands) == 2
 
 
-def test_the_file_is_bounded_and_continued(tmp_path: Path) -> None:
+def test_the_file_is_bounded_and_appended_after_a_restart(tmp_path: Path) -> None:
     file = tmp_path / "robot.jsonl"
     journal = Journal(str(file), limit=4000)
     fill(journal, 100)
@@ -51,7 +51,7 @@ def test_the_file_is_bounded_and_continued(tmp_path: Path) -> None:
     assert parse(file.read_text()).commands[-1].sequence == 100, "a restarted robot appends"
 
 
-def test_a_full_disk_ends_the_file_and_not_the_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_ends_the_file_but_not_the_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     journal = Journal("/dev/full")
     fill(journal, 3)
     printed = capsys.readouterr().out

@@ -15,18 +15,18 @@ def run(base: Base, start: float, seconds: float, *, period: float = 0.02) -> fl
     return now
 
 
-def test_straight_ahead() -> None:
+def test_a_robot_without_rotation_moves_straight() -> None:
     pose = moved(Pose(1.0, 2.0, math.pi / 2), 0.5, 0.0, 2.0)
     assert (pose.x, pose.y, pose.heading) == pytest.approx((1.0, 3.0, math.pi / 2))
 
 
-def test_an_arc_ends_where_geometry_says() -> None:
+def test_an_arc_ends_at_the_geometric_position() -> None:
     # A quarter of a circle of radius 1 to the left.
     pose = moved(Pose(0.0, 0.0, 0.0), 0.5, 0.5, math.pi)
     assert (pose.x, pose.y, pose.heading) == pytest.approx((1.0, 1.0, math.pi / 2))
 
 
-def test_a_slight_arc_agrees_with_a_straight_line() -> None:
+def test_a_slight_arc_approximates_a_straight_line() -> None:
     arc, line = moved(Pose(0, 0, 0.3), 0.5, 2e-6, 1.0), moved(Pose(0, 0, 0.3), 0.5, 0.0, 1.0)
     assert (arc.x, arc.y) == pytest.approx((line.x, line.y), abs=1e-5)
 
@@ -59,7 +59,7 @@ def test_speeds_approach_their_targets_within_the_limits(value: float, target: f
     assert approached(value, target, up=0.1, down=0.2) == pytest.approx(after)
 
 
-def test_motion_follows_commands_with_the_motors_limits() -> None:
+def test_motion_follows_commands_within_the_limits_of_the_motors() -> None:
     base = Base(Pose(0, 0, 0), now=10.0, limits=Limits(acceleration=0.5, speed=0.6), watchdog=10.0)
     base.command(2.0, 0.0, now=10.0)
     now = run(base, 10.0, 1.0)
@@ -69,7 +69,7 @@ def test_motion_follows_commands_with_the_motors_limits() -> None:
     assert base.pose.x == pytest.approx(0.25 + 0.11 + 0.6 * 0.8, abs=0.02)
 
 
-def test_the_base_stops_by_itself_without_commands() -> None:
+def test_the_base_stops_when_commands_end() -> None:
     base = Base(Pose(0, 0, 0), now=0.0, watchdog=0.5)
     base.command(0.5, 0.4, now=0.0)
     now = run(base, 0.0, 0.48)
@@ -83,7 +83,7 @@ def test_the_base_stops_by_itself_without_commands() -> None:
     assert base.speed > 0.3
 
 
-def test_a_base_that_never_had_a_command_is_held() -> None:
+def test_a_base_without_a_command_stays_at_its_place() -> None:
     base = Base(Pose(0, 0, 0), now=0.0)
     assert base.held(0.0)
     run(base, 0.0, 1.0)

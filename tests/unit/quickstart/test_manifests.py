@@ -24,7 +24,7 @@ def of_kind(kind: str) -> list[dict[str, Any]]:
     return [m for file in FILES for m in load(file) if m["kind"] == kind]
 
 
-def test_every_file_is_known_here() -> None:
+def test_the_tests_cover_every_file() -> None:
     assert [str(f.relative_to(MANIFESTS)) for f in FILES] == [
         "managed/robotworkload.yaml",
         "robot.yaml",
@@ -44,13 +44,13 @@ def test_manifests_can_be_applied_in_any_namespace(file: Path) -> None:
 
 
 @pytest.mark.parametrize("manifest", [m for kind in MODELS for m in of_kind(kind)], ids=lambda m: m["metadata"]["name"])
-def test_specs_are_what_the_models_say(manifest: dict[str, Any]) -> None:
+def test_specs_conform_to_the_models(manifest: dict[str, Any]) -> None:
     spec = MODELS[manifest["kind"]].model_validate(manifest["spec"]).to_wire()
     # The models ignore unknown fields; whatever was written must come back.
     assert covers(spec, manifest["spec"])
 
 
-def test_references_lead_somewhere() -> None:
+def test_references_resolve() -> None:
     policies = {m["metadata"]["name"]: m["spec"] for m in of_kind("FailurePolicy")}
     pools = {m["metadata"]["name"]: m["spec"] for m in of_kind("FallbackPool")}
     workloads = of_kind("RobotWorkload")
@@ -66,7 +66,7 @@ def test_references_lead_somewhere() -> None:
 
 
 @pytest.mark.parametrize("file", ["robot.yaml", "workload-ref/deployment.yaml"])
-def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
+def test_configuration_comes_from_the_operator(file: str) -> None:
     (workload,) = {w["metadata"]["name"] for w in of_kind("RobotWorkload")}
     text = (MANIFESTS / file).read_text()
     written = {names.robot_env(workload), names.robot_profiles(workload)}
@@ -75,14 +75,14 @@ def test_configuration_comes_from_what_the_operator_writes(file: str) -> None:
     assert used <= written
 
 
-def test_the_robot_mounts_its_profile_where_the_environment_says() -> None:
+def test_the_robot_mounts_its_profiles_at_the_expected_path() -> None:
     pod = load("robot.yaml")[0]["spec"]["template"]["spec"]
     mounts = {m["name"]: m["mountPath"] for m in pod["containers"][0]["volumeMounts"]}
     assert mounts["profiles"] == "/etc/understudy"
 
 
 @pytest.mark.parametrize("kind", ["Deployment", "RobotWorkload"])
-def test_commands_name_modules_that_are_in_the_image(kind: str) -> None:
+def test_commands_use_modules_of_the_image(kind: str) -> None:
     for manifest in of_kind(kind):
         template = manifest["spec"].get("template")
         if template is None:

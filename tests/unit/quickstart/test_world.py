@@ -17,28 +17,28 @@ def look(pose: Pose, *bearings: float, reach: float = 20.0) -> list[float]:
     return list(ROOM.ray_cast(pose, np.array(bearings), reach))
 
 
-def test_walls_boxes_and_pillars_are_seen_at_their_distance() -> None:
+def test_walls_boxes_and_pillars_are_measured_at_their_distance() -> None:
     assert look(Pose(2.0, 2.5, 0.0), EAST, NORTH, WEST, SOUTH) == pytest.approx([2.0, 2.0, 2.0, 2.5])
 
 
-def test_bearings_count_from_the_heading() -> None:
+def test_bearings_are_relative_to_the_heading() -> None:
     assert look(Pose(2.0, 2.5, NORTH), EAST, WEST) == pytest.approx([2.0, 2.5])
 
 
-def test_oblique_rays() -> None:
+def test_an_oblique_ray_has_the_right_length() -> None:
     assert look(Pose(3.0, 1.5, 0.0), math.atan2(0.75, 1.0)) == pytest.approx([1.25])
 
 
-def test_only_the_nearest_thing_is_seen() -> None:
+def test_only_the_nearest_obstacle_is_measured() -> None:
     assert look(Pose(3.0, 2.5, 0.0), EAST) == pytest.approx([1.0])
     assert look(Pose(3.0, 3.5, 0.0), EAST) == pytest.approx([7.0]), "past the box"
 
 
-def test_nothing_is_seen_beyond_the_reach() -> None:
+def test_nothing_is_measured_beyond_the_reach() -> None:
     assert look(Pose(2.0, 2.5, 0.0), EAST, SOUTH, reach=2.2) == [pytest.approx(2.0), math.inf]
 
 
-def test_rays_agree_with_clearance_everywhere() -> None:
+def test_rays_agree_with_the_clearance() -> None:
     # The least of a dense scan is the distance to the nearest thing, which the map's rule gives by another way.
     room = quickstart_room()
     bearings = np.linspace(-math.pi, math.pi, 2000, endpoint=False)
@@ -63,7 +63,7 @@ def test_the_map_shows_what_the_laser_sees() -> None:
     assert grid[10, 10] == 0
 
 
-def test_the_circuit_is_free_all_the_way() -> None:
+def test_the_circuit_has_clearance_at_every_place() -> None:
     circuit, room = Circuit(WAYPOINTS), quickstart_room()
     assert room.fits(START, ROBOT_RADIUS)
     for place in np.arange(0.0, circuit.length, 0.05):

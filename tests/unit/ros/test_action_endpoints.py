@@ -78,7 +78,7 @@ class TestClient:
                         await asyncio.wait_for(ask(), 5)
                         answered = True
 
-    async def test_several_goals_at_once_each_with_its_id_feedback_and_result(self, client, start):  # noqa: F811
+    async def test_several_simultaneous_goals_have_their_own_feedback_and_results(self, client, start):  # noqa: F811
         assert not await client.ready()
         server = start("serve", ACTION)
         await self.ready(client)
@@ -101,7 +101,7 @@ class TestClient:
         assert {line["goal"] for line in server.said("executing")} == set(ids)
         await eventually(lambda: {(g.goal, g.status) for g in self.statuses[-1]} == {(g, SUCCEEDED) for g in ids})
 
-    async def test_cancel_abort_reject_and_unknown(self, client, start):  # noqa: F811
+    async def test_goals_can_be_cancelled_aborted_rejected_and_unknown(self, client, start):  # noqa: F811
         start("serve", ACTION)
         await self.ready(client)
         async with asyncio.timeout(60):
@@ -144,7 +144,7 @@ class TestServer:
         yield made
         await made.close()
 
-    async def test_a_client_of_rclpy_is_answered_when_the_answer_is_known(self, server, start):  # noqa: F811
+    async def test_an_rclpy_client_receives_each_answer_when_it_is_given(self, server, start):  # noqa: F811
         from rclpy.serialization import serialize_message
         from test_msgs.action import Fibonacci
 
@@ -178,7 +178,7 @@ class TestServer:
         await eventually(lambda: client.said("ended", index=0, status=CANCELED, result=[]))
         await eventually(lambda: client.said("ended", index=1, status=SUCCEEDED, result=[1, 2, 3]))
 
-    async def test_another_server_answers_what_this_one_took(self, dds, served, start):  # noqa: F811
+    async def test_a_restarted_server_answers_requests_of_its_predecessor(self, dds, served, start):  # noqa: F811
         """As after a restart: the participant that took the request is gone."""
         from understudy.ros.actions.action_endpoints import ActionServer, ActionType
         from understudy.ros.runtime.served_node import ServedNode

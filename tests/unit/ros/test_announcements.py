@@ -61,7 +61,7 @@ def script(tmp_path):
     return str(file)
 
 
-def test_a_discovery_server_tells_of_every_reader_and_keeps_nothing_of_who_asked(
+def test_a_discovery_server_reports_every_reader_and_forgets_the_requester(
     discovery_server, processes, profiles, script
 ) -> None:
     discovery_server()
@@ -93,7 +93,7 @@ def test_without_an_answer_the_known_locators_are_returned() -> None:
     assert all(7410 < port < 7650 for port in heard), "from a port that the domain's firewalls let through"
 
 
-def test_whom_it_asks_follows_from_the_environment_of_ros() -> None:
+def test_the_requested_discovery_follows_the_ros_environment() -> None:
     assert Discovery.of({"ROS_DISCOVERY_SERVER": "10.0.0.7:11811"}) == Discovery("10.0.0.7", 11811, b"DS\0_EPROSIMA")
     assert Discovery.of({"ROS_DOMAIN_ID": "17"}) == Discovery("239.255.0.1", 11650, domain=17)
     assert Discovery.of({}).port == 7400
@@ -103,7 +103,7 @@ needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces ne
 
 
 @needs_root
-def test_without_a_server_every_participant_tells_of_its_own(processes, profiles, script, monkeypatch) -> None:
+def test_without_a_server_each_participant_reports_its_own_readers(processes, profiles, script, monkeypatch) -> None:
     monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
     with network() as lan:
         processes.node("obey", CHAT, "{}", inside=lan.host("10.77.0.2"))

@@ -64,7 +64,7 @@ def test_messages_of_other_topics_are_not_signalled(watching, arrivals, processe
     assert not told(arrivals, 0.0)
 
 
-def test_it_follows_the_tree(watching, arrivals, processes, eventually):
+def test_wakeups_follow_the_tree(watching, arrivals, processes, eventually):
     watching.follow([CHAT])
     processes.node("publish", "/chat", "50")
     received(watching, eventually)

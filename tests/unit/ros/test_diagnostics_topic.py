@@ -37,7 +37,9 @@ def test_another_process_reads_level_reason_and_values(graph: Any, processes: An
     assert not graph.publishers("/diagnostics")
 
 
-def test_neither_a_level_nor_a_gap_is_judged_by_it(watching: Any, graph: Any, processes: Any, eventually: Any) -> None:
+def test_diagnostics_of_understudy_are_ignored_by_levels_and_gaps(
+    watching: Any, graph: Any, processes: Any, eventually: Any
+) -> None:
     """Whoever publishes it, since a standby's agent hears the monitor, and one monitor another's."""
     judged = Judged(
         watching,
@@ -85,7 +87,9 @@ def test_neither_a_level_nor_a_gap_is_judged_by_it(watching: Any, graph: Any, pr
         ("understudy: ", ["lidar"], False),
     ],
 )
-def test_it_is_told_by_its_first_bytes(frame: str, names: list[str], expected: bool) -> None:
+def test_diagnostics_of_understudy_are_recognized_by_their_first_bytes(
+    frame: str, names: list[str], expected: bool
+) -> None:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
     from rclpy.serialization import serialize_message
 

@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 pytestmark = pytest.mark.ros
 
 
-def test_whoever_comes_after_another_server_finds_who_was_there_before(discovery_server, processes) -> None:
+def test_a_new_discovery_server_knows_the_participants_of_its_predecessor(discovery_server, processes) -> None:
     def hear() -> None:
         reader = processes.node("obey", "/chat", json.dumps({"publisher": "127.0.0.1"}))
         assert processes.line(reader, 60), "a sample's sender"

@@ -23,27 +23,27 @@ def _run(*command: object, **more: str) -> str:
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_it_names_the_folders_that_a_python_without_it_finds() -> None:
+def test_the_environment_contains_the_folders_that_ros_finds_by_itself() -> None:
     found = _run(sys.executable, "-c", SHOW)
     given = _run(COMMAND, sys.executable, "-c", SHOW)
     assert len(found.split(":")) > 2
     assert sorted(given.split(":")) == sorted(found.split(":"))
 
 
-def test_a_python_in_it_does_not_start_itself_anew() -> None:
+def test_python_does_not_restart_itself_in_the_environment() -> None:
     # One that did would have put them in an order of its own.
     assert _run(COMMAND, sys.executable, "-c", SHOW) == _run(COMMAND, "printenv", "LD_LIBRARY_PATH")
 
 
-def test_what_was_on_the_path_stays_behind_them() -> None:
+def test_the_previous_library_path_is_appended() -> None:
     assert _run(COMMAND, "printenv", "LD_LIBRARY_PATH", LD_LIBRARY_PATH="/elsewhere").endswith(":/elsewhere")
 
 
-def test_ros_works_in_it() -> None:
+def test_ros_works_in_the_environment() -> None:
     code = "from rclpy.serialization import serialize_message; from std_msgs.msg import Empty; print(serialize_message(Empty()))"
     assert _run(COMMAND, sys.executable, "-c", code)
 
 
-def test_a_command_is_told_its_arguments_as_they_are_and_its_end_is_the_container_s() -> None:
+def test_a_command_receives_its_arguments_and_its_exit_code_is_returned() -> None:
     assert _run(COMMAND, "printf", "%s|", "a b", "*", "") == "a b|*||"
     assert subprocess.run([COMMAND, "sh", "-c", "exit 7"]).returncode == 7

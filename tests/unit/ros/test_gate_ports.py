@@ -55,7 +55,7 @@ def test_every_reader_of_a_robot_listens_on_its_own_port(processes, profiles):
     assert gated(robot.pid) == set(gate_ports(OUTPUTS).values())
 
 
-def test_readers_of_other_names_stay_where_they_were(processes, profiles):
+def test_readers_with_other_names_do_not_use_gate_ports(processes, profiles):
     robot = processes.node(
         "robot", "/other/chat", "/other/snap", "/other/goto", FASTRTPS_DEFAULT_PROFILES_FILE=profiles
     )
@@ -78,7 +78,7 @@ sys.stdin.readline()
 """
 
 
-def test_commands_arrive_by_the_gate_port(processes, profiles):
+def test_commands_arrive_at_the_gate_port(processes, profiles):
     """In a process of its own, since the middleware reads the file once for all participants of a process."""
     monitor = subprocess.Popen(
         [sys.executable, "-c", MONITOR],

@@ -26,7 +26,7 @@ SERVICE = Output(service="/snap", type="std_srvs/srv/Trigger")
 ACTION = Output(action="/goto", type="test_msgs/action/Fibonacci")
 
 
-def test_endpoints_of_topics_services_and_actions_are_seen(graph, processes, eventually):
+def test_endpoints_of_topics_services_and_actions_are_found(graph, processes, eventually):
     assert [graph.endpoints(output) for output in (TOPIC, SERVICE, ACTION)] == [[], [], []]
     processes.node("publish", "/chat", "10")
     processes.node("robot", "/other", "/snap", "/goto")
@@ -38,7 +38,7 @@ def test_endpoints_of_topics_services_and_actions_are_seen(graph, processes, eve
     assert len(hosts) == 1
 
 
-def test_publishers_that_disagree_have_no_type(graph, eventually):
+def test_publishers_with_different_types_have_no_common_type(graph, eventually):
     from std_msgs.msg import Bool, String
 
     other = Graph("other")
@@ -54,7 +54,7 @@ def test_publishers_that_disagree_have_no_type(graph, eventually):
         other.close()
 
 
-def test_the_node_offers_no_services_that_nobody_would_answer(graph):
+def test_the_node_offers_no_services(graph):
     assert graph.node.get_service_names_and_types_by_node("tested", "/") == []
 
 
@@ -94,7 +94,7 @@ def discovery_server(dds, monkeypatch):
     server.wait()
 
 
-def test_a_discovery_server_tells_types_and_endpoints_too(discovery_server, processes):
+def test_a_discovery_server_reports_types_and_endpoints(discovery_server, processes):
     processes.node("publish", "/chat", "10")
     processes.node("robot", "/other", "/snap", "/goto")
     # In a process of its own: Fast DDS never forgets a discovery server that was in its environment once.

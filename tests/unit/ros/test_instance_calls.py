@@ -51,7 +51,7 @@ def caller(dds: None) -> Iterator[object]:
     made.close()
 
 
-async def test_a_service_is_called_and_answers_with_its_fields(managed: Managed, caller) -> None:
+async def test_a_service_call_returns_the_fields_of_the_answer(managed: Managed, caller) -> None:
     managed.start()
 
     answer = await caller.call("/switch", "std_srvs/srv/SetBool", {"data": True}, WITHIN)
@@ -59,7 +59,7 @@ async def test_a_service_is_called_and_answers_with_its_fields(managed: Managed,
     assert answer == {"success": True, "message": "on"}
 
 
-async def test_a_service_that_nobody_serves_is_named(caller) -> None:
+async def test_a_missing_service_is_reported(caller) -> None:
     from understudy.ros.actions.instance_calls import CallFailed
 
     with pytest.raises(CallFailed, match=r"service /switch \(std_srvs/srv/SetBool\) is not there within 0.3 s"):
@@ -83,7 +83,7 @@ async def test_a_service_call_without_an_answer_times_out(managed: Managed, call
         told = str(failure.value)
 
 
-async def test_an_answer_that_gets_lost_is_asked_for_again_where_that_is_said(managed: Managed, caller) -> None:
+async def test_a_service_call_with_a_repeat_time_is_repeated_after_a_lost_answer(managed: Managed, caller) -> None:
     managed.start()
 
     answer = await caller.call("/second", "std_srvs/srv/Trigger", {}, WITHIN, repeat=0.5)
@@ -104,7 +104,7 @@ async def test_a_request_that_does_not_match_the_type_names_the_field(caller) ->
         await caller.call("/switch", "no_such_package/srv/X", {}, WITHIN)
 
 
-async def test_a_managed_node_is_brought_to_a_state_and_back(managed: Managed, caller) -> None:
+async def test_a_managed_node_changes_its_state_in_both_directions(managed: Managed, caller) -> None:
     from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start()
@@ -132,7 +132,7 @@ async def test_a_slow_transition_is_awaited(managed: Managed, caller) -> None:
     assert await caller.lifecycle_state("/managed", WITHIN) == "inactive"
 
 
-async def test_a_transition_that_is_refused_says_so_and_may_be_tried_again(managed: Managed, caller) -> None:
+async def test_a_refused_transition_is_reported_and_can_be_retried(managed: Managed, caller) -> None:
     from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start("refusing")
@@ -142,7 +142,7 @@ async def test_a_transition_that_is_refused_says_so_and_may_be_tried_again(manag
     await caller.bring_to("/managed", "active", WITHIN)
 
 
-async def test_parameters_are_read_and_set_in_their_type(managed: Managed, caller) -> None:
+async def test_parameters_are_read_and_set_with_their_types(managed: Managed, caller) -> None:
     from understudy.ros.actions.instance_calls import CallFailed
 
     managed.start()
@@ -184,7 +184,7 @@ async def test_a_message_waits_for_its_subscriber_and_arrives_once(managed: Mana
         await caller.wait_sample("/taken", "std_msgs/msg/String", 1.0, since=time.time())
 
 
-async def test_bytes_are_published_as_they_are(managed: Managed, caller) -> None:
+async def test_serialized_messages_are_published_unchanged(managed: Managed, caller) -> None:
     from geometry_msgs.msg import PoseWithCovarianceStamped
     from rclpy.serialization import serialize_message
 
@@ -199,7 +199,7 @@ async def test_bytes_are_published_as_they_are(managed: Managed, caller) -> None
     assert b"kept 0.0 0.0" in sample.data
 
 
-async def test_nodes_and_services_are_seen(managed: Managed, caller) -> None:
+async def test_nodes_and_services_are_found(managed: Managed, caller) -> None:
     assert not await caller.node_present("/managed")
     managed.start()
     end = time.monotonic() + WITHIN
@@ -279,7 +279,7 @@ rclpy.spin(node)
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
-def test_a_subscriber_that_cannot_be_reached_holds_nothing_up() -> None:
+def test_an_unreachable_subscriber_delays_nothing() -> None:
     """Instances of one workload know of each other's subscribers, and no packet passes between them."""
     environment = {
         "ROS_DOMAIN_ID": "62",

@@ -14,29 +14,29 @@ pytestmark = pytest.mark.ros
 @pytest.mark.parametrize(
     "name", ["geometry_msgs/msg/Twist", "std_srvs/srv/Trigger", "test_msgs/action/Fibonacci", "std_msgs/msg/String"]
 )
-def test_installed_types_are_found_ready_for_use(name):
+def test_installed_types_are_found(name):
     found = interface_class(name)
     assert found.__name__ == name.split("/")[-1]
     assert found.__class__._TYPE_SUPPORT is not None
 
 
-def test_missing_package_says_what_to_do():
+def test_a_missing_package_is_reported_with_a_solution():
     with pytest.raises(TypeNotInstalled) as caught:
         message_class("robots_msgs/msg/Costmap")
     assert_golden("ros", str(caught.value), "robots_msgs", "spec.monitor.image", "no package robots_msgs")
 
 
-def test_misspelt_type_names_the_nearest():
+def test_a_misspelt_type_is_reported_with_a_similar_one():
     with pytest.raises(TypeNotInstalled, match="geometry_msgs has geometry_msgs/msg/TwistStamped"):
         message_class("geometry_msgs/msg/TwistStampd")
 
 
-def test_package_without_such_types():
+def test_a_package_without_types_of_the_kind_is_reported():
     with pytest.raises(TypeNotInstalled, match="geometry_msgs has no srv types"):
         interface_class("geometry_msgs/srv/Twist")
 
 
-def test_package_that_is_not_of_ros(monkeypatch):
+def test_a_package_without_ros_types_is_reported(monkeypatch):
     package, module = ModuleType("odd"), ModuleType("odd.msg")
     module.Name = type("Name", (), {})
     monkeypatch.setitem(sys.modules, "odd", package)
@@ -51,6 +51,6 @@ def test_an_invalid_name_is_refused(name):
         interface_class(name)
 
 
-def test_message_class_is_for_messages():
+def test_a_message_class_must_be_of_a_message():
     with pytest.raises(ValueError, match="not a message type"):
         message_class("std_srvs/srv/Trigger")

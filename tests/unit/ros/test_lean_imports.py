@@ -28,7 +28,7 @@ print(json.dumps({
 """
 
 
-def test_messages_work_and_the_generator_is_not_loaded():
+def test_messages_work_without_the_code_generator():
     found = run(
         "import understudy.ros.runtime.graph_node\n"
         "from understudy.ros.runtime.interface_types import message_class\n"
@@ -38,7 +38,7 @@ def test_messages_work_and_the_generator_is_not_loaded():
     assert found == {"works": 52, "loaded": ["rosidl_generator_py"]}
 
 
-def test_a_generator_that_is_loaded_is_left_alone():
+def test_a_loaded_code_generator_is_not_changed():
     found = run(
         "import rosidl_generator_py\n"
         "from understudy.ros.runtime.lean_imports import leave_out_generator\n"
@@ -50,7 +50,7 @@ def test_a_generator_that_is_loaded_is_left_alone():
     assert "lark" in found["loaded"]
 
 
-def test_two_threads_may_need_rclpy_at_the_same_time():
+def test_two_threads_can_import_rclpy_at_the_same_time():
     found = run(
         "import asyncio, json, threading\n"
         "from understudy.ros.runtime.lean_imports import import_rclpy, rclpy_imported\n"

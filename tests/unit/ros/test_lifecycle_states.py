@@ -68,7 +68,7 @@ def bring_to(state: str) -> None:
     asyncio.run(bring())
 
 
-def test_a_node_that_leaves_its_state_fails_and_what_it_was_before_is_asked_for(watching, graph, managed, eventually):
+def test_a_node_that_leaves_its_state_fails_and_earlier_states_are_requested(watching, graph, managed, eventually):
     managed()
     judged = Judged(watching, {"lifecycle": {"node": NODE}})
     eventually(lambda: judged.now().reason == "state active of node /managed has not held yet (it is unconfigured)")
@@ -90,7 +90,7 @@ def test_a_node_that_leaves_its_state_fails_and_what_it_was_before_is_asked_for(
     assert watching.problems == []
 
 
-def test_what_is_published_and_set_otherwise_and_another_node_do_it_no_harm(watching, managed, eventually):
+def test_publishing_setting_parameters_and_other_nodes_have_no_influence(watching, managed, eventually):
     managed()
     bring_to("active")
     judged = Judged(watching, {"lifecycle": {"node": NODE}})
@@ -149,7 +149,7 @@ class Told:
         return TransitionEvent(goal_state=State(label=self.label))
 
 
-def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agree(graph, managed, eventually):
+def test_answers_of_equally_named_nodes_in_several_pods_count_only_if_they_agree(graph, managed, eventually):
     managed()
     eventually(lambda: len(graph.servers(f"{NODE}/get_state")) == 1)
     (own,) = {end.gid[:12] for end in graph.servers(f"{NODE}/get_state")}
@@ -180,9 +180,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
         states.close()
 
 
-def test_of_a_process_that_takes_the_place_of_another_nothing_is_known_but_what_it_has_told(
-    graph, managed, monkeypatch
-):
+def test_the_state_of_a_replacement_process_is_known_only_from_its_own_events(graph, managed, monkeypatch):
     """The servers are made up: DDS takes note of a killed process only after 20 s."""
     node = Endpoint("lifecycle_msgs::srv::dds_::GetState_Request_", b"", NODE)
     servers = [replace(node, gid=b"a" * 16)]

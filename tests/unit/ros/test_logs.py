@@ -30,7 +30,7 @@ def heard(watching: TopicWatch) -> int:
     return record.count if record is not None else 0
 
 
-def test_what_the_node_logs_fails_and_what_others_and_it_otherwise_log_does_not(watching, processes, eventually, graph):
+def test_only_matching_log_messages_of_the_node_fail(watching, processes, eventually, graph):
     judged = Judged(watching, TREE, grace=0.001)
     controller, planner = (processes.node("log", name) for name in ("controller", "planner"))
     eventually(lambda: judged.now() and len(graph.publishers("/rosout")) == 2)
@@ -60,7 +60,7 @@ def test_what_the_node_logs_fails_and_what_others_and_it_otherwise_log_does_not(
     eventually(lambda: judged.now().state == "Healthy")
 
 
-def test_only_what_comes_from_the_instance_counts(graph, processes, eventually):
+def test_only_log_messages_of_the_instance_count(graph, processes, eventually):
     node = processes.node("log", "controller")
     eventually(lambda: graph.publishers("/rosout"))
     (host,) = {end.gid[HOST] for end in graph.publishers("/rosout")}
@@ -85,7 +85,7 @@ def test_only_what_comes_from_the_instance_counts(graph, processes, eventually):
             watching.close()
 
 
-def test_what_is_below_the_level_is_not_read(watching, processes, eventually, monkeypatch):
+def test_log_messages_below_the_level_are_not_deserialized(watching, processes, eventually, monkeypatch):
     import rclpy.serialization
 
     judged = Judged(watching, TREE, grace=0.001)

@@ -45,7 +45,7 @@ def _last(watching, topic):
     return watching.topic(topic).contents[-1].message()
 
 
-def test_arrays_numbers_and_strings_of_real_messages(watching, processes, eventually):
+def test_conditions_read_arrays_numbers_and_strings_of_real_messages(watching, processes, eventually):
     conditions = [
         "len(ranges) == 3 and all(r > 0.2 for r in ranges if isfinite(r)) and ranges[2] == 4",
         "header.frame_id == 'laser' and header.stamp.sec > 0 and angle_max - angle_min == 1",
@@ -71,7 +71,7 @@ def test_arrays_numbers_and_strings_of_real_messages(watching, processes, eventu
     assert_golden("ros", judged.now().reason, "pose.covariance[35] was 0.75", "pose.pose.position.x was 4")
 
 
-def test_fields_are_checked_where_the_type_is_installed():
+def test_fields_are_checked_if_the_type_is_installed():
     tree = {"value": {"topic": "/battery", "type": BATTERY, "holds": "percent > 0.15"}}
     with pytest.raises(ValueError, match="has no field 'percent', did you mean 'percentage'"):
         load(tree, fields=message_fields)
@@ -81,7 +81,7 @@ def test_fields_are_checked_where_the_type_is_installed():
         load({"age": {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "most": "1s"}}, fields=message_fields)
 
 
-def test_the_age_of_a_real_message_is_by_its_stamp(watching, processes, eventually):
+def test_the_age_of_a_real_message_is_measured_by_its_stamp(watching, processes, eventually):
     judged = Judged(watching, {"age": {"topic": "/scan", "most": "5s"}})
     node = processes.node("say", "/scan", SCAN)
     tell(node, header={"stamp": "now"})
@@ -100,7 +100,7 @@ def _last_age(watching, topic):
     return watching.topic(topic).contents[-1].age()
 
 
-def test_levels_of_two_nodes_are_told_apart(watching, processes, eventually):
+def test_the_levels_of_two_nodes_are_distinguished(watching, processes, eventually):
     judged = Judged(watching, {"diagnostics": {"prefix": "camera", "worst": "WARN"}})
     camera, lidar = (processes.node("say", "/diagnostics", DIAGNOSTICS) for _ in range(2))
     tell(lidar, status=[{"name": "lidar", "level": 2, "message": "dead"}])
@@ -111,9 +111,7 @@ def test_levels_of_two_nodes_are_told_apart(watching, processes, eventually):
     assert judged.now().reason.endswith("(camera: a says ERROR: no frames)")
 
 
-def test_messages_of_an_instance_that_is_not_in_control_are_not_looked_into(
-    watching, processes, eventually, address_of
-):
+def test_messages_of_an_inactive_instance_do_not_count(watching, processes, eventually, address_of):
     judged = Judged(watching, {"value": {"topic": "/battery", "type": BATTERY, "holds": "percentage > 0.15"}})
     node = processes.node("say", "/battery", BATTERY)
     tell(node, percentage=0.5)
@@ -129,7 +127,7 @@ def test_messages_of_an_instance_that_is_not_in_control_are_not_looked_into(
     assert record.contents, "the agent of that instance looks into them"
 
 
-def test_what_is_kept_of_messages_is_what_the_tree_needs(watching, processes, eventually):
+def test_only_the_bytes_that_the_tree_needs_are_kept(watching, processes, eventually):
     judged = Judged(watching, {"age": {"topic": "/scan", "most": "1h"}})
     node = processes.node("say", "/scan", SCAN)
     tell(node, header={"stamp": "now"}, ranges=[1.0] * 100)
@@ -148,7 +146,7 @@ def test_what_is_kept_of_messages_is_what_the_tree_needs(watching, processes, ev
 
 
 @pytest.mark.parametrize(("order", "mark"), [("<", 1), (">", 0)])
-def test_a_stamp_is_read_in_either_order_of_bytes_and_the_clock_may_be_set(order, mark):
+def test_a_stamp_is_read_in_either_byte_order_and_does_not_depend_on_the_clock(order, mark):
     head = bytes([0, mark, 0, 0]) + struct.pack(f"{order}iI", 1_700_000_000, 250_000_000)
     message = message_class(SCAN)
     content = Received(1_700_000_001.0, 1_700_000_001.0, head, message, begins_with_header(message))
@@ -168,7 +166,7 @@ def test_bytes_of_another_type_cannot_be_read():
             content.message()
 
 
-def test_a_step_of_the_clock_moves_contents(watching, processes, eventually, monkeypatch):
+def test_a_clock_step_moves_the_receipt_times_of_messages(watching, processes, eventually, monkeypatch):
     judged = Judged(watching, {"age": {"topic": "/scan", "most": "20s"}})
     node = processes.node("say", "/scan", SCAN)
     tell(node, header={"stamp": "now"})
@@ -188,9 +186,7 @@ def test_a_step_of_the_clock_moves_contents(watching, processes, eventually, mon
     assert content.age() < 20
 
 
-def test_an_age_since_it_was_sent_is_by_when_it_was_written_and_not_by_its_stamp(
-    watching, graph, eventually, monkeypatch
-):
+def test_an_age_by_source_counts_from_the_sending_and_ignores_the_stamp(watching, graph, eventually, monkeypatch):
     """What its writer kept for those that come late was sent long ago when they get it."""
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -215,7 +211,7 @@ def test_an_age_since_it_was_sent_is_by_when_it_was_written_and_not_by_its_stamp
 
 
 @pytest.mark.parametrize("sent", [0.0, 1_700_000_000.0])
-def test_when_a_message_was_sent_is_by_the_clocks_of_then(sent):
+def test_the_transmission_time_does_not_change_with_the_clock(sent):
     content = Received(1_700_000_001.5, 1_700_000_001.5, b"", message_class("std_msgs/msg/String"), False, sent)
     expected = pytest.approx(1.5, abs=1e-6) if sent else None
     assert content.under_way() == expected

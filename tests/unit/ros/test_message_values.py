@@ -9,7 +9,7 @@ import pytest
 pytestmark = pytest.mark.ros
 
 
-def test_a_message_has_the_given_fields_and_defaults_else() -> None:
+def test_a_message_has_the_given_fields_and_defaults_otherwise() -> None:
     from understudy.ros.runtime.interface_types import message_class
     from understudy.ros.runtime.message_values import to_mapping, to_message
 
@@ -32,7 +32,7 @@ def test_a_message_has_the_given_fields_and_defaults_else() -> None:
     assert found["int32_values"] == []
 
 
-def test_now_stands_for_the_present_time() -> None:
+def test_now_is_replaced_by_the_present_time() -> None:
     from understudy.ros.runtime.interface_types import message_class
     from understudy.ros.runtime.message_values import to_message
 

@@ -63,7 +63,7 @@ def driving(dds: None, request: pytest.FixtureRequest) -> Iterator[Driving]:
     graph.close()
 
 
-def test_a_robot_that_stands_while_it_is_commanded_is_found_and_one_that_is_not_isnt(watching, driving, eventually):
+def test_a_robot_that_stands_despite_a_command_is_detected(watching, driving, eventually):
     judged = Judged(watching, LEAF)
 
     def reason() -> str:

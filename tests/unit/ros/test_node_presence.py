@@ -34,7 +34,7 @@ def join(dds: None) -> Iterator[Callable[[str], Graph]]:
         graph.close()
 
 
-def test_a_node_that_is_gone_fails_whoever_else_comes_and_goes(watching, join, eventually, graph):
+def test_a_missing_node_fails_regardless_of_other_nodes(watching, join, eventually, graph):
     judged = Judged(watching, {"node": {"name": "/controller", "for": "300ms"}})
     teleop = join("teleop")
     eventually(lambda: judged.now() and any(end.node == "/teleop" for end in graph.publishers("/parameter_events")))
@@ -56,7 +56,7 @@ def test_a_node_that_is_gone_fails_whoever_else_comes_and_goes(watching, join, e
     eventually(lambda: judged.now().state == "Healthy")
 
 
-def test_one_without_parameter_events_is_told_by_what_else_it_has(watching, join, eventually, graph):
+def test_a_node_without_parameter_events_is_found_by_its_other_endpoints(watching, join, eventually, graph):
     # Its other topics are gone through once a second.
     controller, said = join("controller"), Judged(watching, {"node": {"name": "/controller", "for": "5s"}})
     eventually(lambda: said.now().state == "Healthy")
@@ -78,7 +78,7 @@ def test_one_without_parameter_events_is_told_by_what_else_it_has(watching, join
     eventually(lambda: said.now().state == "Failed")
 
 
-def test_an_agent_counts_the_nodes_of_its_own_host(graph, join, eventually):
+def test_an_agent_counts_only_nodes_of_its_own_host(graph, join, eventually):
     join("controller")
     eventually(lambda: any(end.node == "/controller" for end in graph.publishers("/parameter_events")))
     (host,) = {end.gid[HOST] for end in graph.publishers("/parameter_events") if end.node == "/controller"}
@@ -90,7 +90,7 @@ def test_an_agent_counts_the_nodes_of_its_own_host(graph, join, eventually):
         watching.close()
 
 
-def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypatch, graph):
+def test_the_monitor_counts_only_nodes_of_the_active_instance_and_the_robot(watching, monkeypatch, graph):
     active, standby, robot = "192.0.2.1", "192.0.2.2", "192.0.2.3"
     ends: list[Endpoint] = []
 
@@ -119,7 +119,7 @@ def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypat
     assert counted({"w-1": active, "w-2": standby}, "w-1") == (False, False)
 
 
-def test_the_publishers_are_gone_through_when_their_number_changes_and_else_seldom(
+def test_publishers_are_searched_when_their_number_changes_and_otherwise_rarely(
     watching, monkeypatch, eventually, graph
 ):
     looks = []

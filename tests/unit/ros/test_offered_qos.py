@@ -28,7 +28,7 @@ EXACTING = QoSProfile(
 PROFILES = [QoSProfile(depth=10), LATCHED, qos_profile_sensor_data, EXACTING]
 
 
-def test_another_implementation_reads_and_writes_the_same() -> None:
+def test_another_implementation_reads_and_writes_the_same_qos() -> None:
     text = offers(PROFILES)
     assert dump_qos_v9(parse_qos(text)) == yaml.safe_load(text)
     read = parse_qos(text)
@@ -43,11 +43,11 @@ def test_publishers_with_the_same_qos_are_reported_once() -> None:
     assert len(yaml.safe_load(offers([QoSProfile(depth=10), LATCHED, QoSProfile(depth=10)]))) == 2
 
 
-def test_nobody_offers_anything() -> None:
+def test_a_topic_without_publishers_has_an_empty_list() -> None:
     assert yaml.safe_load(offers([])) == [], "a list, where rosbag2 stumbles over nothing at all"
 
 
-def test_what_is_discovered_is_told_as_rosbag2_tells_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_discovered_qos_is_written_as_rosbag2_does(monkeypatch: pytest.MonkeyPatch) -> None:
     keep_to_itself(monkeypatch)
     graph = Graph("looks")
     publisher = graph.node.create_publisher(String, "/said", LATCHED)

@@ -38,7 +38,7 @@ def deadline(endpoint: ElementTree.Element) -> float | None:
     return int(period.findtext("d:sec", "", SPACE)) + int(period.findtext("d:nanosec", "", SPACE)) / 1e9
 
 
-def test_writers_offer_what_the_robots_readers_ask_for() -> None:
+def test_the_deadline_of_writers_is_slightly_shorter_than_that_of_robot_readers() -> None:
     for text in ("20ms", "100ms", "333ms", "1s", "9.99s"):
         reflex = Reflex(deadline=text)
         reader = ElementTree.fromstring(profiles_xml([CHAT], reflex)).find(".//d:data_reader", SPACE)
@@ -64,7 +64,7 @@ def test_with_the_reflex_every_reader_keeps_its_gate_port() -> None:
     assert owned == ["/chat"], "services have no owner"
 
 
-def test_an_instances_own_readers_match_its_writers_and_wait_without_end() -> None:
+def test_the_readers_of_an_instance_match_its_writers_and_have_no_deadline() -> None:
     root = ElementTree.fromstring(instance_profiles_xml([], [CHAT, SNAP], REFLEX))
     (reader,) = root.iterfind(".//d:data_reader", SPACE)
     assert reader.attrib["profile_name"] == "/chat"
@@ -72,7 +72,7 @@ def test_an_instances_own_readers_match_its_writers_and_wait_without_end() -> No
     assert deadline(reader) is None
 
 
-def test_without_the_reflex_nothing_has_an_owner() -> None:
+def test_without_the_reflex_there_is_no_ownership() -> None:
     assert "ownership" not in profiles_xml([CHAT])
     assert instance_profiles_xml([], [CHAT]) == ""
 
@@ -119,7 +119,7 @@ def fence(host: list[str], closed: bool) -> None:
 
 @pytest.mark.ros
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
-def test_a_robots_reader_falls_over_and_the_loser_stays_away(
+def test_a_robot_reader_switches_to_the_standby_and_never_returns_to_the_loser(
     lan: Network, processes: Processes, tmp_path: Path
 ) -> None:
     pytest.importorskip("rclpy")

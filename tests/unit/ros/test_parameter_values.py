@@ -57,7 +57,7 @@ def leaf(name: str = "speed", **expected: Any) -> dict[str, Any]:
     return {"parameter": {"node": NODE, "name": name, **(expected or {"equals": 1.0})}}
 
 
-def test_a_value_that_is_changed_fails_and_what_it_was_before_is_asked_for(watching, graph, node, eventually):
+def test_a_changed_value_fails_and_earlier_values_are_requested(watching, graph, node, eventually):
     node()
     judged = Judged(watching, leaf())
     eventually(lambda: judged.now().state == "Healthy")
@@ -124,7 +124,7 @@ def test_other_parameters_and_other_nodes_have_no_influence(watching, node, proc
 @pytest.mark.parametrize(
     ("name", "reason"), [("nobodys", "(it is not set)"), ("list", "(it is an array)"), ("unset", "(it is not set)")]
 )
-def test_a_parameter_that_is_not_there_or_cannot_be_compared_is_told_so(watching, node, eventually, name, reason):
+def test_a_missing_or_incomparable_parameter_is_reported(watching, node, eventually, name, reason):
     node()
     judged = Judged(watching, leaf(name), grace=0.001)
     eventually(lambda: judged.now().state == "Failed" and reason in judged.now().reason)
@@ -152,7 +152,7 @@ class Told:
         return ParameterEvent(node=NODE, changed_parameters=[Parameter(name="speed", value=value)])
 
 
-def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agree(graph, node, eventually):
+def test_answers_of_equally_named_nodes_in_several_pods_count_only_if_they_agree(graph, node, eventually):
     node("1.5")
     eventually(lambda: len(graph.servers(f"{NODE}/get_parameters")) == 1)
     (own,) = {end.gid[:12] for end in graph.servers(f"{NODE}/get_parameters")}
@@ -185,7 +185,7 @@ def test_of_nodes_of_one_name_in_several_pods_answers_count_only_where_they_agre
         ({"type": 8, "double_array_value": [0.5]}, Setting(None, "it is an array")),
     ],
 )
-def test_a_real_value_is_read(fields: dict[str, Any], expected: Setting) -> None:
+def test_every_type_of_parameter_value_is_read(fields: dict[str, Any], expected: Setting) -> None:
     from rcl_interfaces.msg import ParameterValue
 
     found = setting(ParameterValue(**fields))

@@ -14,15 +14,15 @@ SNAP = Output(service="/snap", type="std_srvs/srv/Trigger")
 GOTO = Output(action="/robot/goto", type="test_msgs/action/Fibonacci")
 
 
-def test_topic_has_its_own_name_as_profile():
+def test_the_profile_of_a_topic_has_its_name():
     assert gate_ports([CMD_VEL]) == {"/cmd_vel": 7950}
 
 
-def test_service_is_gated_in_both_directions():
+def test_a_service_is_gated_in_both_directions():
     assert gate_ports([SNAP]) == {"rq/snapRequest": 7950, "rr/snapReply": 7951}
 
 
-def test_action_is_gated_in_both_directions():
+def test_an_action_is_gated_in_both_directions():
     assert list(gate_ports([GOTO])) == [
         "rq/robot/goto/_action/send_goalRequest",
         "rr/robot/goto/_action/send_goalReply",
@@ -40,24 +40,24 @@ def test_ports_follow_the_order_of_the_outputs_and_never_repeat():
     assert list(ports.values()) == list(range(7950, 7950 + 11))
 
 
-def test_output_named_twice_takes_one_port():
+def test_an_output_that_is_named_twice_uses_one_port():
     assert gate_ports([CMD_VEL, CMD_VEL, SNAP])["rq/snapRequest"] == 7951
 
 
-def test_largest_workload_that_the_api_allows_fits():
+def test_the_largest_workload_that_the_api_allows_fits():
     outputs = [Output(action=f"/a{i}", type="test_msgs/action/Fibonacci") for i in range(24)]
     ports = gate_ports(outputs)
     assert len(ports) == 24 * 8
     assert max(ports.values()) < names.PROBE_PORT
 
 
-def test_running_out_of_ports_names_the_output():
+def test_an_output_without_a_free_port_is_reported():
     outputs = [Output(action=f"/a{i}", type="test_msgs/action/Fibonacci") for i in range(25)]
     with pytest.raises(ValueError, match=r"spec\.outputs: no gate port is left for /a24.*199 UDP ports"):
         gate_ports(outputs)
 
 
-def test_file_has_one_reader_per_port():
+def test_the_file_has_one_reader_per_port():
     outputs = [CMD_VEL, SNAP, GOTO]
     root = ElementTree.fromstring(profiles_xml(outputs))
     space = {"d": "http://www.eprosima.com"}
@@ -74,7 +74,7 @@ def test_names_are_escaped():
     assert [r.attrib["profile_name"] for r in root.iter("{http://www.eprosima.com}data_reader")] == ['/a"<b']
 
 
-def test_every_endpoint_of_a_task_is_in_its_pods_partition():
+def test_every_endpoint_of_a_task_is_in_the_partition_of_its_pod():
     text = instance_profiles_xml([Task(action="/goto", type="test_msgs/action/Fibonacci")])
     root = ElementTree.fromstring(text)
     partitions = {
@@ -92,5 +92,5 @@ def test_every_endpoint_of_a_task_is_in_its_pods_partition():
     assert set(partitions.values()) == {"understudy-${UNDERSTUDY_POD}"}
 
 
-def test_without_tasks_there_are_no_profiles_for_instances():
+def test_without_tasks_instances_have_no_profiles():
     assert instance_profiles_xml([]) == ""

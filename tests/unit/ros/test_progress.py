@@ -30,9 +30,7 @@ def fed(watching: Any) -> int:
     return record.count if record is not None else 0
 
 
-def test_a_goal_that_does_not_get_on_fails_though_feedback_comes_and_one_that_ends_is_well(
-    watching, processes, eventually
-):
+def test_a_goal_without_progress_fails_despite_feedback_and_recovers_at_its_end(watching, processes, eventually):
     leaf = {"action": "/go", "type": TYPE, "grows": "sequence[-1]", "by": 2, "within": "2s", "settle": "10ms"}
     judged = Judged(watching, {"progress": {**leaf, "gap": "30s"}}, grace=0.001)
     assert judged.now().state == "Healthy"
@@ -70,7 +68,7 @@ def test_a_goal_that_does_not_get_on_fails_though_feedback_comes_and_one_that_en
     assert judged.deadline() is None
 
 
-def test_silence_fails_by_the_gap_and_the_type_is_learnt_from_the_graph(watching, processes, eventually):
+def test_silence_fails_after_the_gap_without_a_given_type(watching, processes, eventually):
     judged = Judged(watching, {"progress": {"action": "/go", "gap": "1s", "settle": "10ms"}}, grace=0.001)
     server = processes.node("work", "/go")
     eventually(lambda: feed_back(server, 1) or (judged.now().state == "Healthy" and fed(watching)))
@@ -78,7 +76,7 @@ def test_silence_fails_by_the_gap_and_the_type_is_learnt_from_the_graph(watching
     eventually(lambda: feed_back(server, 1) or judged.now().state == "Healthy")
 
 
-def test_feedback_has_its_types():
+def test_the_types_of_feedback_are_found():
     assert list(message_fields(f"{TYPE}_FeedbackMessage")) == ["goal_id", "feedback"]
     assert list(message_fields(f"{TYPE}_Feedback")) == ["sequence"]
     assert message_fields("no_such_msgs/action/Go_Feedback") is None

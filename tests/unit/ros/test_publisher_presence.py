@@ -37,7 +37,7 @@ def publisher(graph: Graph, topic: str) -> Any:
     return graph.node.create_publisher(String, topic, 1)
 
 
-def test_a_publisher_that_is_gone_fails_whoever_else_publishes(watching, others, eventually):
+def test_a_missing_publisher_fails_regardless_of_other_publishers(watching, others, eventually):
     controller, teleop = others
     judged = Judged(watching, {"publisher": {"topic": "/chat", "node": "/controller", "for": "300ms"}})
     publisher(teleop, "/chat")
@@ -52,7 +52,7 @@ def test_a_publisher_that_is_gone_fails_whoever_else_publishes(watching, others,
     eventually(lambda: judged.now().state == "Healthy")
 
 
-def test_what_becomes_of_other_publishers_subscribers_and_topics_does_it_no_harm(watching, others, eventually, graph):
+def test_other_publishers_subscribers_and_topics_have_no_influence(watching, others, eventually, graph):
     controller, teleop = others
     judged = Judged(watching, {"publisher": {"topic": "/chat", "count": 1}})
     publisher(controller, "/chat")
@@ -72,7 +72,7 @@ def test_what_becomes_of_other_publishers_subscribers_and_topics_does_it_no_harm
     assert states == {"Healthy"}
 
 
-def test_the_topic_is_not_subscribed_to_for_that(watching, others, eventually, graph):
+def test_the_leaf_does_not_subscribe_to_the_topic(watching, others, eventually, graph):
     judged = Judged(watching, {"publisher": {"topic": "/chat"}})
     publisher(others[0], "/chat")
     eventually(lambda: judged.now().state == "Healthy")
@@ -83,7 +83,7 @@ def test_the_topic_is_not_subscribed_to_for_that(watching, others, eventually, g
     assert watching.publishers("/chat") is None
 
 
-def test_an_agent_counts_the_publishers_of_its_own_host(graph, others, eventually):
+def test_an_agent_counts_only_publishers_of_its_own_host(graph, others, eventually):
     publisher(others[0], "/chat")
     eventually(lambda: graph.publishers("/chat"))
     (host,) = {endpoint.gid[HOST] for endpoint in graph.publishers("/chat")}
@@ -95,7 +95,7 @@ def test_an_agent_counts_the_publishers_of_its_own_host(graph, others, eventuall
         watching.close()
 
 
-def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypatch, graph):
+def test_the_monitor_counts_only_publishers_of_the_active_instance_or_the_robot(watching, monkeypatch, graph):
     def gid(address: str) -> bytes:
         return VENDOR + host_id(address) + bytes(12)
 
@@ -119,7 +119,7 @@ def test_the_monitor_counts_those_of_the_instance_in_control(watching, monkeypat
     assert counted({"w-1": "2001:db8::1", "w-2": standby}, "w-1") == ("/a", "/c"), "that address tells nothing"
 
 
-def test_a_step_of_the_clock_moves_the_looks(watching, others, eventually, monkeypatch):
+def test_a_clock_step_moves_the_times_of_observations(watching, others, eventually, monkeypatch):
     judged = Judged(watching, {"publisher": {"topic": "/chat"}})
     publisher(others[0], "/chat")
     eventually(lambda: judged.now().state == "Healthy")

@@ -22,7 +22,9 @@ pytestmark = [
 MONITOR, INSTANCE, ROBOT, COMPANION = (f"10.77.0.{host}" for host in range(2, 6))
 
 
-def test_readers_of_the_robot_are_told_by_where_they_listen(processes, monkeypatch, tmp_path) -> None:
+def test_readers_of_the_robot_are_reported_with_the_ports_at_which_they_listen(
+    processes, monkeypatch, tmp_path
+) -> None:
     monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE")
     file = tmp_path / "profiles.xml"
     file.write_text(profiles_xml([Output(topic="/chat", type="std_msgs/msg/String")]))

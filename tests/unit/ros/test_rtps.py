@@ -36,21 +36,21 @@ def reader(name: str) -> Reader:
 
 
 @pytest.mark.parametrize("name", ["server_participant", "multicast_participant"])
-def test_a_participant_says_where_it_listens(name: str) -> None:
+def test_a_participant_announces_its_locators(name: str) -> None:
     (sample,) = samples(name)
     assert isinstance(sample.entity, Participant)
     assert sample.entity.discovery == (Locator("10.9.0.2", 9160),)
     assert sample.entity.default == (Locator("10.9.0.2", 9161),)
 
 
-def test_a_reader_without_a_profile_says_its_participants_port_and_one_with_it_its_own() -> None:
+def test_a_reader_announces_its_own_port_or_that_of_its_participant() -> None:
     plain, gated = reader("server_plain"), reader("server_gated")
     assert (plain.topic, plain.locators) == ("rt/chat", (Locator("10.9.0.2", 9161),))
     assert (gated.topic, gated.locators) == ("rt/chat", (Locator("10.9.0.3", 7950),))
     assert len(plain.guid) == len(gated.guid) == 16
 
 
-def test_a_server_speaks_for_others_and_a_participant_for_itself() -> None:
+def test_a_server_announces_readers_of_others_and_a_participant_its_own() -> None:
     (told,) = samples("server_gated")
     assert told.writer == SERVER + rtps.SUBSCRIPTIONS[0]
     for told in samples("multicast_two_readers"):
@@ -58,7 +58,7 @@ def test_a_server_speaks_for_others_and_a_participant_for_itself() -> None:
         assert told.writer[: rtps.PREFIX] == told.entity.guid[: rtps.PREFIX]
 
 
-def test_several_readers_may_come_in_one_datagram() -> None:
+def test_one_datagram_may_contain_several_readers() -> None:
     first, second = samples("multicast_two_readers")
     assert second.number == first.number + 1
     assert isinstance(second.entity, Reader)
@@ -70,7 +70,7 @@ def test_a_deleted_reader_announces_nothing() -> None:
     assert (told.number, told.entity) == (15, None)
 
 
-def test_what_a_writer_has_and_what_it_leaves_out() -> None:
+def test_heartbeats_and_gaps_are_parsed() -> None:
     (heartbeat,) = rtps.parse(RECORDED["server_heartbeat"])
     assert isinstance(heartbeat, Heartbeat)
     assert heartbeat.writer == SERVER + rtps.SUBSCRIPTIONS[0]
@@ -80,7 +80,7 @@ def test_what_a_writer_has_and_what_it_leaves_out() -> None:
     assert gap.numbers == {8, 9}
 
 
-def test_what_is_said_of_ourselves_is_read_as_it_was_meant() -> None:
+def test_our_own_announcements_are_parsed_as_they_were_meant() -> None:
     at = Locator("10.9.0.4", 40000)
     (told,) = rtps.parse(rtps.announcement(OURS, at, lease=10.0, kind="SUPER_CLIENT", to=SERVER))
     assert told == Sample(OURS + rtps.PARTICIPANTS[0], 1, Participant(OURS, (at,), (at,)))
@@ -91,7 +91,7 @@ def test_what_is_said_of_ourselves_is_read_as_it_was_meant() -> None:
     ("missing", "base", "bits"),
     [([], 21, ""), ([3], 3, "1"), ([3, 5, 6], 3, "1011"), ([3, 40], 3, "1" + "0" * 36 + "1")],
 )
-def test_an_answer_names_what_is_missing(missing: list[int], base: int, bits: str) -> None:
+def test_an_acknowledgement_lists_the_missing_samples(missing: list[int], base: int, bits: str) -> None:
     writer = SERVER + rtps.SUBSCRIPTIONS[0]
     told = rtps.acknowledgement(OURS, writer, missing, then=21, count=7)
     body = told[20 + 16 + 4 :]  # after the header, whom it is for, and its own head

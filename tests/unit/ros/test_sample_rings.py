@@ -35,7 +35,7 @@ def test_messages_are_stored_unchanged() -> None:
     assert list(ring.taken(1.6)) == []
 
 
-def test_topic_that_takes_most_is_left_out_whole_and_named() -> None:
+def test_the_topic_that_needs_most_memory_is_omitted_and_reported() -> None:
     ring = SampleRing(10.0, 100_000)
     commands, images = ring.track("/cmd_vel", TWIST), ring.track("/image", "sensor_msgs/msg/Image")
     for number in range(20):
@@ -48,7 +48,7 @@ def test_topic_that_takes_most_is_left_out_whole_and_named() -> None:
     assert ring.used == commands.size <= 100_000
 
 
-def test_a_message_that_never_fits_costs_no_other_topic() -> None:
+def test_a_message_larger_than_the_ring_removes_no_other_topic() -> None:
     ring = SampleRing(10.0, 100_000)
     ring.track("/cmd_vel", TWIST).add(0.0, 0.0, 1, KILO)
     ring.track("/map", "nav_msgs/msg/OccupancyGrid").add(0.1, 0.0, 1, bytes(200_000))
@@ -56,7 +56,7 @@ def test_a_message_that_never_fits_costs_no_other_topic() -> None:
     assert set(ring.left_out) == {"/map"}
 
 
-def test_what_is_silent_by_now_makes_room_before_a_topic_is_left_out() -> None:
+def test_samples_of_a_silent_topic_are_dropped_before_a_topic_is_omitted() -> None:
     ring = SampleRing(1.0, 100_000)
     silent, other = ring.track("/silent", TWIST), ring.track("/other", TWIST)
     for number in range(60):
@@ -67,7 +67,7 @@ def test_what_is_silent_by_now_makes_room_before_a_topic_is_left_out() -> None:
     assert len(received(ring)["/other"]) == 60
 
 
-def test_nothing_is_forgotten_while_it_is_held() -> None:
+def test_a_held_ring_forgets_nothing() -> None:
     ring = SampleRing(1.0, 1_000_000)
     track = ring.track("/cmd_vel", TWIST)
     for number in range(20):
@@ -81,7 +81,7 @@ def test_nothing_is_forgotten_while_it_is_held() -> None:
     assert received(ring)["/cmd_vel"][0] == pytest.approx(29.0)
 
 
-def test_what_led_to_a_failure_is_worth_more_than_what_came_of_it() -> None:
+def test_a_full_held_ring_keeps_the_samples_before_the_failure() -> None:
     ring = SampleRing(100.0, 100_000)
     track = ring.track("/cmd_vel", TWIST)
     before = int(100 * ROOM) - 1

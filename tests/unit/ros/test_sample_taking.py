@@ -38,7 +38,7 @@ def publisher(graph, eventually):
     return made
 
 
-def test_samples_carry_data_times_and_sequence(graph, subscription, eventually):
+def test_samples_have_data_times_and_a_sequence_number(graph, subscription, eventually):
     publish = publisher(graph, eventually).publish
     before = time.time()
     for text in ("a", "bc"):
@@ -49,7 +49,7 @@ def test_samples_carry_data_times_and_sequence(graph, subscription, eventually):
     assert second.sequence == first.sequence + 1
 
 
-def test_gid_is_the_publishers(graph, subscription, eventually):
+def test_the_gid_of_a_sample_is_that_of_its_publisher(graph, subscription, eventually):
     publisher(graph, eventually).publish(String(data="a"))
     (sample,) = taken(subscription, count=1)
     eventually(lambda: graph.publishers("/chat"))
@@ -79,12 +79,12 @@ def test_data_is_omitted_if_it_is_not_requested(graph, subscription, eventually)
     assert sample.data == b""
 
 
-def test_empty_queue_gives_none(subscription):
+def test_an_empty_queue_gives_no_sample(subscription):
     with subscription.handle:
         assert SampleTaker().take(subscription.handle.pointer) is None
 
 
-def test_queue_keeps_the_newest(graph, subscription, eventually):
+def test_the_queue_keeps_the_newest_samples(graph, subscription, eventually):
     publish = publisher(graph, eventually).publish
     for number in range(30):
         publish(String(data=str(number)))

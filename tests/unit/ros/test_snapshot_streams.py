@@ -103,7 +103,7 @@ def stage(graph: Any) -> Any:
     made.streams.close()
 
 
-async def test_a_watcher_that_is_told_the_topic_draws_each_change(stage: Stage, processes: Any) -> None:
+async def test_a_watcher_of_the_topic_receives_each_change(stage: Stage, processes: Any) -> None:
     await stage.look()
     assert stage.published == 0, "nobody reads it"
     watcher = processes.node("draw", f"{SPACE}/snapshots", script="viewing.py")
@@ -135,7 +135,7 @@ async def test_a_late_subscriber_receives_the_present_state(stage: Stage, proces
     pytest.fail("it wasn't told of the change")
 
 
-async def test_a_viewer_opens_a_stream_of_its_own_and_closes_it(stage: Stage, processes: Any, graph: Any) -> None:
+async def test_a_viewer_opens_and_closes_its_own_stream(stage: Stage, processes: Any, graph: Any) -> None:
     viewer = processes.node("open", SPACE, "0.2", script="viewing.py")
     topic = await stage.line(processes, viewer)
     assert topic == f"{SPACE}/snapshot_streams/_snapshots_0"
@@ -159,7 +159,7 @@ async def test_a_viewer_opens_a_stream_of_its_own_and_closes_it(stage: Stage, pr
     assert not graph.publishers(topic)
 
 
-async def test_a_client_does_not_decide_where_this_process_publishes(stage: Stage) -> None:
+async def test_a_client_cannot_choose_the_topic_or_exceed_the_limits(stage: Stage) -> None:
     assert await stage.open("/cmd_vel") == f"{SPACE}/snapshot_streams/_snapshots_0"
     assert await stage.open("~/a/../b") == f"{SPACE}/snapshot_streams/_snapshots_1"
     assert await stage.open("mine") == await stage.open("mine") == f"{SPACE}/snapshot_streams/mine"
@@ -173,13 +173,13 @@ async def test_a_client_does_not_decide_where_this_process_publishes(stage: Stag
     assert await stage.open("one_more") == f"{SPACE}/snapshots"
 
 
-async def test_the_stream_that_is_always_there_can_not_be_closed(stage: Stage) -> None:
+async def test_the_permanent_stream_cannot_be_closed(stage: Stage) -> None:
     for name in (f"{SPACE}/snapshots", "/elsewhere"):
         assert (await stage.call("close", topic=name)).result is False
     assert f"{SPACE}/snapshots" in stage.streams.periods
 
 
-async def test_a_stream_whose_tool_has_died_is_closed(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_abandoned_stream_is_closed(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     await stage.open("left")
     assert not stage.streams.read()
     assert len(stage.streams.periods) == 2
@@ -188,7 +188,7 @@ async def test_a_stream_whose_tool_has_died_is_closed(stage: Stage, monkeypatch:
     assert list(stage.streams.periods) == [f"{SPACE}/snapshots"]
 
 
-def test_the_topic_is_latched_as_its_readers_ask_for(stage: Stage, graph: Any) -> None:
+def test_the_topic_is_latched_and_has_the_expected_type(stage: Stage, graph: Any) -> None:
     (end,) = graph.publishers(f"{SPACE}/snapshots")
     assert (end.type, end.latched) == ("py_trees_ros_interfaces/msg/BehaviourTree", True)
     assert LATCHED.depth == 1

@@ -33,11 +33,11 @@ def twins() -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("ips", "expected"), SEEN.items())
-def test_host_id_is_fast_dds_own(ips, expected):
+def test_the_host_id_equals_that_of_fast_dds(ips, expected):
     assert host_id(*ips).hex() == expected
 
 
-def test_sample_is_attributed_by_address():
+def test_a_sample_is_attributed_to_a_pod_by_its_address():
     sources = Sources({"p": "10.77.0.2", "f": "10.77.0.3"})
     assert (sources.pod(gid("10.77.0.2")), sources.pod(gid("10.77.0.3", 9)), sources.pod(gid("10.77.0.4"))) == (
         "p",
@@ -48,7 +48,7 @@ def test_sample_is_attributed_by_address():
     assert list(sources.problems()) == []
 
 
-def test_pods_with_the_same_host_id_are_not_told_apart_but_reported():
+def test_pods_with_the_same_host_id_are_not_distinguished_and_are_reported():
     first, second = twins()
     sources = Sources({"a": first, "b": second, "c": "192.0.2.2"})
     assert sources.pod(gid(first)) is None
@@ -59,13 +59,13 @@ def test_pods_with_the_same_host_id_are_not_told_apart_but_reported():
     assert sources.pod(gid("192.0.2.2")) == "c"
 
 
-def test_writer_of_another_implementation_is_nobody():
+def test_a_writer_of_another_implementation_belongs_to_no_pod():
     other = b"\x01\x10" + gid("10.77.0.2")[2:]
     assert Sources({"p": "10.77.0.2"}).candidates(other) == ()
 
 
 @pytest.mark.parametrize("ip", ["", "fd00::1", "10.77.0"])
-def test_pod_without_an_ipv4_address_is_unknown(ip):
+def test_a_pod_without_an_ipv4_address_is_unknown(ip):
     sources = Sources({"p": ip, "f": "10.77.0.3"})
     assert sources.unknown == ["p"]
     assert sources.pod(gid("10.77.0.3")) == "f"
@@ -89,7 +89,7 @@ def watched(processes, lan, *, seconds=2.0, **wish):
 
 @pytest.mark.ros
 @needs_root
-def test_real_publishers_on_hosts_of_their_own_are_told_apart(lan, processes):
+def test_real_publishers_on_separate_hosts_are_distinguished(lan, processes):
     pytest.importorskip("rclpy")
     pods = {"primary": "10.77.0.2", "fallback": "10.77.0.3"}
     for ip in pods.values():

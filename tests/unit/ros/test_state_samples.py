@@ -50,7 +50,7 @@ def x(message: Captured) -> float:
     return float(deserialize_message(message.data, PoseWithCovarianceStamped).pose.pose.position.x)
 
 
-def test_what_was_said_once_before_anyone_listened_is_taken_with_its_own_time(
+def test_a_latched_message_is_captured_with_its_own_time(
     capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     before = time.time()
@@ -64,7 +64,7 @@ def test_what_was_said_once_before_anyone_listened_is_taken_with_its_own_time(
     assert message.received_at >= said + 1.0
 
 
-def test_a_publisher_that_comes_later_is_taken_whether_it_holds_its_messages_or_not(
+def test_a_later_publisher_is_captured_with_and_without_latching(
     capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/amcl_pose": POSE, "/odom": POSE})
@@ -83,7 +83,7 @@ def test_a_publisher_that_comes_later_is_taken_whether_it_holds_its_messages_or_
     assert capturing.waiting == capturing.problems == {}
 
 
-def test_type_is_learnt_from_the_graph(
+def test_the_type_is_read_from_the_graph(
     capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/amcl_pose": None})
@@ -92,7 +92,7 @@ def test_type_is_learnt_from_the_graph(
     assert took("/amcl_pose").type == POSE
 
 
-def test_only_the_last_of_many_messages_is_taken(
+def test_only_the_last_of_many_messages_is_captured(
     capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/odom": POSE})
@@ -102,7 +102,7 @@ def test_only_the_last_of_many_messages_is_taken(
     assert len(capturing.drain()) <= 1
 
 
-def test_type_that_is_not_installed_is_a_problem_and_the_others_are_taken(
+def test_a_type_that_is_not_installed_is_reported_and_other_topics_are_captured(
     capturing: StateSamples, processes: Processes, took: Callable[[str], Captured]
 ) -> None:
     capturing.follow({"/plan": "nav2_msgs/msg/Plan", "/amcl_pose": POSE})
@@ -111,7 +111,7 @@ def test_type_that_is_not_installed_is_a_problem_and_the_others_are_taken(
     took("/amcl_pose")
 
 
-def test_a_type_that_is_not_the_one_that_is_published_is_a_problem(
+def test_a_type_that_differs_from_the_published_one_is_reported(
     capturing: StateSamples, processes: Processes, eventually: Callable[..., None]
 ) -> None:
     capturing.follow({"/amcl_pose": "geometry_msgs/msg/Pose"})
@@ -121,7 +121,7 @@ def test_a_type_that_is_not_the_one_that_is_published_is_a_problem(
     assert_golden("ros", capturing.problems["/amcl_pose"], f"{POSE}, ", "geometry_msgs/msg/Pose: ", "state.keep")
 
 
-def test_a_topic_that_this_process_has_as_another_type_is_a_problem(capturing: StateSamples, graph: Graph) -> None:
+def test_a_topic_that_this_process_uses_with_another_type_is_reported(capturing: StateSamples, graph: Graph) -> None:
     watched = graph.subscribe("/pose", "geometry_msgs/msg/Twist", depth=1)
     capturing.follow({"/pose": "geometry_msgs/msg/PoseStamped"})
     capturing.drain()
@@ -129,7 +129,7 @@ def test_a_topic_that_this_process_has_as_another_type_is_a_problem(capturing: S
     graph.unsubscribe(watched)
 
 
-def test_topics_that_are_not_kept_any_more_are_let_go(capturing: StateSamples, graph: Graph) -> None:
+def test_topics_that_are_no_longer_kept_are_unsubscribed(capturing: StateSamples, graph: Graph) -> None:
     capturing.follow({"/amcl_pose": POSE, "/odom": POSE})
     assert len(list(graph.node.subscriptions)) == 2
     capturing.follow({"/odom": POSE})
@@ -145,7 +145,7 @@ def lan(dds: None, monkeypatch: pytest.MonkeyPatch) -> Iterator[Network]:
 
 
 @needs_root
-def test_only_the_instance_in_control_and_the_robot_are_taken(lan: Network, processes: Processes) -> None:
+def test_only_messages_of_the_active_instance_and_the_robot_are_captured(lan: Network, processes: Processes) -> None:
     pods = {"primary": "10.77.0.2", "standby": "10.77.0.3"}
     robot = "10.77.100.1"
     processes.node("pose", "/amcl_pose", "1.0", "0", "latched", inside=(primary := lan.host(pods["primary"])))

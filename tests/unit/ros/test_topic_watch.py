@@ -32,11 +32,11 @@ def watch(watching, seconds, tick=0.05):
 
 
 @pytest.mark.parametrize(("rate", "expected"), [(None, 13), (1.0, 10), (50.0, 13), (400.0, 100), (10_000.0, 1000)])
-def test_queue_bridges_a_stall(rate, expected):
+def test_the_queue_is_long_enough_for_a_stall(rate, expected):
     assert depth(WatchedTopic("/t", STRING, 0.0, rate)) == expected
 
 
-def test_arrival_times_are_those_of_receipt_however_rarely_they_are_read(watching, processes, eventually):
+def test_arrival_times_are_those_of_receipt_not_of_reading(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", STRING, 5.0, 400.0)])  # a queue for two seconds, on a busy machine
     processes.node("publish", "/chat", "50")
     eventually(lambda: watching.drain() and watching.topic("/chat").count > 5)
@@ -50,7 +50,7 @@ def test_arrival_times_are_those_of_receipt_however_rarely_they_are_read(watchin
     assert (source.count, source.lost) == (record.count, 0)
 
 
-def test_samples_that_never_came_are_counted(watching, processes, eventually):
+def test_lost_samples_are_counted(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", STRING, 0.0, None)])
     processes.node("publish", "/chat", "100")
     eventually(lambda: watching.drain() and watching.topic("/chat").count > 5)
@@ -60,7 +60,7 @@ def test_samples_that_never_came_are_counted(watching, processes, eventually):
     assert source.lost > 30
 
 
-def test_messages_are_kept_as_they_came_where_there_is_a_ring(watching, processes, eventually):
+def test_messages_are_recorded_unchanged_while_there_is_a_ring(watching, processes, eventually):
     ring = SampleRing(60.0, 1_000_000)
     watching.follow([WatchedTopic("/chat", None, 0.0, None)])  # its type is only known once somebody publishes it
     watching.record(ring)
@@ -87,7 +87,7 @@ def test_the_type_comes_from_the_graph_if_the_tree_gives_none(watching, processe
     assert watching.waiting == watching.problems == []
 
 
-def test_a_topic_with_a_missing_type_is_a_problem_and_the_others_are_watched(watching, processes, eventually):
+def test_a_topic_with_a_missing_type_is_reported_and_the_others_are_watched(watching, processes, eventually):
     watching.follow([WatchedTopic("/plan", "nav2_msgs/msg/Plan", 0.0, None), WatchedTopic("/chat", STRING, 0.0, None)])
     (problem,) = watching.problems
     assert_golden("ros", problem, "/plan", "nav2_msgs/msg/Plan")
@@ -99,7 +99,7 @@ def test_a_topic_with_a_missing_type_is_a_problem_and_the_others_are_watched(wat
 
 
 @pytest.mark.parametrize("name", ["HelloWorld", "example_interfaces/srv/AddTwoInts", "a/msg/b/C"])
-def test_an_invalid_type_is_a_problem_and_the_other_topics_are_watched(watching, graph, monkeypatch, name):
+def test_a_topic_with_an_invalid_type_is_reported_and_the_others_are_watched(watching, graph, monkeypatch, name):
     # Whoever publishes by DDS alone calls its types as it likes.
     monkeypatch.setattr(graph, "type_of", lambda topic: name)
     watching.follow([WatchedTopic("/native", None, 0.0, None), WatchedTopic("/scan", STRING, 0.0, None)])
@@ -109,7 +109,7 @@ def test_an_invalid_type_is_a_problem_and_the_other_topics_are_watched(watching,
     assert watching.unwatchable == {"/native"}
 
 
-def test_a_topic_that_this_process_has_as_another_type_is_a_problem(watching, graph):
+def test_a_topic_that_this_process_uses_with_another_type_is_reported(watching, graph):
     kept = graph.subscribe("/pose", STRING, depth=1)
     other = WatchedTopic("/pose", "geometry_msgs/msg/PoseStamped", 0.0, None)
     watching.follow([other, WatchedTopic("/scan", STRING, 0.0, None)])
@@ -119,7 +119,7 @@ def test_a_topic_that_this_process_has_as_another_type_is_a_problem(watching, gr
     graph.unsubscribe(kept)
 
 
-def test_following_other_topics_keeps_what_is_known_of_the_same(watching, processes, eventually):
+def test_a_change_of_topics_keeps_the_records_of_the_remaining_ones(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", STRING, 0.0, None), WatchedTopic("/talk", STRING, 0.0, None)])
     processes.node("publish", "/chat", "20")
     eventually(lambda: watching.drain() and watching.topic("/chat").count > 3)
@@ -133,7 +133,7 @@ def test_following_other_topics_keeps_what_is_known_of_the_same(watching, proces
     assert watching.topic("/chat").count > before
 
 
-def test_hosts_that_have_been_silent_for_long_are_forgotten(watching, processes, eventually):
+def test_hosts_that_are_silent_for_long_are_forgotten(watching, processes, eventually):
     watching.follow([WatchedTopic("/chat", STRING, 0.0, None)])
     gone = module.SourceRecord(10.0)
     gone.add(time.time() - 2 * module.FORGET)
@@ -143,7 +143,7 @@ def test_hosts_that_have_been_silent_for_long_are_forgotten(watching, processes,
     assert b"gone" not in watching.records("/chat")
 
 
-def test_larger_queue_is_taken_when_a_faster_rate_is_expected(watching, graph):
+def test_a_faster_expected_rate_gets_a_longer_queue(watching, graph):
     watching.follow([WatchedTopic("/chat", STRING, 0.0, None)])
     watching.follow([WatchedTopic("/chat", STRING, 2.0, 400.0)])
     (subscription,) = graph.node.subscriptions
@@ -151,7 +151,7 @@ def test_larger_queue_is_taken_when_a_faster_rate_is_expected(watching, graph):
 
 
 @pytest.mark.parametrize("step", [3600.0, -3600.0])
-def test_step_of_the_clock_is_neither_a_gap_nor_a_burst(watching, processes, eventually, monkeypatch, step):
+def test_a_clock_step_is_neither_a_gap_nor_a_burst(watching, processes, eventually, monkeypatch, step):
     watching.follow([WatchedTopic("/chat", STRING, 1.0, None)])
     processes.node("publish", "/chat", "50")
     eventually(lambda: watching.drain() and watching.topic("/chat").count > 60)
@@ -175,7 +175,7 @@ def test_step_of_the_clock_is_neither_a_gap_nor_a_burst(watching, processes, eve
     assert sum(now - 1 < arrival <= now for arrival in record.arrivals) == pytest.approx(50, abs=30)
 
 
-def test_frozen_publisher_is_noticed_at_the_deadline(watching, processes, eventually):
+def test_a_frozen_publisher_is_detected_at_the_deadline(watching, processes, eventually):
     tree = load({"topic": {"name": "/chat", "type": STRING, "gap": "200ms"}})
     watching.follow(tree.topics)
     publisher = processes.node("publish", "/chat", "50")
@@ -198,7 +198,7 @@ def test_frozen_publisher_is_noticed_at_the_deadline(watching, processes, eventu
 STATUS = "/count/_action/status"
 
 
-def test_an_active_goal_is_known_from_the_status_of_its_action(graph, processes, eventually):
+def test_the_status_of_an_action_shows_an_active_goal(graph, processes, eventually):
     worker = processes.node("work", "/count")
     first = TopicWatch(graph)
     first.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
@@ -214,7 +214,7 @@ def test_an_active_goal_is_known_from_the_status_of_its_action(graph, processes,
         watching.close()
 
 
-def test_a_goal_is_no_longer_active_when_its_server_is_gone(watching, processes, eventually):
+def test_a_goal_is_not_active_without_its_server(watching, processes, eventually):
     worker = processes.node("work", "/count")
     watching.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
     eventually(lambda: watching.drain() and watching.task(STATUS))
@@ -224,7 +224,7 @@ def test_a_goal_is_no_longer_active_when_its_server_is_gone(watching, processes,
     eventually(lambda: watching.drain() is not None and watching.task(STATUS) is None, timeout=45)
 
 
-def test_goals_of_an_instance_that_is_not_in_control_do_not_count(watching, processes, eventually, address_of):
+def test_goals_of_an_inactive_instance_do_not_count(watching, processes, eventually, address_of):
     processes.node("work", "/count")
     watching.follow([WatchedTopic(STATUS, "action_msgs/msg/GoalStatusArray", 0.0, None, task=True)])
     eventually(lambda: watching.drain() and watching.active(STATUS))

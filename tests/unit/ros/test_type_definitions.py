@@ -29,9 +29,9 @@ TYPES = (
 )
 
 
-@pytest.mark.parametrize("installed", [True, False], ids=["as installed", "from the fields"])
+@pytest.mark.parametrize("installed", [True, False], ids=["installed file", "generated from fields"])
 @pytest.mark.parametrize("type_name", TYPES)
-def test_a_definition_says_what_the_type_is(type_name: str, installed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_definition_describes_the_type(type_name: str, installed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if not installed:
         monkeypatch.setattr(type_definitions, "_installed", lambda _: "")
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -42,18 +42,18 @@ def test_a_definition_says_what_the_type_is(type_name: str, installed: bool, mon
             assert [(field, kind) for field, kind in fields] == list(store.fielddefs[name][1]), name
 
 
-def test_what_an_action_sends_is_written_out() -> None:
+def test_the_messages_of_an_action_are_written_out() -> None:
     text = definition("test_msgs/action/Fibonacci_FeedbackMessage")
     assert text.startswith("unique_identifier_msgs/UUID goal_id\ntest_msgs/Fibonacci_Feedback feedback\n")
     assert "MSG: test_msgs/Fibonacci_Feedback\nint32[] sequence\n" in text
     assert "MSG: unique_identifier_msgs/UUID\n" in text
 
 
-def test_comments_and_constants_are_those_of_the_package() -> None:
+def test_a_definition_contains_the_constants_of_the_package() -> None:
     assert "byte STALE=3" in definition("diagnostic_msgs/msg/DiagnosticStatus")
 
 
-def test_packages_of_an_installation_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_packages_of_an_installation_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "share/std_msgs/msg").mkdir(parents=True)
     (tmp_path / "share/std_msgs/msg/String.msg").write_text("# another\nstring data")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/none:{tmp_path}")

@@ -82,7 +82,7 @@ def carrier() -> Carrier:
     return made
 
 
-def test_it_says_where_odometry_was_then_and_is_now(carrier: Carrier) -> None:
+def test_the_motion_contains_the_odometry_at_the_time_of_the_pose_and_now(carrier: Carrier) -> None:
     drive(carrier, 0.0, 3.0, said=[1.04])
     found = motion(carrier, 1.04, 3.05)
     assert found.missing == ""
@@ -94,7 +94,7 @@ def test_it_says_where_odometry_was_then_and_is_now(carrier: Carrier) -> None:
     assert found.blind == 0.0
 
 
-def test_a_pose_that_is_ahead_of_odometry_waits_for_it(carrier: Carrier) -> None:
+def test_a_pose_that_is_newer_than_odometry_waits_for_it(carrier: Carrier) -> None:
     drive(carrier, 0.0, 1.0)
     carrier.kept("/amcl_pose", pose(START + 1.05), taken_at=START + 1.07)
     carrier.settle(START + 1.1)
@@ -102,7 +102,7 @@ def test_a_pose_that_is_ahead_of_odometry_waits_for_it(carrier: Carrier) -> None
     assert motion(carrier, 1.05, 1.5).then.x == pytest.approx(0.525)
 
 
-def test_it_is_known_for_as_long_as_the_pose_is_kept_and_no_longer(carrier: Carrier) -> None:
+def test_the_odometry_of_a_pose_is_kept_as_long_as_the_pose(carrier: Carrier) -> None:
     drive(carrier, 0.0, 60.0, said=[1.0, 2.0])
     assert motion(carrier, 2.0, 60.0).then.x == pytest.approx(1.0)
     carrier.prune({Key("Topic", "/amcl_pose"): [Version(START + 2.02, START + 2.02, pose(START + 2.0), POSE)]})
@@ -110,7 +110,7 @@ def test_it_is_known_for_as_long_as_the_pose_is_kept_and_no_longer(carrier: Carr
     assert_golden("kept_state", motion(carrier, 1.0, 60.0).missing, "/odom")
 
 
-def test_what_is_not_carried_is_left_alone(carrier: Carrier) -> None:
+def test_a_topic_that_is_not_propagated_is_unchanged(carrier: Carrier) -> None:
     drive(carrier, 0.0, 1.0, said=[0.5])
     chart = KeptSample("/map", "nav_msgs/msg/OccupancyGrid", START, b"", to="/map")
     state = KeptState((chart,))
@@ -118,7 +118,7 @@ def test_what_is_not_carried_is_left_alone(carrier: Carrier) -> None:
     assert Carrier().carry(KeptState((kept(START),)), START + 1).samples[0].motion is None
 
 
-def test_without_odometry_it_says_so(carrier: Carrier) -> None:
+def test_missing_odometry_is_reported(carrier: Carrier) -> None:
     carrier.kept("/amcl_pose", pose(START), taken_at=START)
     assert_golden("kept_state", motion(carrier, 0.0, 5.0).missing, "/odom", "no message has arrived")
     carrier.note({"/odom": "nobody publishes it"})
@@ -128,7 +128,7 @@ def test_without_odometry_it_says_so(carrier: Carrier) -> None:
     assert_golden("kept_state", reasons["/amcl_pose"], "/odom", "nobody publishes")
 
 
-def test_odometry_that_is_none_is_told(carrier: Carrier) -> None:
+def test_invalid_odometry_is_reported(carrier: Carrier) -> None:
     carrier.moved("/odom", ODOMETRY, b"\0\1\0\0", received_at=START, writer=ROBOT)
     assert "its message cannot be read: " in motion(carrier, 0.0, 1.0).missing
 
@@ -137,7 +137,7 @@ def test_odometry_that_is_none_is_told(carrier: Carrier) -> None:
     ("x", "writer", "reason"),
     [(1.5, OTHER, "it comes from another publisher"), (0.0, ROBOT, "it jumped by 1.50 m within 0.10 s")],
 )
-def test_odometry_that_begins_anew_carries_nothing_of_before(
+def test_a_restart_of_odometry_makes_earlier_poses_unusable(
     carrier: Carrier, x: float, writer: bytes, reason: str
 ) -> None:
     drive(carrier, 0.0, 3.0, said=[1.0])
@@ -150,7 +150,7 @@ def test_odometry_that_begins_anew_carries_nothing_of_before(
     assert motion(carrier, 3.5, 4.0).missing == "", "what came after it is carried again"
 
 
-def test_what_must_be_carried_and_can_not_be_is_left_out() -> None:
+def test_a_pose_that_must_be_propagated_and_cannot_be_is_omitted() -> None:
     carrier = Carrier()
     carrier.follow(policy(required=True))
     state = carrier.carry(KeptState((kept(START),)), START + 1)
@@ -160,7 +160,7 @@ def test_what_must_be_carried_and_can_not_be_is_left_out() -> None:
     assert state.left_out[0].failed, "a tree that restores it must not go on"
 
 
-def test_time_that_was_not_watched_is_told(carrier: Carrier) -> None:
+def test_a_gap_in_odometry_is_reported(carrier: Carrier) -> None:
     drive(carrier, 0.0, 2.0, said=[1.0])
     drive(carrier, 6.0, 7.0, speed=0.5)
     assert motion(carrier, 1.0, 7.05).blind == pytest.approx(4.0)
@@ -177,7 +177,7 @@ def restarted(carrier: Carrier, folder: Path, state: State | None = None) -> Car
     return later
 
 
-def test_it_outlasts_the_monitor(carrier: Carrier, tmp_path: Path) -> None:
+def test_propagation_continues_after_a_restart_of_the_monitor(carrier: Carrier, tmp_path: Path) -> None:
     drive(carrier, 0.0, 3.0, said=[1.0])
     later = restarted(carrier, tmp_path)
     drive(later, 5.0, 6.0)
@@ -187,20 +187,20 @@ def test_it_outlasts_the_monitor(carrier: Carrier, tmp_path: Path) -> None:
     assert found.blind == pytest.approx(2.0), "nobody watched meanwhile, which is told"
 
 
-def test_odometry_that_began_anew_while_nobody_watched_is_noticed(carrier: Carrier, tmp_path: Path) -> None:
+def test_a_restart_of_odometry_during_a_restart_of_the_monitor_is_detected(carrier: Carrier, tmp_path: Path) -> None:
     drive(carrier, 0.0, 3.0, said=[1.0])
     later = restarted(carrier, tmp_path)
     drive(later, 5.0, 6.0, writer=OTHER)
     assert_golden("kept_state", motion(later, 1.0, 6.05).missing, "another publisher")
 
 
-def test_what_is_carried_by_another_odometry_is_not_taken_up(carrier: Carrier, tmp_path: Path) -> None:
+def test_saved_odometry_of_another_topic_is_not_used(carrier: Carrier, tmp_path: Path) -> None:
     drive(carrier, 0.0, 3.0, said=[1.0])
     later = restarted(carrier, tmp_path, policy(topic="/wheels"))
     assert_golden("kept_state", motion(later, 1.0, 3.0).missing, "/wheels")
 
 
-def test_what_is_damaged_is_left_out(carrier: Carrier) -> None:
+def test_damaged_data_is_ignored(carrier: Carrier) -> None:
     drive(carrier, 0.0, 3.0, said=[1.0])
     packed = {
         key: [Version(v.taken_at, v.good_from, v.data[:-3]) for v in vs] for key, vs in carrier.packed(1.0).items()
@@ -211,7 +211,7 @@ def test_what_is_damaged_is_left_out(carrier: Carrier) -> None:
     assert motion(later, 1.0, 3.0).missing
 
 
-def test_another_policy_forgets_what_it_does_not_carry(carrier: Carrier) -> None:
+def test_a_changed_policy_drops_odometry_that_it_does_not_use(carrier: Carrier) -> None:
     drive(carrier, 0.0, 3.0, said=[1.0])
     carrier.follow(policy(required=True))
     assert motion(carrier, 1.0, 3.0).missing == "", "by the same odometry"
@@ -220,14 +220,14 @@ def test_another_policy_forgets_what_it_does_not_carry(carrier: Carrier) -> None
     assert carrier.packed(1.0) == {}
 
 
-def test_a_clock_that_is_set_changes_nothing_that_says_its_time(carrier: Carrier) -> None:
+def test_a_clock_step_does_not_invalidate_stamped_odometry(carrier: Carrier) -> None:
     drive(carrier, 0.0, 3.0, said=[1.0])
     carrier.shift(3600.0)
     found = motion(carrier, 1.0, 3603.05)
     assert (found.missing, found.blind) == ("", 0.0)
 
 
-def test_its_memory_is_bounded(carrier: Carrier) -> None:
+def test_memory_is_bounded(carrier: Carrier) -> None:
     sizes = []
     for i in range(20):
         drive(carrier, 10.0 * i, 10.0 * i + 9.9, said=[10.0 * i + j for j in range(1, 9)])
@@ -238,7 +238,7 @@ def test_its_memory_is_bounded(carrier: Carrier) -> None:
     assert carrier.waiting == 0
 
 
-def test_the_wire_carries_it() -> None:
+def test_a_motion_is_unchanged_by_encoding_and_decoding() -> None:
     moved = Motion(
         "/odom",
         ODOMETRY,
@@ -258,7 +258,7 @@ def test_the_wire_carries_it() -> None:
         assert KeptSample.from_wire(sample.to_wire()) == sample
 
 
-def test_a_recovery_records_how_far_it_was_carried_and_what_was_not() -> None:
+def test_a_recovery_records_the_propagated_distance_and_what_was_not_propagated() -> None:
     report = RestoreReport(
         (Restored("/amcl_pose", 98.5, 0.43219), Restored("/dock", 99.0, None, "it can't be carried"))
     )

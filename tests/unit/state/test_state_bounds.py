@@ -11,7 +11,7 @@ from understudy.api.protocol.kept_state import LARGEST
 from understudy.state.state_capture import LAG, SPREAD, SQUEEZED, Keeper
 
 
-def test_versions_are_few_and_spread_over_the_age() -> None:
+def test_few_versions_are_kept_and_spread_over_the_maximum_age() -> None:
     keeper = Keeper(State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "10m"}], "period": "200ms"}))
     healthy(keeper, START, START + 1200, every=0.1)
     now = START + 1200
@@ -23,14 +23,14 @@ def test_versions_are_few_and_spread_over_the_age() -> None:
     assert now - versions[1].taken_at <= 600
 
 
-def test_no_two_versions_are_nearer_than_the_period_but_the_last() -> None:
+def test_versions_are_at_least_the_period_apart_except_the_last() -> None:
     keeper = Keeper(state(period="500ms"))
     healthy(keeper, START, START + 30, every=0.02)
     times = [version.good_from for version in keeper.versions()[POSE]]
     assert all(b - a >= 0.5 for a, b in itertools.pairwise(times[:-1]))
 
 
-def test_all_that_is_kept_fits_into_max_bytes_at_any_time() -> None:
+def test_all_kept_messages_fit_into_max_bytes_at_any_time() -> None:
     topics = [{"topic": "/amcl_pose"}, {"topic": "/map"}]
     keeper = Keeper(State.model_validate({"keep": topics, "maxBytes": 10_000, "period": "200ms"}))
     keeper.judge("Healthy", START)
@@ -46,7 +46,7 @@ def test_all_that_is_kept_fits_into_max_bytes_at_any_time() -> None:
             assert all(now - sample.taken_at < 3 * LAG for sample in kept.samples), "what can be given is renewed"
 
 
-def test_with_room_for_two_only_there_is_always_one_to_give_and_it_is_renewed() -> None:
+def test_with_room_for_two_versions_one_is_always_available_and_renewed() -> None:
     keeper = Keeper(State.model_validate({"keep": [{"topic": "/map"}], "maxBytes": 5000}))
     keeper.judge("Healthy", START)
     for i in range(1, 2000):
@@ -59,7 +59,7 @@ def test_with_room_for_two_only_there_is_always_one_to_give_and_it_is_renewed() 
     assert [entry.trouble for entry in keeper.entries(now)] == ["TooBig"]
 
 
-def test_a_message_that_is_bigger_than_all_is_told_and_not_kept() -> None:
+def test_a_message_larger_than_max_bytes_is_reported_and_not_kept() -> None:
     keeper = Keeper(state(maxBytes=2000))
     keeper.judge("Healthy", START)
     offer(keeper, START + 1, b"x" * 2001)
@@ -77,7 +77,7 @@ def test_a_message_that_is_bigger_than_all_is_told_and_not_kept() -> None:
     assert keeper.entries(START + 4 + SQUEEZED)[0].trouble is None
 
 
-def test_a_message_that_no_agent_could_be_sent_is_not_kept() -> None:
+def test_a_message_that_is_too_large_for_an_agent_is_not_kept() -> None:
     keeper = Keeper(state(maxBytes=2 * LARGEST))
     keeper.judge("Healthy", START)
     offer(keeper, START + 1, b"x" * (LARGEST + 1))
@@ -86,7 +86,7 @@ def test_a_message_that_no_agent_could_be_sent_is_not_kept() -> None:
     assert keeper.entries(START + 1)[0].trouble == "TooBig"
 
 
-def test_what_comes_last_does_not_push_out_the_only_version_of_another_topic() -> None:
+def test_a_new_message_does_not_displace_the_only_version_of_another_topic() -> None:
     topics = [{"topic": "/amcl_pose"}, {"topic": "/map"}]
     keeper = Keeper(State.model_validate({"keep": topics, "maxBytes": 2000}))
     keeper.judge("Healthy", START)
@@ -98,7 +98,7 @@ def test_what_comes_last_does_not_push_out_the_only_version_of_another_topic() -
     assert {entry.key: entry.trouble for entry in keeper.entries(START + 2)} == {POSE: "TooBig", MAP: None}
 
 
-def test_the_same_message_again_takes_no_room() -> None:
+def test_a_repeated_message_takes_no_additional_space() -> None:
     keeper = Keeper(state(maxBytes=2000))
     keeper.judge("Healthy", START)
     for i in range(1, 300):
@@ -109,7 +109,7 @@ def test_the_same_message_again_takes_no_room() -> None:
     assert START + 290 < sample.taken_at <= START + 298.5
 
 
-def test_what_is_given_to_a_late_joiner_again_is_nothing_new() -> None:
+def test_a_message_repeated_for_a_late_joiner_is_not_new() -> None:
     keeper = Keeper(state())
     keeper.judge("Healthy", START)
     offer(keeper, START + 1, b"pose", standing="instance")
@@ -120,7 +120,7 @@ def test_what_is_given_to_a_late_joiner_again_is_nothing_new() -> None:
     assert keeper.versions() == before
 
 
-def test_topics_are_kept_each_for_itself() -> None:
+def test_topics_are_kept_separately() -> None:
     topics = [
         {"topic": "/amcl_pose", "restoreTo": "/initialpose", "stamp": "now", "confirm": "/amcl_pose"},
         {"topic": "/map"},

@@ -14,7 +14,7 @@ from understudy.state.state_capture import PATIENCE, SPREAD, Keeper, Key, Versio
 # -- which one is chosen ----------------------------------------------------------------------------------------------
 
 
-def test_the_newest_from_before_the_margin_is_given() -> None:
+def test_the_newest_message_before_the_margin_is_given() -> None:
     keeper = Keeper(state(margin="500ms", period="200ms"))
     healthy(keeper, START, START + 10)
     taken = given(keeper, START + 10)
@@ -22,7 +22,7 @@ def test_the_newest_from_before_the_margin_is_given() -> None:
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.3, 1.0, 2.7, 5.0, 20.0])
-def test_never_one_from_within_the_margin_however_late_the_failure_is_noticed(lag: float) -> None:
+def test_a_message_within_the_margin_is_never_given(lag: float) -> None:
     keeper = Keeper(state(margin="500ms", period="200ms"))
     healthy(keeper, START, START + 60)
     onset = START + 60 - lag
@@ -32,7 +32,7 @@ def test_never_one_from_within_the_margin_however_late_the_failure_is_noticed(la
     assert onset - 0.5 - taken <= max(0.2, SPREAD * wanted) + 2 * TICK, "the chosen one is hardly older than asked for"
 
 
-def test_what_came_while_the_tree_failed_is_never_given() -> None:
+def test_messages_received_while_the_tree_failed_are_never_given() -> None:
     keeper = Keeper(state())
     healthy(keeper, START, START + 5)
     for i in range(40):
@@ -44,7 +44,7 @@ def test_what_came_while_the_tree_failed_is_never_given() -> None:
     assert not [time for time in times if START + 5 < time <= START + 7.05]
 
 
-def test_what_came_while_the_instance_started_is_not_kept() -> None:
+def test_messages_received_during_the_start_are_not_kept() -> None:
     keeper = Keeper(state())
     for i in range(20):
         offer(keeper, START + i * TICK)
@@ -53,14 +53,14 @@ def test_what_came_while_the_instance_started_is_not_kept() -> None:
     assert "no message" in reason(keeper, START + 60)
 
 
-def test_what_came_before_the_first_healthy_look_is_not_kept() -> None:
+def test_messages_received_before_the_first_healthy_evaluation_are_not_kept() -> None:
     keeper = Keeper(state())
     offer(keeper, START - 0.01)
     keeper.judge("Healthy", START)
     assert not keeper.versions()
 
 
-def test_what_stands_when_the_instance_is_first_healthy_counts_from_then_on() -> None:
+def test_a_latched_message_counts_from_the_first_healthy_evaluation() -> None:
     keeper = Keeper(state())
     offer(keeper, START, b"latched", standing="instance")
     keeper.judge("Starting", START + 0.1)
@@ -71,7 +71,7 @@ def test_what_stands_when_the_instance_is_first_healthy_counts_from_then_on() ->
     assert (sample.data, sample.taken_at) == (b"latched", START), "its age is that of the message"
 
 
-def test_what_stands_and_came_while_the_tree_failed_is_not_kept() -> None:
+def test_a_latched_message_received_while_the_tree_failed_is_not_kept() -> None:
     keeper = Keeper(state())
     offer(keeper, START, standing="instance")
     keeper.judge("Failed", START + 0.1)
@@ -79,7 +79,7 @@ def test_what_stands_and_came_while_the_tree_failed_is_not_kept() -> None:
     assert not keeper.versions()
 
 
-def test_what_the_robot_holds_counts_for_the_next_instance_too() -> None:
+def test_a_latched_message_of_the_robot_counts_for_the_next_instance_too() -> None:
     """A map that the robot said once, before anyone was in control, and while the one that was failed."""
     keeper = Keeper(state())
     offer(keeper, START, b"latched", standing="robot")
@@ -91,7 +91,7 @@ def test_what_the_robot_holds_counts_for_the_next_instance_too() -> None:
     assert (sample.data, sample.taken_at) == (b"latched", START)
 
 
-def test_only_the_last_message_of_a_burst_stays() -> None:
+def test_the_last_message_of_a_burst_is_kept() -> None:
     """A robot that stops says its last pose once, however shortly after the one before."""
     keeper = Keeper(state(period="200ms"))
     keeper.judge("Healthy", START)
@@ -102,7 +102,7 @@ def test_only_the_last_message_of_a_burst_stays() -> None:
     assert given(keeper, START + 30) == START + 1.1
 
 
-def test_another_instance_in_control_starts_anew_and_the_old_state_stays() -> None:
+def test_a_new_active_instance_starts_without_messages_and_earlier_state_is_kept() -> None:
     keeper = Keeper(state())
     healthy(keeper, START, START + 5)
     last = given(keeper, START + 5)
@@ -114,7 +114,7 @@ def test_another_instance_in_control_starts_anew_and_the_old_state_stays() -> No
     assert given(keeper, START + 5) == last
 
 
-def test_a_second_failure_before_anything_new_is_good_gives_the_same_state() -> None:
+def test_a_second_failure_before_new_messages_count_gives_the_same_state() -> None:
     keeper = Keeper(state())
     healthy(keeper, START, START + 5)
     first = given(keeper, START + 5)
@@ -139,7 +139,7 @@ def test_a_message_older_than_max_age_is_reported_and_not_given() -> None:
     assert "older than maxAge (10s)" in entry.message
 
 
-def test_the_age_counts_from_the_beginning_of_the_failure() -> None:
+def test_the_age_counts_at_the_begin_of_the_failure() -> None:
     """A failure that takes long to be dealt with doesn't cost the state."""
     keeper = Keeper(State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "10s"}]}))
     healthy(keeper, START, START + 5)
@@ -148,7 +148,7 @@ def test_the_age_counts_from_the_beginning_of_the_failure() -> None:
     assert given(keeper, START + 5) <= START + 4.5
 
 
-def test_a_topic_that_never_comes_is_told_after_a_while_of_health() -> None:
+def test_a_topic_without_messages_is_reported_after_some_healthy_time() -> None:
     keeper = Keeper(state())
     keeper.judge("Healthy", START)
     assert keeper.entries(START + PATIENCE)[0].trouble is None
@@ -157,13 +157,13 @@ def test_a_topic_that_never_comes_is_told_after_a_while_of_health() -> None:
     assert entry.message.startswith("/amcl_pose: no message came")
 
 
-def test_a_topic_that_never_comes_is_not_told_of_an_instance_that_is_not_healthy() -> None:
+def test_a_topic_without_messages_is_not_reported_for_an_unhealthy_instance() -> None:
     keeper = Keeper(state())
     keeper.judge("Starting", START)
     assert keeper.entries(START + 10 * PATIENCE)[0].trouble is None
 
 
-def test_what_is_noted_about_a_topic_is_told_instead() -> None:
+def test_a_problem_noted_for_a_topic_is_reported() -> None:
     keeper = Keeper(state())
     keeper.note({POSE: ("NotWatched", "/amcl_pose: foo/msg/Bar is not installed")})
     (entry,) = keeper.entries(START)
@@ -171,7 +171,7 @@ def test_what_is_noted_about_a_topic_is_told_instead() -> None:
     assert reason(keeper, START) == "foo/msg/Bar is not installed"
 
 
-def test_why_a_topic_never_came_is_told_when_patience_ends_and_given_as_the_reason_at_once() -> None:
+def test_the_reason_for_missing_messages_is_given_at_once_and_reported_later() -> None:
     keeper = Keeper(state())
     keeper.note({POSE: ("NeverCame", "/amcl_pose: nobody publishes it")})
     keeper.judge("Healthy", START)
@@ -184,7 +184,7 @@ def test_why_a_topic_never_came_is_told_when_patience_ends_and_given_as_the_reas
     assert keeper.entries(START + 21)[0].trouble is None
 
 
-def test_parameters_and_lifecycle_states_are_given_as_they_were() -> None:
+def test_parameters_and_lifecycle_states_are_given_as_they_were_at_the_time() -> None:
     keeper = Keeper(
         State.model_validate(
             {"parameters": [{"node": "/controller", "names": ["speed"]}], "lifecycle": ["/map_server"]}
@@ -213,7 +213,7 @@ def test_parameters_and_lifecycle_states_are_given_as_they_were() -> None:
 
 
 @pytest.mark.parametrize("step", [-3600.0, 3600.0])
-def test_a_step_of_the_clock_changes_no_age(step: float) -> None:
+def test_a_clock_step_changes_no_age(step: float) -> None:
     keeper = Keeper(state(margin="500ms"))
     healthy(keeper, START, START + 10)
     before = given(keeper, START + 10)
@@ -226,7 +226,7 @@ def test_a_step_of_the_clock_changes_no_age(step: float) -> None:
     assert keeper.versions()[POSE][-1].taken_at == now, "it goes on keeping"
 
 
-def test_what_an_earlier_monitor_kept_is_taken_up() -> None:
+def test_state_kept_by_an_earlier_monitor_is_used() -> None:
     earlier = Keeper(state())
     healthy(earlier, START, START + 20)
     later = Keeper(state())
@@ -235,7 +235,7 @@ def test_what_an_earlier_monitor_kept_is_taken_up() -> None:
     assert later.healthy_since is None
 
 
-def test_what_was_kept_for_another_policy_is_not_taken_up() -> None:
+def test_state_kept_for_another_policy_is_not_used() -> None:
     earlier = Keeper(state())
     healthy(earlier, START, START + 5)
     other_topic = Keeper(State.model_validate({"keep": [{"topic": "/odom"}]}))
@@ -246,13 +246,13 @@ def test_what_was_kept_for_another_policy_is_not_taken_up() -> None:
     assert not other_type.versions()
 
 
-def test_versions_from_the_future_are_not_taken_up() -> None:
+def test_versions_from_the_future_are_not_used() -> None:
     keeper = Keeper(state())
     keeper.adopt({POSE: [Version(START + 5, START + 5, b"x", TYPE), Version(START - 5, START - 5, b"y", TYPE)]}, START)
     assert [version.data for version in keeper.versions()[POSE]] == [b"y"]
 
 
-def test_a_changed_policy_keeps_what_it_still_names() -> None:
+def test_a_changed_policy_keeps_the_topics_that_it_still_names() -> None:
     keeper = Keeper(state())
     healthy(keeper, START, START + 5)
     keeper.follow(State.model_validate({"keep": [{"topic": "/amcl_pose", "maxAge": "5m"}, {"topic": "/map"}]}))
@@ -262,7 +262,7 @@ def test_a_changed_policy_keeps_what_it_still_names() -> None:
     assert not keeper.versions()
 
 
-def test_a_smaller_bound_holds_at_once() -> None:
+def test_a_smaller_max_bytes_applies_at_once() -> None:
     keeper = Keeper(state(maxBytes=10_000))
     keeper.judge("Healthy", START)
     for i in range(1, 50):
@@ -272,7 +272,7 @@ def test_a_smaller_bound_holds_at_once() -> None:
     assert total(keeper) <= 2000
 
 
-def test_nothing_to_keep_is_nothing_to_give() -> None:
+def test_a_policy_that_keeps_nothing_gives_no_state() -> None:
     keeper = Keeper(State())
     keeper.judge("Healthy", START)
     kept = keeper.select(START + 10)

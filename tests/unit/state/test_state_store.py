@@ -26,17 +26,17 @@ def versions() -> dict[Key, list[Version]]:
     }
 
 
-def test_what_was_saved_is_found_again(tmp_path: Path) -> None:
+def test_saved_state_is_loaded(tmp_path: Path) -> None:
     kept = versions()
     StateStore(tmp_path / "state").save(kept)
     assert StateStore(tmp_path / "state").load() == kept
 
 
-def test_an_empty_shelf_has_nothing(tmp_path: Path) -> None:
+def test_an_empty_store_has_no_state(tmp_path: Path) -> None:
     assert StateStore(tmp_path / "none").load() == {}
 
 
-def test_large_messages_are_written_once_and_go_when_they_are_not_kept_any_more(tmp_path: Path) -> None:
+def test_large_messages_are_written_once_and_deleted_when_no_longer_kept(tmp_path: Path) -> None:
     shelf, kept = StateStore(tmp_path), versions()
     shelf.save(kept)
     before = {path.name: path.stat().st_mtime_ns for path in tmp_path.glob("*.message")}
@@ -47,7 +47,7 @@ def test_large_messages_are_written_once_and_go_when_they_are_not_kept_any_more(
     assert after.items() <= before.items()
 
 
-def test_a_new_process_knows_the_large_messages_that_are_there(tmp_path: Path) -> None:
+def test_a_new_process_uses_the_existing_large_messages(tmp_path: Path) -> None:
     kept = versions()
     StateStore(tmp_path).save(kept)
     stray = tmp_path / f"{'0' * 64}.message"
@@ -59,7 +59,7 @@ def test_a_new_process_knows_the_large_messages_that_are_there(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("place", [0, 10, 40, 200, -1])
-def test_a_damaged_file_counts_as_none(tmp_path: Path, place: int) -> None:
+def test_a_damaged_file_is_ignored(tmp_path: Path, place: int) -> None:
     StateStore(tmp_path).save(versions())
     raw = bytearray((tmp_path / "kept").read_bytes())
     raw[place] ^= 0xFF
@@ -68,13 +68,13 @@ def test_a_damaged_file_counts_as_none(tmp_path: Path, place: int) -> None:
 
 
 @pytest.mark.parametrize("length", [0, 3, 39, 60, 500])
-def test_a_torn_file_counts_as_none(tmp_path: Path, length: int) -> None:
+def test_a_truncated_file_is_ignored(tmp_path: Path, length: int) -> None:
     StateStore(tmp_path).save(versions())
     os.truncate(tmp_path / "kept", length)
     assert StateStore(tmp_path).load() == {}
 
 
-def test_only_the_damaged_message_is_left_out(tmp_path: Path) -> None:
+def test_only_a_damaged_message_is_omitted(tmp_path: Path) -> None:
     kept = versions()
     StateStore(tmp_path).save(kept)
     for path in tmp_path.glob("*.message"):
@@ -85,7 +85,7 @@ def test_only_the_damaged_message_is_left_out(tmp_path: Path) -> None:
     assert StateStore(tmp_path).load() == kept | {MAP: kept[MAP][:1]}
 
 
-def test_a_process_that_is_killed_while_it_saves_leaves_the_last_state(
+def test_a_process_that_is_killed_while_it_saves_leaves_the_previous_state(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept = versions()
@@ -103,7 +103,7 @@ def test_a_process_that_is_killed_while_it_saves_leaves_the_last_state(
         assert not list(tmp_path.glob("*.new"))
 
 
-def test_times_follow_the_clock_where_it_was_set_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loaded_times_follow_a_clock_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = versions()
     StateStore(tmp_path).save(kept)
     real = time.time
@@ -112,7 +112,7 @@ def test_times_follow_the_clock_where_it_was_set_meanwhile(tmp_path: Path, monke
     assert [v.taken_at for v in found[POSE]] == pytest.approx([v.taken_at + 3600 for v in kept[POSE]], abs=1)
 
 
-def test_on_another_node_times_are_taken_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_another_node_loaded_times_are_unchanged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = versions()
     StateStore(tmp_path).save(kept)
     other = tmp_path / "boot"

@@ -210,14 +210,14 @@ def test_a_camera_that_cannot_be_opened_is_reported_with_a_solution(number: int,
         ),
     ],
 )
-def test_a_mistake_in_the_file_is_reported_with_its_field(camera: str, expected: str):
+def test_a_mistake_about_the_camera_is_reported_with_its_field(camera: str, expected: str):
     with pytest.raises(ConfigurationError) as caught:
         load(f"camera: {camera}\nmarkers: [{{name: robot, id: 7, size: 0.2, height: 0.25}}]", "a.yaml")
     assert str(caught.value).startswith(f"a.yaml: {expected}")
 
 
 @pytest.mark.ros
-def test_the_tracker_reads_it_and_publishes_poses(
+def test_the_tracker_reads_a_device_and_publishes_poses(
     filmed: tuple[Path, list[Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     keep_to_itself(monkeypatch)

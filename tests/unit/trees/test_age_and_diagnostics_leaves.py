@@ -16,7 +16,7 @@ from understudy.trees.languages.short.health_loader import TreeError, load
 # -- age --------------------------------------------------------------------------------------------------------------
 
 
-def test_an_age_is_that_of_the_newest_message_when_it_was_received():
+def test_the_age_of_a_message_is_measured_at_its_receipt():
     world = World(age()).hear("/scan", 1.0, late=0.3)
     assert world.at(9.0).state == "Healthy", "how long ago it was received is for a gap"
     verdict = world.hear("/scan", 10.0, late=0.4123).at(10.0)
@@ -26,7 +26,7 @@ def test_an_age_is_that_of_the_newest_message_when_it_was_received():
     assert world.hear("/scan", 12.0, late=None).at(12.0).reason.endswith("(it cannot be determined: there is no stamp)")
 
 
-def test_a_single_late_message_is_no_failure_where_it_must_last():
+def test_with_for_a_single_late_message_is_no_failure():
     world = World(age(**{"for": "1s"})).hear("/scan", 1.0, late=0.1)
     world.at(1.0)
     assert world.hear("/scan", 2.0, late=0.5).at(2.0).state == "Healthy"
@@ -36,7 +36,7 @@ def test_a_single_late_message_is_no_failure_where_it_must_last():
     assert_golden("health_tree", world.at(5.0).reason, "300 ms", "/scan", "1 s", "2.5 s")
 
 
-def test_an_age_by_its_source_is_that_since_it_was_sent_whatever_its_stamp_says():
+def test_an_age_by_source_counts_from_the_sending_and_ignores_the_stamp():
     world = World(age(by="source")).hear("/scan", 1.0, late=9.0, way=0.3)
     assert world.at(9.0).state == "Healthy"
     verdict = world.hear("/scan", 10.0, late=0.0, way=0.4123).at(10.0)
@@ -46,11 +46,11 @@ def test_an_age_by_its_source_is_that_since_it_was_sent_whatever_its_stamp_says(
     assert_golden("health_tree", world.hear("/scan", 12.0, late=0.0).at(12.0).reason, "cannot be determined")
 
 
-def test_an_age_by_its_source_needs_no_header():
+def test_an_age_by_source_needs_no_header():
     load({"age": {"topic": "/p", "type": "t/msg/Pack", "most": "1s", "by": "source"}}, fields=fields)
 
 
-def test_an_age_is_the_same_in_all_languages():
+def test_the_age_leaf_is_the_same_in_all_languages():
     short = {"parallel": [age(by="source", **{"for": "1s"}), {**age(by="stamp"), "name": "stamped"}]}
     text = written(
         '<Age topic="/scan" most="300ms" for="1s" by="source"/><Age name="stamped" topic="/scan" most="300ms" by="stamp"/>'
@@ -70,7 +70,7 @@ def test_an_age_is_the_same_in_all_languages():
     hold_off=st.sampled_from([None, "700ms"]),
     now=st.integers(0, 600),
 )
-def test_by_its_source_the_deadline_of_an_age_is_the_first_moment_that_is_worse(ways, hold_off, now):
+def test_the_deadline_of_an_age_by_source_is_the_first_worse_moment(ways, hold_off, now):
     """Times in hundredths of a second."""
     world = World(age(by="source", **({"for": hold_off} if hold_off else {})), grace=2.0)
     for time, way in sorted(ways, key=lambda one: one[0]):
@@ -86,7 +86,7 @@ def test_by_its_source_the_deadline_of_an_age_is_the_first_moment_that_is_worse(
 # -- diagnostics ------------------------------------------------------------------------------------------------------
 
 
-def test_the_level_of_a_status_is_the_last_that_was_said_of_it_however_many_others_speak():
+def test_the_last_level_of_a_status_counts_regardless_of_other_statuses():
     world = World(levels(name="camera: driver"), grace=10)
     world.hear("/diagnostics", 1.0, Array(Status("lidar", 2, "dead")))
     assert_golden("health_tree", world.at(1.0).reason, "/diagnostics", "10 s")
@@ -101,7 +101,7 @@ def test_the_level_of_a_status_is_the_last_that_was_said_of_it_however_many_othe
     assert world.at(4.0).state == "Healthy"
 
 
-def test_the_worst_level_of_a_prefix_counts():
+def test_the_worst_level_of_all_statuses_with_the_prefix_counts():
     world = World(levels(prefix="camera", **{"for": "1s"}))
     world.hear("/diagnostics", 1.0, Array(Status("camera a", 0), Status("camera b", 0))).at(1.0)
     world.hear("/diagnostics", 2.0, Array(Status("camera b", 3, "gone")))
@@ -150,7 +150,7 @@ def test_diagnostics_of_understudy_itself_cannot_be_selected(key, text):
         load(levels(**{key: text}))
 
 
-def test_statuses_without_end_do_not_fill_the_memory_and_what_is_no_diagnostics_is_said():
+def test_memory_of_statuses_is_bounded_and_messages_of_another_type_are_reported():
     world = World(levels(prefix="n"))
     world.hear("/diagnostics", 0.1, Array(Status("n-first", 2))).at(0.1)
     world.hear("/diagnostics", 0.2, Array(*(Status(f"n{i}", 0) for i in range(511))))

@@ -80,7 +80,7 @@ def test_each_node_is_equivalent_to_one_of_the_short_form(text: str, tree: dict[
     same(file(text), tree)
 
 
-def test_a_subtree_is_written_once_and_used_with_values_of_each_use() -> None:
+def test_a_subtree_is_expanded_with_the_values_of_each_use() -> None:
     front, rear = (f'<SubTree ID="Lidar" name="{place}" scan="/{place}"/>' for place in ("front", "rear"))
     text = files(f"<Parallel>{front}{rear}</Parallel>", Lidar='<Topic topic="{scan}" gap="1s"/>')
     named = [
@@ -90,11 +90,11 @@ def test_a_subtree_is_written_once_and_used_with_values_of_each_use() -> None:
     assert [name for kind, name in shape(load_xml(text)) if kind == "TopicLeaf"] == ["front/front", "rear/rear"]
 
 
-def test_a_subtree_without_a_name_adds_nothing() -> None:
+def test_a_subtree_without_a_name_adds_no_node() -> None:
     same(files('<Inverter><SubTree ID="Lidar"/></Inverter>', Lidar=SCAN_XML), {"inverter": SCAN})
 
 
-def test_entries_go_down_by_name_by_the_same_name_and_all_at_once() -> None:
+def test_values_are_passed_to_subtrees_by_name_by_equal_name_and_by_autoremap() -> None:
     text = files(
         '<SubTree ID="A" topic="/scan" long="1s"/>',
         A='<Parallel><SubTree ID="B" topic="{=}" gap="{long}"/><SubTree ID="C" _autoremap="true"/></Parallel>',
@@ -104,7 +104,7 @@ def test_entries_go_down_by_name_by_the_same_name_and_all_at_once() -> None:
     same(text, {"parallel": [SCAN, {**SCAN, "name": "again"}]})
 
 
-def test_attributes_go_before_entries_of_the_same_name_that_are_remapped() -> None:
+def test_explicit_attributes_take_precedence_over_autoremapped_values() -> None:
     text = files(
         '<SubTree ID="A" topic="/other"/>',
         A='<SubTree ID="B" _autoremap="1" topic="/scan"/>',
@@ -113,7 +113,7 @@ def test_attributes_go_before_entries_of_the_same_name_that_are_remapped() -> No
     same(text, SCAN)
 
 
-def test_defaults_of_a_model_are_for_ports_that_are_not_given() -> None:
+def test_defaults_of_a_model_apply_to_omitted_ports() -> None:
     model = '<TreeNodesModel><SubTree ID="A"><input_port name="topic"/><input_port name="gap" default="1s"/></SubTree></TreeNodesModel>'
     text = files('<SubTree ID="A" topic="/scan"/>', A='<Topic topic="{topic}" gap="{gap}"/>')
     same(text.replace("</root>", f"{model}</root>"), SCAN)
@@ -127,7 +127,7 @@ def test_defaults_of_a_model_are_for_ports_that_are_not_given() -> None:
     )
 
 
-def test_trees_that_are_not_executed_do_not_matter() -> None:
+def test_trees_that_are_not_executed_are_ignored() -> None:
     same(files(SCAN_XML, Navigate='<PipelineSequence><ComputePathToPose goal="{goal}"/></PipelineSequence>'), SCAN)
 
 
@@ -195,7 +195,7 @@ GROOT = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def test_a_file_as_groot_writes_it_loads() -> None:
+def test_a_file_written_by_groot_loads() -> None:
     driving = {
         "name": "driving",
         "while": {"task_active": {"action": "/navigate_to_pose"}},
@@ -214,7 +214,7 @@ def test_a_file_as_groot_writes_it_loads() -> None:
 
 @settings(max_examples=400, deadline=None)
 @given(tree=TREES, seed=st.integers(0, 2**32), script=SCRIPTS, grace=st.sampled_from([0.0, 0.7, 4.0, 30.0]))
-def test_a_tree_written_in_both_forms_gives_the_same_trace(
+def test_a_tree_in_xml_gives_the_same_trace_as_in_the_short_form(
     tree: dict[str, Any], seed: int, script: list[tuple[float, str]], grace: float
 ) -> None:
     short = named(tree, numbers())
@@ -226,7 +226,7 @@ def test_a_tree_written_in_both_forms_gives_the_same_trace(
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_the_policies_of_the_examples_are_the_same_in_xml(policy: dict[str, Any]) -> None:
+def test_the_policies_of_the_examples_are_equal_in_xml(policy: dict[str, Any]) -> None:
     tree = policy["spec"]["monitoring"]["yaml"]
     for seed in range(5):
         found = load_xml(Writer(random.Random(seed).randrange).file(tree))
@@ -236,24 +236,24 @@ def test_the_policies_of_the_examples_are_the_same_in_xml(policy: dict[str, Any]
 # -- bounds ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_text_too_long_is_refused() -> None:
+def test_a_text_that_is_too_long_is_refused() -> None:
     assert problems(" " * (LONGEST_TEXT + 1)) == [
         f"line 1, column 1: the text has {LONGEST_TEXT + 1} characters; it may have {LONGEST_TEXT}"
     ]
 
 
-def test_elements_too_deep_are_refused() -> None:
+def test_elements_that_are_nested_too_deeply_are_refused() -> None:
     assert problems("<a>" * 1000) == ["line 1, column 193: more than 64 nested elements"]
     (problem,) = problems(file("<Inverter>" * 40 + LEAF + "</Inverter>" * 40))
     assert problem.endswith("<Inverter>: the tree is more than 32 levels deep")
 
 
-def test_elements_too_many_are_refused() -> None:
+def test_a_text_with_too_many_elements_is_refused() -> None:
     (problem,) = problems(file("<a/>" * 5000))
     assert problem.endswith("the text has more than 4096 elements")
 
 
-def test_a_tree_too_large_is_refused_once() -> None:
+def test_a_tree_with_too_many_nodes_is_refused_with_one_problem() -> None:
     leaves = "".join(f'<Topic topic="/scan" gap="1s" name="leaf{i}"/>' for i in range(600))
     (problem,) = problems(file(f"<Parallel>{leaves}</Parallel>"))
     assert problem.endswith("<Topic>: the tree has more than 512 nodes")

@@ -260,7 +260,7 @@ def test_a_mistake_in_the_file_structure_is_reported(text: str, expected: str) -
     assert problems(text) == [expected]
 
 
-def test_a_value_that_is_not_a_text_is_refused() -> None:
+def test_a_value_that_is_not_text_is_refused() -> None:
     assert_golden("tree_problems", problems({"topic": {}}), "spec.monitoring.xml", "BehaviorTree")
 
 

@@ -28,7 +28,7 @@ def states(world: World, now: float) -> list[str]:
 
 
 @given(a=times, b=times, c=times)
-def test_nothing_changes_before_the_moment_that_is_foretold(a: list[int], b: list[int], c: list[int]) -> None:
+def test_no_leaf_changes_before_the_predicted_moment(a: list[int], b: list[int], c: list[int]) -> None:
     world = World(TREE, grace=2.0)
     for topic, heard in (("/a", a), ("/b", b), ("/c", c)):
         for at in sorted(heard):
@@ -43,7 +43,7 @@ def test_nothing_changes_before_the_moment_that_is_foretold(a: list[int], b: lis
     assert states(world, now + 1e6) == states(world, now)
 
 
-def test_a_leaf_s_path_leaves_out_that_one_alone() -> None:
+def test_the_path_of_a_leaf_excludes_only_that_leaf() -> None:
     world = World(TREE)
     assert [leaf.name for leaf in world.tree.leaves] == ["a", "b", "c", "a.publisher"]
     world.tree.leave_out({"a.publisher"})
@@ -53,7 +53,7 @@ def test_a_leaf_s_path_leaves_out_that_one_alone() -> None:
 
 
 @pytest.mark.parametrize("length", [0.0, 0.3])
-def test_a_failure_counts_once_it_has_lasted_without_a_break(length: float) -> None:
+def test_a_failure_counts_after_it_lasted_without_interruption(length: float) -> None:
     debounce = Debounce()
     assert debounce.failed(10.0, length) == 10.0 + length
     assert debounce.failed(10.2, length) == 10.0 + length, "since when is remembered"

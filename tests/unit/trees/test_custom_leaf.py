@@ -61,7 +61,7 @@ def refusal(**more: Any) -> list[str]:
 # -- what it says -----------------------------------------------------------------------------------------------------
 
 
-def test_what_it_has_against_a_message_is_a_failure_as_it_comes(install: Install) -> None:
+def test_a_reason_returned_by_the_judge_is_a_failure_at_once(install: Install) -> None:
     install(Falling)
     world = World(leaf()).battery(1.0, 0.95)
     assert world.at(1.0).state == "Healthy"
@@ -73,7 +73,7 @@ def test_what_it_has_against_a_message_is_a_failure_as_it_comes(install: Install
     assert (topic.prompt, topic.whole) == (True, True)
 
 
-def test_with_for_it_is_foretold(install: Install) -> None:
+def test_with_for_the_failure_has_a_deadline(install: Install) -> None:
     install(Falling)
     world = World(leaf(**{"for": "500ms"})).battery(1.0, 0.95)
     world.at(1.0)
@@ -82,7 +82,7 @@ def test_with_for_it_is_foretold(install: Install) -> None:
     assert world.states([2.49, 2.5]) == ["Healthy", "Failed"]
 
 
-def test_each_instance_has_a_judge_of_its_own(install: Install) -> None:
+def test_each_instance_has_its_own_judge(install: Install) -> None:
     install(Falling)
     world = World(leaf()).battery(1.0, 0.95).battery(2.0, 0.9)
     assert world.states([1.0, 2.0]) == ["Healthy", "Healthy"]
@@ -90,7 +90,7 @@ def test_each_instance_has_a_judge_of_its_own(install: Install) -> None:
     assert_golden("health_tree", world.battery(4.0, 0.85).at(4.0).reason, "acme_leaf", "/battery", "0.15")
 
 
-def test_it_is_shown_by_its_name(install: Install) -> None:
+def test_a_snapshot_shows_the_leaf_with_its_name(install: Install) -> None:
     install(Falling)
     world = World(leaf()).battery(1.0, 0.5)
     world.at(1.0)
@@ -109,7 +109,9 @@ class Broken:
         return True if message.percentage > 0.4 else None
 
 
-def test_one_that_raises_holds_and_says_that_it_is_blind(install: Install, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_leaf_that_raises_does_not_fail_and_reports_itself_as_blind(
+    install: Install, caplog: pytest.LogCaptureFixture
+) -> None:
     install(Broken)
     world = World({"parallel": [leaf(), {"topic": {"name": "/scan", "gap": "1s"}}]}).hear("/scan", 1.0)
     with caplog.at_level(logging.ERROR):
@@ -120,7 +122,7 @@ def test_one_that_raises_holds_and_says_that_it_is_blind(install: Install, caplo
     assert world.at(2.0).leaf == "scan", "the rest of the tree goes on protecting"
 
 
-def test_one_that_returns_what_is_no_text_is_blind_until_it_can_judge_again(install: Install) -> None:
+def test_a_leaf_that_does_not_return_text_is_blind_until_it_judges_again(install: Install) -> None:
     install(Broken)
     world = World(leaf()).battery(1.0, 0.45)
     assert world.at(1.0).state == "Healthy"
@@ -129,7 +131,7 @@ def test_one_that_returns_what_is_no_text_is_blind_until_it_can_judge_again(inst
     assert world.tree.blind == []
 
 
-def test_a_message_that_can_t_be_read_does_not_hold(install: Install) -> None:
+def test_an_unreadable_message_is_a_failure(install: Install) -> None:
     install(Falling)
     world = World(leaf()).battery(1.0, 0.95)
     world.at(1.0)
@@ -137,7 +139,7 @@ def test_a_message_that_can_t_be_read_does_not_hold(install: Install) -> None:
     assert world.tree.blind == []
 
 
-def test_its_reason_is_not_longer_than_a_condition_can_have(install: Install) -> None:
+def test_the_reason_is_cut_to_the_length_that_a_condition_allows(install: Install) -> None:
     class Talkative:
         def judge(self, message: Battery) -> str:
             return "x" * 100_000
@@ -149,7 +151,7 @@ def test_its_reason_is_not_longer_than_a_condition_can_have(install: Install) ->
 # -- what it is given -------------------------------------------------------------------------------------------------
 
 
-def test_keys_are_read_by_their_types_also_where_a_language_has_only_texts(install: Install) -> None:
+def test_keys_are_read_by_their_types_in_all_languages(install: Install) -> None:
     made = []
 
     class Asking:
@@ -184,12 +186,12 @@ def test_keys_are_read_by_their_types_also_where_a_language_has_only_texts(insta
     )
 
 
-def test_what_it_refuses_is_refused_in_its_own_words(install: Install) -> None:
+def test_a_value_that_the_judge_refuses_is_reported_in_its_own_words(install: Install) -> None:
     install(Falling)
     assert refusal(most=-1) == [": found most: -1; give more than 0"]
 
 
-def test_one_that_can_t_be_made_refuses_the_tree_and_nothing_more(install: Install) -> None:
+def test_a_judge_that_cannot_be_created_refuses_only_the_tree(install: Install) -> None:
     class Careless:
         def __init__(self) -> None:
             self.table = {}["calibration"]
@@ -200,7 +202,7 @@ def test_one_that_can_t_be_made_refuses_the_tree_and_nothing_more(install: Insta
     assert_golden("tree_problems", refusal(), "acme_leaf", "KeyError", "'calibration'")
 
 
-def test_a_topic_is_required_and_an_example_says_what_else(install: Install) -> None:
+def test_the_topic_is_required_and_the_example_lists_the_required_keys(install: Install) -> None:
     class Field:
         def __init__(self, field: str, most: float = 1.0) -> None: ...
 
@@ -253,6 +255,6 @@ def odd(self: object, field: [str]) -> None: ...  # type: ignore[valid-type]
     ],
     ids=["object", "no-judge", "number", "untyped", "list", "args", "topic", "undefined", "odd"],
 )
-def test_what_is_no_judge_is_refused(judge: object, why: str) -> None:
+def test_an_object_that_is_not_a_judge_is_refused(judge: object, why: str) -> None:
     with pytest.raises(ValueError, match=why):
         kind_of("acme_leaf", judge)

@@ -28,14 +28,14 @@ from understudy.trees.source.expressions import Expression
 PAGE = (Path(__file__).parents[3] / "docs" / "trees.md").read_text()
 
 
-def test_the_example_loads_and_its_leaves_are_called_as_it_says():
+def test_the_example_loads_with_the_documented_leaf_names():
     example, *_ = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     tree = load(yaml.safe_load(example))
     leaves = [node.name for node in tree.root.iterate() if not node.children]
     assert leaves == ["cmd_vel", "sensors/scan", "sensors/odom"]
 
 
-def test_the_mistakes_are_named_as_it_says():
+def test_the_documented_mistakes_are_reported():
     (shown,) = re.findall(r"```text\n(spec\.monitoring\.yaml.*?)```", PAGE, re.DOTALL)
     tree = {"parallel": [{"topic": {"name": "/cmd_vel", "gap": 500}}, {"paralel": []}]}
     with pytest.raises(TreeError) as caught:
@@ -43,7 +43,7 @@ def test_the_mistakes_are_named_as_it_says():
     assert [str(problem) for problem in caught.value.problems] == shown.splitlines()
 
 
-def test_the_mistakes_in_xml_are_named_as_it_says():
+def test_the_documented_mistakes_in_xml_are_reported():
     (shown,) = re.findall(r"```text\n(spec\.monitoring\.xml.*?)```", PAGE, re.DOTALL)
     text = """<root BTCPP_format="4">
   <BehaviorTree ID="Healthy"><Parallel>
@@ -58,7 +58,7 @@ def test_the_mistakes_in_xml_are_named_as_it_says():
     assert [str(problem) for problem in caught.value.problems] == shown.splitlines()
 
 
-def test_every_node_and_port_of_xml_is_in_its_table():
+def test_the_table_lists_every_node_and_port_of_xml():
     rows = [line.split("|") for line in PAGE.splitlines() if line.startswith("| `<")]
     for tag, node in NODES.items():
         ((_, _, _, ports, _),) = (row for row in rows if f"`<{tag}>`" in row[1])
@@ -66,7 +66,7 @@ def test_every_node_and_port_of_xml_is_in_its_table():
     assert not NODES.keys() & REFUSED.keys()
 
 
-def test_the_models_that_are_shown_are_those_of_the_nodes():
+def test_the_documented_models_match_the_nodes():
     (shown,) = re.findall(r"```xml\n(.*?)```", PAGE, re.DOTALL)
     tree = '<BehaviorTree ID="Healthy"><Topic topic="/scan" gap="1s"/></BehaviorTree>'
     load_xml(f'<root BTCPP_format="4">{tree}{shown}</root>')
@@ -79,19 +79,19 @@ def test_the_models_that_are_shown_are_those_of_the_nodes():
 PROCEDURES = (Path(__file__).parents[3] / "docs" / "procedures.md").read_text()
 
 
-def test_the_procedure_that_is_shown_loads():
+def test_the_documented_procedure_loads():
     example, leaf = re.findall(r"```yaml\n(.*?)```", PROCEDURES, re.DOTALL)
     shown = yaml.safe_load(example)["bringUp"]
     assert load_procedure(shown["yaml"], path="bringUp").restores_state
     assert load_procedure(yaml.safe_load(leaf), path="bringUp")
 
 
-def test_every_node_of_a_procedure_is_on_the_page():
+def test_the_page_lists_every_node_of_a_procedure():
     told = set(re.findall(r"`([a-z_]+)`", PROCEDURES))
     assert {*COMPOSITES, *DECORATORS, *STEPS, *CONDITIONS} <= told
 
 
-def test_the_mistakes_in_procedures_are_named_as_it_says():
+def test_the_documented_mistakes_in_procedures_are_reported():
     shown = re.findall(r"^spec\.\w+\.yaml.*$", PROCEDURES, re.MULTILINE)
     tree = {"sequence": [{"resend_goals": {}}, {"set_lifecycle": {"node": "amcl", "state": "active"}}]}
     with pytest.raises(TreeError) as caught:
@@ -101,7 +101,7 @@ def test_the_mistakes_in_procedures_are_named_as_it_says():
     assert [str(problem) for problem in [*caught.value.problems, *looked.value.problems]] == shown
 
 
-def test_the_procedure_is_shown_in_three_languages():
+def test_the_documented_procedure_is_the_same_in_three_languages():
     example, *_ = re.findall(r"```yaml\n(.*?)```", PROCEDURES, re.DOTALL)
     in_xml, *_ = re.findall(r"```xml\n(<root.*?)```", PROCEDURES, re.DOTALL)
     (in_osc,) = re.findall(r"```osc\n(.*?)```", PROCEDURES, re.DOTALL)
@@ -110,7 +110,7 @@ def test_the_procedure_is_shown_in_three_languages():
     assert compose("osc", in_osc, check=False, path="bringUp").node == expected
 
 
-def test_the_mistake_in_a_procedure_in_xml_is_named_as_it_says():
+def test_the_documented_mistake_in_an_xml_procedure_is_reported():
     (shown,) = re.findall(r"^spec\.bringUp\.xml.*$", PROCEDURES, re.MULTILINE)
     (in_xml, _) = re.findall(r"```xml\n(.*?)```", PROCEDURES, re.DOTALL)
     begins, becomes = (
@@ -123,7 +123,7 @@ def test_the_mistake_in_a_procedure_in_xml_is_named_as_it_says():
     assert [str(problem) for problem in caught.value.problems] == [shown]
 
 
-def test_the_models_of_steps_that_are_shown_are_those_of_the_nodes():
+def test_the_documented_models_of_steps_match_the_nodes():
     (shown,) = re.findall(r"```xml\n(<TreeNodesModel>.*?)```", PROCEDURES, re.DOTALL)
     told = {
         model.attributes["ID"]: [port.attributes["name"] for port in model.children] for model in parse(shown).children
@@ -136,7 +136,7 @@ def test_the_models_of_steps_that_are_shown_are_those_of_the_nodes():
     assert compose("xml", f'<root BTCPP_format="4">{tree}{shown}</root>', check=False, path="bringUp")
 
 
-def test_the_leaves_that_are_shown_load():
+def test_the_documented_leaves_load():
     shown = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     nodes = [node for text in shown for node in yaml.safe_load_all(text) if "apiVersion" not in node]
     kinds = [next(iter(node)) for node in nodes if load(node).topics]
@@ -159,12 +159,12 @@ def test_the_leaves_that_are_shown_load():
     ]
 
 
-def test_every_kind_of_node_is_on_the_page():
+def test_the_page_lists_every_kind_of_node():
     for kind in KINDS:
         assert f"| `{kind}` |" in PAGE.replace("`parallel`, `sequence`", "`parallel`")
 
 
-def test_every_form_of_a_condition_that_is_shown_can_be_read():
+def test_every_documented_form_of_a_condition_is_parsed():
     (table,) = re.findall(r"\| fields \|(.*?)\n\n", PAGE, re.DOTALL)
     shown = [text for text in re.findall(r"`([^`]+)`", table) if re.search(r"[a-z]\w* (<|>)|any|all", text)]
     assert len(shown) == 3
@@ -174,7 +174,7 @@ def test_every_form_of_a_condition_that_is_shown_can_be_read():
         assert Expression.parse(f"{text} > 1")
 
 
-def test_the_figure_of_merit_behaves_as_it_says():
+def test_the_documented_figure_of_merit_behaves_as_described():
     (shown,) = re.findall(r"```yaml\n(name: picks\n.*?)```", PAGE, re.DOTALL)
     world = World(yaml.safe_load(shown), grace=5.0)
 

@@ -66,7 +66,7 @@ def read(text: str) -> Expression:
         ("isfinite(percentage)", True),
     ],
 )
-def test_a_condition_says(text, expected):
+def test_a_condition_is_evaluated(text, expected):
     assert read(text).holds(battery()) is expected
     assert Expression.parse(text).holds(battery()) is expected, "where the type isn't known"
 
@@ -109,7 +109,7 @@ def test_an_undecided_condition_has_a_reason(text, values, why):
         ("isfinite(percentage)", False),
     ],
 )
-def test_what_decides_alone_decides_beside_what_cannot_be_told(text, expected):
+def test_a_decisive_operand_decides_despite_an_undecided_one(text, expected):
     message = battery(percentage=NAN, cells=[NAN, 3.5, 4.0])
     assert read(text).holds(message) is expected
 
@@ -198,7 +198,7 @@ def test_a_refused_condition_is_reported_with_the_valid_form(text, why):
 
 
 @pytest.mark.parametrize("name", ["secret", "get_fields_and_field_types", "update", "keys"])
-def test_only_fields_are_reached_where_the_type_is_not_known(name):
+def test_only_fields_are_accessible_if_the_type_is_unknown(name):
     with pytest.raises(Undefined, match=f"Battery has no field {name}"):
         Expression.parse(f"{name} == 7").holds(battery())
     with pytest.raises(Undefined, match=f"Pack has no field {name}"):
@@ -208,12 +208,12 @@ def test_only_fields_are_reached_where_the_type_is_not_known(name):
 @pytest.mark.parametrize(
     "text", ["name.real > 1", "percentage[0] > 1", "cells > 1", "name * 2 == name", "len(level) > 1"]
 )
-def test_a_value_of_another_kind_than_thought_cannot_be_told(text):
+def test_a_value_of_an_unexpected_type_is_undecided(text):
     with pytest.raises(Undefined):
         Expression.parse(text).holds(battery())
 
 
-def test_arrays_of_numpy_are_arrays():
+def test_numpy_arrays_are_arrays():
     numpy = pytest.importorskip("numpy")
     message = battery(covariance=numpy.array([1.0, NAN, 3.0, 4.0]), cells=numpy.array([1, 2], dtype=numpy.float32))
     assert read("covariance[0] == 1 and len(covariance) == 4 and any(c > 3 for c in covariance)").holds(message)
@@ -222,7 +222,7 @@ def test_arrays_of_numpy_are_arrays():
         read("covariance[1] > 0").holds(message)
 
 
-def test_what_it_looked_at_is_told():
+def test_the_values_of_a_condition_are_reported():
     shown = read("percentage > 0.9 or charging or packs[0].name == 'x' or level > 5")
     assert_golden(
         "tree_problems", shown.values(battery()), "percentage is 0.5", "charging is false", "packs[0].name is 'a'"

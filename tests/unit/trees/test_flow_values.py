@@ -29,7 +29,7 @@ from understudy.trees.languages.text.flow_values import DEEPEST, LONGEST, struct
         ("2026-11-22", "2026-11-22"),
     ],
 )
-def test_what_a_text_stands_for(text: str, expected: Any) -> None:
+def test_a_text_is_parsed_as_a_structure(text: str, expected: Any) -> None:
     found = structure_of(text)
     assert (type(found), found) == (type(expected), expected)
 
@@ -56,6 +56,6 @@ def test_what_a_text_stands_for(text: str, expected: Any) -> None:
         ("[" * (DEEPEST + 2) + "]" * (DEEPEST + 2), f"is nested too deeply; it may be {DEEPEST} deep"),
     ],
 )  # fmt: skip
-def test_what_stands_for_nothing_is_refused(text: str, message: str) -> None:
+def test_an_invalid_text_is_refused(text: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         structure_of(text)

@@ -29,7 +29,7 @@ def leaf(**more: Any) -> dict[str, Any]:
     return {"lifecycle": {"node": AMCL, **more}}
 
 
-def test_it_fails_with_the_transition_to_another_state():
+def test_the_leaf_fails_when_the_node_leaves_its_state():
     world = World(leaf()).tell(AMCL, 1.0, "active")
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
@@ -40,7 +40,7 @@ def test_it_fails_with_the_transition_to_another_state():
     assert world.tell(AMCL, 4.0, "").at(4.0).reason.endswith("(it is not there)")
 
 
-def test_it_fails_exactly_when_it_has_been_in_others_for_so_long():
+def test_with_for_the_leaf_fails_exactly_after_that_time_in_other_states():
     world = World(leaf(state="inactive", **{"for": "2s"})).tell(AMCL, 1.0, "inactive")
     world.at(1.0)
     for time, state in ((1.1, "activating"), (1.2, "active"), (2.5, "active"), (3.0, "deactivating")):
@@ -56,7 +56,7 @@ def test_other_nodes_have_no_influence():
     assert world.tell(AMCL, 3.0, "inactive").at(3.0).leaf == "amcl.lifecycle"
 
 
-def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
+def test_a_node_that_is_brought_up_is_starting_until_the_grace_ends():
     world = World(leaf(), grace=10)
     assert_golden("health_tree", world.at(1.0).reason, "/amcl", "10 s")
     assert_golden("health_tree", world.tell(AMCL, 2.0, "unconfigured").at(9.9).reason, "/amcl", "unconfigured")
@@ -64,7 +64,7 @@ def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
     assert_golden("health_tree", world.at(10.0).reason, "/amcl", "10 s", "unconfigured")
 
 
-def test_unknown_values_are_no_failure():
+def test_an_unknown_state_is_no_failure():
     world = World(leaf(), grace=5).tell(AMCL, 1.0, None)
     assert world.at(20.0).state == "Healthy"
     assert world.deadline(20.0) is None
@@ -72,7 +72,7 @@ def test_unknown_values_are_no_failure():
     assert world.tell(AMCL, 22.0, None).at(22.0).state == "Healthy"
 
 
-def test_the_next_instance_is_judged_by_what_is_known_since_it_took_control():
+def test_the_next_instance_is_judged_only_by_observations_after_its_activation():
     world = World(leaf(), grace=10).tell(AMCL, 1.0, "inactive")
     world.at(1.0)
     world.since = START + 3.0
@@ -88,7 +88,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(101.0).reason.endswith("(it is inactive) while a goal of /go is active")
 
 
-def test_its_transitions_are_watched():
+def test_the_transition_events_of_the_node_are_watched():
     (topic,) = load(leaf()).topics
     assert (topic.name, topic.type, topic.managed) == (
         "/amcl/transition_event",

@@ -41,7 +41,7 @@ def say(world: World, time: float, **more: Any) -> World:
     return world.hear("/rosout", time, Log(**said))
 
 
-def test_it_fails_with_the_message_and_is_well_when_none_has_come_for_so_long():
+def test_the_leaf_fails_with_a_message_and_recovers_after_the_quiet_time():
     judged = world(quiet="3s")
     assert judged.at(10.0) == Verdict("Healthy", "", "", None)
     assert judged.deadline(10.0) is None
@@ -104,12 +104,12 @@ def test_other_messages_have_no_influence(pattern, said):
         ({"level": "WARN", "node": "/controller_server", "says": "progress"}, {}),
     ],
 )
-def test_those_that_it_is_about_fail(pattern, said):
+def test_matching_messages_fail(pattern, said):
     judged = World({"log": pattern}, grace=5.0)
     assert say(judged, 10.0, **said).at(10.0).state == "Failed"
 
 
-def test_a_pattern_names_all_that_it_asks_for():
+def test_the_reason_names_all_parts_of_the_pattern():
     judged = World({"log": {"level": "FATAL", "node": "/a", "says": "out of * memory"}}, grace=5.0)
     assert_golden(
         "health_tree",
@@ -121,7 +121,7 @@ def test_a_pattern_names_all_that_it_asks_for():
     assert_golden("health_tree", judged.tree.root.reason("Healthy"), "/a", "/rosout")
 
 
-def test_what_an_instance_says_while_it_starts_fails_it_only_if_it_goes_on():
+def test_messages_during_the_start_fail_the_instance_only_if_they_continue():
     judged = say(world(quiet="3s"), 1.0)
     assert_golden("health_tree", judged.at(1.0).reason, "/rosout", "controller_server")
     assert judged.states([3.9, 4.0, 6.0]) == ["Starting", "Healthy", "Healthy"]
@@ -146,7 +146,7 @@ def test_a_clock_step_moves_remembered_times():
     assert judged.states([3620.9, 3621.0]) == ["Failed", "Healthy"]
 
 
-def test_for_a_task_only_what_is_said_while_it_is_active_counts():
+def test_for_a_task_only_messages_during_the_task_count():
     judged = World({**TASK, "do": leaf(count=2, window="60s")}, grace=5.0)
     for time in (90.0, 91.0, 99.0):
         assert say(judged, time).at(time).state == "Healthy"
@@ -161,12 +161,12 @@ def test_for_a_task_only_what_is_said_while_it_is_active_counts():
     assert judged.at(105.0).state == "Healthy", "another goal, counted anew"
 
 
-def test_what_cannot_be_read_says_nothing():
+def test_a_message_that_cannot_be_read_is_ignored():
     judged = world().hear("/rosout", 10.0, "not a log").hear("/rosout", 10.1, object())
     assert judged.at(10.1).state == "Healthy"
 
 
-def test_a_pattern_takes_no_longer_for_a_text_made_to_delay_it():
+def test_a_malicious_text_does_not_slow_down_a_pattern():
     judged = World({"log": {"says": "*".join(["a" * 8] * 20) + "*b"}}, grace=5.0)
     begun = clock.process_time()
     for time in range(20):
@@ -283,7 +283,7 @@ def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, said, taske
     quiet=st.integers(1, 300),
     looks=st.lists(st.integers(600, 3300), max_size=10),
 )
-def test_window_and_quiet_are_those_of_a_plain_count_however_often_it_is_looked(said, count, window, quiet, looks):
+def test_window_and_quiet_time_do_not_depend_on_how_often_the_tree_is_evaluated(said, count, window, quiet, looks):
     """Times in hundredths of a second; window and quiet end between them, where floats don't decide."""
     judged = world(count=count, window=f"{window * 10 + 5}ms", quiet=f"{quiet * 10 + 5}ms")
     counted: list[int] = []
@@ -304,7 +304,7 @@ def test_window_and_quiet_are_those_of_a_plain_count_however_often_it_is_looked(
     says=st.text("ab* ", min_size=1, max_size=8).filter(lambda text: text.strip("* ")),
     text=st.text("ab \n", max_size=20),
 )
-def test_text_is_found_where_a_regular_expression_would_find_it(says, text):
+def test_a_pattern_matches_like_the_equivalent_regular_expression(says, text):
     expected = re.search(".*".join(map(re.escape, says.split("*"))), text, re.DOTALL)
     judged = World({"log": {"says": says}}, grace=5.0)
     assert say(judged, 10.0, msg=text).at(10.0).state == ("Failed" if expected else "Healthy")

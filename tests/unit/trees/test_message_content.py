@@ -9,7 +9,7 @@ from understudy.trees.core.health_tree import Verdict
 # -- value ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_value_fails_by_the_message_that_says_so_and_is_well_again_by_the_next():
+def test_a_value_fails_with_one_message_and_recovers_with_the_next():
     world = World(value()).battery(1.0, 0.5)
     assert world.at(1.1).state == "Healthy"
     assert world.deadline(1.1) is None, "silence says nothing of a value"
@@ -19,7 +19,7 @@ def test_a_value_fails_by_the_message_that_says_so_and_is_well_again_by_the_next
     assert world.battery(3.0, 0.2).at(3.0) == Verdict("Healthy", "", "", None)
 
 
-def test_a_value_fails_exactly_when_it_has_not_held_for_so_long():
+def test_with_for_a_value_fails_exactly_after_it_has_not_held_for_that_time():
     world = World(value(**{"for": "500ms"})).battery(1.0, 0.5)
     assert world.at(1.1).state == "Healthy"
     assert world.battery(2.0, 0.1).at(2.1).state == "Healthy"
@@ -31,7 +31,7 @@ def test_a_value_fails_exactly_when_it_has_not_held_for_so_long():
     assert_golden("health_tree", verdict.reason, "0.15", "/battery", "500 ms")
 
 
-def test_a_value_that_was_true_in_between_starts_its_time_again():
+def test_a_value_that_holds_in_between_restarts_its_time():
     world = World(value(**{"for": "500ms"})).battery(1.0, 0.5)
     world.at(1.0)
     world.battery(1.3, 0.1).at(1.3)
@@ -41,7 +41,7 @@ def test_a_value_that_was_true_in_between_starts_its_time_again():
     assert world.deadline(2.2) == 2.25
 
 
-def test_with_recovers_one_that_has_failed_holds_only_when_that_does():
+def test_with_recovers_a_failed_value_holds_only_when_that_condition_holds():
     world = World(value(recovers="percentage > 0.3", **{"for": "1s"})).battery(1.0, 0.2)
     assert world.at(1.1).state == "Healthy"
     assert world.battery(2.0, 0.1).at(2.0).state == "Healthy"
@@ -52,7 +52,7 @@ def test_with_recovers_one_that_has_failed_holds_only_when_that_does():
     assert world.battery(7.0, 0.2).at(9.0).state == "Healthy"
 
 
-def test_before_it_has_held_once_it_is_starting_until_the_grace_is_over():
+def test_a_value_that_has_never_held_is_starting_until_the_grace_ends():
     world = World(value(recovers="percentage > 0.9"), grace=10)
     assert world.at(1.0).reason == "waiting for the first /battery, for up to 10 s"
     assert world.deadline(1.0) == 10
@@ -78,7 +78,7 @@ def test_an_undecided_value_does_not_hold():
     assert_golden("health_tree", world.at(4.0).reason, "/battery")
 
 
-def test_each_message_is_read_once_and_only_where_it_is_the_newest_at_a_look():
+def test_only_the_newest_message_of_an_evaluation_is_read_and_only_once():
     world = World({"parallel": [value(), {**value("percentage < 0.9"), "name": "full"}]}).battery(1.0, 0.5)
     reads = []
 
@@ -114,7 +114,7 @@ def test_a_clock_step_moves_remembered_times():
     assert world.at(3602.5).onset == START + 3601.0
 
 
-def test_a_tree_that_is_new_to_an_old_instance_gives_it_the_grace():
+def test_a_new_tree_for_a_running_instance_has_the_startup_grace():
     world = World({"parallel": [value(), {"topic": {"name": "/scan", "gap": "1s"}}]}, grace=10)
     assert world.at(100.0).state == "Failed"
     world.tree.begin(START + 100.0)
@@ -129,7 +129,7 @@ def test_a_topic_that_cannot_be_watched_is_left_out():
     assert world.at(1.0).state == "Healthy"
 
 
-def test_an_inverter_over_a_value():
+def test_an_inverter_fails_while_its_value_holds():
     world = World({"inverter": value("charging")}).hear("/battery", 1.0, Battery(charging=True))
     assert world.at(1.0).reason == "charging of /battery holds, but the tree requires the opposite"
 
@@ -137,7 +137,7 @@ def test_an_inverter_over_a_value():
 # -- for a task -------------------------------------------------------------------------------------------------------
 
 
-def test_while_no_task_is_active_a_value_is_not_judged():
+def test_a_value_is_not_judged_without_an_active_task():
     world = World(during(value(**{"for": "500ms"})), grace=5).battery(100.0, 0.1)
     assert world.at(110.0).state == "Healthy"
     assert world.deadline(110.0) is None
@@ -150,7 +150,7 @@ def test_while_no_task_is_active_a_value_is_not_judged():
     assert world.at(123.0).state == "Healthy"
 
 
-def test_after_it_has_settled_a_value_of_a_task_fails_as_any_other():
+def test_after_the_settling_time_a_value_of_a_task_fails_as_any_other():
     world = World(during(value(**{"for": "500ms"}), settle="1s"), grace=5).battery(100.0, 0.5)
     world.task = 100.0
     assert world.at(100.0).state == "Healthy"

@@ -18,7 +18,7 @@ from understudy.trees.leaves.registry import LEAVES
 # -- loading ----------------------------------------------------------------------------------------------------------
 
 
-def test_what_the_leaves_need_of_their_topics():
+def test_the_leaves_subscribe_to_what_they_need():
     tree = load(
         {
             "parallel": [
@@ -126,7 +126,7 @@ def test_a_mistake_is_reported_with_its_place_and_the_valid_values(tree, place, 
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}{place}: {expected}"]
 
 
-def test_fields_of_a_type_that_is_not_known_here_are_not_checked():
+def test_fields_of_a_type_that_is_not_installed_are_not_checked():
     tree = {"value": {"topic": "/b", "type": "my_msgs/msg/Own", "holds": "anything.at[3] > 1"}}
     for known in (fields, None):
         (topic,) = load(tree, fields=known).topics
@@ -191,7 +191,7 @@ ANYTHING = st.recursive(
 
 @settings(max_examples=300, deadline=None)
 @given(kind=st.sampled_from(sorted(LEAVES)), found=ANYTHING, beside=ANYTHING)
-def test_whatever_a_leaf_is_given_it_loads_or_says_what_is_wrong(kind, found, beside):
+def test_any_input_of_a_leaf_loads_or_is_refused_with_a_message(kind, found, beside):
     try:
         tree = load({kind: found, **(beside if isinstance(beside, dict) else {})}, fields=fields)
     except TreeError as error:
@@ -200,7 +200,7 @@ def test_whatever_a_leaf_is_given_it_loads_or_says_what_is_wrong(kind, found, be
         assert tree.topics
 
 
-def test_the_leaves_in_xml_are_those_of_the_short_form():
+def test_the_leaves_in_xml_equal_those_of_the_short_form():
     text = written(
         '<Value topic="/battery" type="t/msg/Battery" holds="0.15 &lt; percentage" recovers="percentage &gt; 0.5" for="1s"/>'
         '<Age topic="/scan" most="300ms"/><Diagnostics name="camera" status="camera: driver" worst="WARN"/>'
@@ -224,7 +224,7 @@ def test_the_leaves_in_xml_are_those_of_the_short_form():
     assert [verdict.state for verdict in trace[0]][-3:] == ["Failed", "Healthy", "Failed"]
 
 
-def test_a_condition_that_is_wrong_in_xml_is_named_by_its_line():
+def test_an_invalid_condition_in_xml_is_reported_with_its_line():
     with pytest.raises(TreeError) as caught:
         load_xml(written('\n<Value topic="/battery" type="t/msg/Battery" holds="percent > 1"/>'), fields=fields)
     assert_golden(

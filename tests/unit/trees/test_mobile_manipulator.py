@@ -99,7 +99,7 @@ def failures(robot: Robot) -> dict[str, tuple[float, float]]:
     return found
 
 
-def test_the_policies_differ_in_language_and_name_only() -> None:
+def test_the_policies_differ_only_in_language_and_name() -> None:
     specs = {form: policy(form)["spec"] for form in FORMS}
     for form, spec in specs.items():
         assert spec["monitoring"].pop(form)
@@ -109,13 +109,13 @@ def test_the_policies_differ_in_language_and_name_only() -> None:
     assert {topic.name for topic in topics["yaml"]} == {*RATES, NAVIGATE, GRIP}
 
 
-def test_the_manifests_are_accepted_together() -> None:
+def test_the_manifests_pass_the_check_together() -> None:
     result = check([(file.name, file.read_bytes()) for file in FILES.values()])
     assert result.findings == []
     assert_golden("check", result.totals(), "3 objects", "3 files", "0 errors", "0 warnings")
 
 
-def test_a_robot_that_stands_and_does_nothing_is_healthy() -> None:
+def test_an_idle_robot_is_healthy() -> None:
     assert failures(Robot()) == {}
 
 
@@ -127,25 +127,25 @@ def test_a_robot_that_drives_and_then_grips_is_healthy() -> None:
     assert failures(Robot(tasks=DRIVES | GRIPS)) == {}
 
 
-def test_velocities_matter_while_it_drives() -> None:
+def test_velocities_are_required_while_the_robot_drives() -> None:
     ((leaf, (first, last)),) = failures(Robot({"/cmd_vel": (10.0, 30.0)}, DRIVES | GRIPS)).items()
     assert leaf == "driving/cmd_vel"
     assert 10.0 < first <= 11.0
     assert last == 14.9, "the goal is over then, and velocities don't matter any more"
 
 
-def test_velocities_do_not_matter_while_it_grips() -> None:
+def test_velocities_are_not_required_while_the_robot_grips() -> None:
     assert failures(Robot({"/cmd_vel": (0.0, 30.0)}, GRIPS)) == {}
 
 
-def test_joint_states_matter_while_it_grips() -> None:
+def test_joint_states_are_required_while_the_robot_grips() -> None:
     ((leaf, (first, last)),) = failures(Robot({"/joint_states": (20.0, 30.0)}, DRIVES | GRIPS)).items()
     assert leaf == "manipulating/joint_states"
     assert 20.0 < first <= 21.0
     assert last == 25.9
 
 
-def test_joint_states_do_not_matter_while_it_drives() -> None:
+def test_joint_states_are_not_required_while_the_robot_drives() -> None:
     assert failures(Robot({"/joint_states": (0.0, 30.0)}, DRIVES)) == {}
 
 
@@ -159,9 +159,7 @@ def test_joint_states_do_not_matter_while_it_drives() -> None:
         ("/wrist_camera/camera_info", "sensors/wrist_camera"),
     ],
 )
-def test_each_sensor_matters_whatever_the_robot_does(
-    topic: str, leaf: str, tasks: Mapping[str, tuple[float, float]]
-) -> None:
+def test_each_sensor_is_required_in_every_task(topic: str, leaf: str, tasks: Mapping[str, tuple[float, float]]) -> None:
     ((found, (first, last)),) = failures(Robot({topic: (8.0, 10.0)}, tasks, until=12.0)).items()
     assert found == leaf
     assert 8.0 < first <= 9.1

@@ -60,7 +60,7 @@ def drive(
 
 
 @pytest.mark.parametrize("stamped", [False, True])
-def test_it_fails_when_the_robot_stands_though_it_is_told_to_drive(stamped):
+def test_the_leaf_fails_if_the_robot_stands_despite_a_command(stamped):
     world = drive(World(leaf()), 1.0, 4.0, 0.3, stamped=stamped)
     assert world.at(4.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(4.0) is None
@@ -70,26 +70,26 @@ def test_it_fails_when_the_robot_stands_though_it_is_told_to_drive(stamped):
     assert world.at(6.0).state == "Healthy"
 
 
-def test_it_is_found_as_well_when_several_messages_come_at_one_look():
+def test_several_messages_in_one_evaluation_are_all_considered():
     world = drive(World(leaf()), 1.0, 4.0, 0.3, look=False)
     assert world.at(4.0).state == "Healthy"
     drive(world, 4.0, 5.0, 0.0, look=False)
     assert world.at(5.0).reason == FAILED
 
 
-def test_a_robot_that_is_told_to_stop_may_stand():
+def test_a_robot_that_is_commanded_to_stop_may_stand():
     world = drive(World(leaf()), 1.0, 4.0, 0.3)
     drive(world, 4.0, 4.5, 0.2, said=0.0)
     assert drive(world, 4.5, 9.0, 0.0, said=0.0).at(9.0).state == "Healthy"
 
 
-def test_a_robot_that_slips_a_little_is_well():
+def test_a_small_slip_is_tolerated():
     assert drive(World(leaf()), 1.0, 30.0, 0.26).at(30.0).state == "Healthy"
     strict = leaf(slip="1 %", tolerance="0.005 m/s")
     assert drive(World(strict), 1.0, 30.0, 0.26).at(30.0).state == "Failed"
 
 
-def test_out_of_the_picture_it_cannot_be_told_and_does_not_fail():
+def test_a_robot_out_of_sight_is_undecided_and_does_not_fail():
     world = drive(World(leaf()), 1.0, 4.0, 0.3)
     assert drive(world, 4.0, 20.0, None).at(20.0).state == "Healthy"
     # Nor does one that had failed stay so.
@@ -101,14 +101,14 @@ def test_out_of_the_picture_it_cannot_be_told_and_does_not_fail():
     assert world.at(23.91 + 1.0).state == "Healthy"
 
 
-def test_never_seen_or_never_commanded_it_holds_from_the_beginning():
+def test_without_observations_or_commands_the_leaf_is_healthy():
     world = World(leaf(), grace=2)
     assert world.at(0.5).state == "Healthy"
     assert drive(world, 1.0, 9.0, None).at(9.0).state == "Healthy"
     assert drive(World(leaf()), 1.0, 9.0, 0.5, said=None).at(9.0).state == "Healthy"
 
 
-def test_it_says_in_the_tree_why_it_cannot_be_told():
+def test_the_node_reports_why_it_is_undecided():
     world = World(leaf())
     world.at(0.5)
     (node,) = world.tree.root.iterate() if world.tree.root is not None else ()
@@ -130,7 +130,7 @@ def test_the_next_instance_is_judged_by_its_own_commands():
     assert drive(world, 5.1, 7.5, 0.0).at(7.5).state == "Failed"
 
 
-def test_an_instance_that_is_not_in_control_is_not_judged_by_what_the_robot_does():
+def test_only_the_active_instance_is_judged_by_the_motion_of_the_robot():
     world = drive(World(leaf()), 1.0, 4.0, 0.3, look=False)
     drive(world, 4.0, 6.0, 0.0, look=False)
     observed = world.observed()
@@ -139,7 +139,7 @@ def test_an_instance_that_is_not_in_control_is_not_judged_by_what_the_robot_does
     assert world.at(6.0).state == "Failed"
 
 
-def test_for_a_task_it_is_judged_only_while_that_is_active_and_by_what_comes_then():
+def test_for_a_task_only_motion_during_the_task_counts():
     world = drive(World({**TASK, "do": leaf()}), 1.0, 6.0, 0.0)
     assert world.at(6.0).state == "Healthy"
     world.task = 6.0
@@ -159,7 +159,7 @@ def test_a_clock_step_moves_remembered_times():
     assert world.at(3605.0).state == "Failed"
 
 
-def test_it_needs_both_topics_and_is_left_out_where_one_cannot_be_watched():
+def test_the_leaf_needs_both_topics_and_is_left_out_without_one():
     tree = load({"parallel": [leaf(type="geometry_msgs/msg/Twist"), {"topic": {"name": "/scan", "gap": "1s"}}]})
     found = {topic.name: topic for topic in tree.topics}
     assert found[ODOMETRY].type == "nav_msgs/msg/Odometry"
@@ -171,19 +171,19 @@ def test_it_needs_both_topics_and_is_left_out_where_one_cannot_be_watched():
         assert [node.name for node in tree.root.iterate() if not node.children] == ["scan"]
 
 
-def test_its_commands_are_not_waited_for_after_a_switch():
+def test_its_commands_are_not_expected_after_a_switchover():
     world = drive(World(leaf()), 1.0, 2.0, 0.3)
     assert world.tree.counting(world.observed(), now=START + 2.0, since=START) == {ODOMETRY}
 
 
-def test_a_gap_of_the_same_topics_is_another_leaf():
+def test_the_leaf_and_a_gap_of_its_topic_are_judged_separately():
     world = drive(World({"parallel": [leaf(), {"topic": {"name": COMMANDS, "gap": "500ms"}}]}), 1.0, 3.0, 0.3)
     assert world.at(3.0).state == "Healthy"
     drive(world, 3.0, 4.0, 0.3, said=None)
     assert world.at(4.0).leaf == "cmd_vel"
 
 
-def test_no_procedure_waits_for_it():
+def test_a_procedure_cannot_contain_the_leaf():
     with pytest.raises(TreeError, match=r"unknown key 'motion'"):
         load_procedure({"sequence": [leaf()]}, path="spec.yaml")
 

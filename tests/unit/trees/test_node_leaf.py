@@ -22,7 +22,7 @@ def leaf(**more: Any) -> dict[str, Any]:
     return {"node": {"name": CONTROLLER, **more}}
 
 
-def test_it_fails_by_the_look_that_finds_none():
+def test_the_leaf_fails_at_the_first_observation_without_the_node():
     world = World(leaf()).find(CONTROLLER, 1.0)
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
@@ -31,7 +31,7 @@ def test_it_fails_by_the_look_that_finds_none():
     assert world.find(CONTROLLER, 1.2).at(1.2).state == "Healthy"
 
 
-def test_it_fails_exactly_when_it_has_not_been_there_for_so_long():
+def test_with_for_the_leaf_fails_exactly_after_the_node_was_missing_for_that_time():
     world = World(leaf(**{"for": "2s"})).find(CONTROLLER, 1.0)
     world.at(1.0)
     for step in range(11, 30):
@@ -40,7 +40,7 @@ def test_it_fails_exactly_when_it_has_not_been_there_for_so_long():
     assert world.at(3.1).reason == "node /controller has been missing for 2 s"
 
 
-def test_other_nodes_neither_keep_it_alive_nor_do_it_harm():
+def test_other_nodes_have_no_influence():
     world = World({"parallel": [leaf(), {"node": {"name": "/planner", "for": "5s"}}]})
     world.find(CONTROLLER, 1.0).find("/planner", 1.0)
     assert world.at(1.0).state == "Healthy"
@@ -48,13 +48,13 @@ def test_other_nodes_neither_keep_it_alive_nor_do_it_harm():
     assert world.find(CONTROLLER, 1.2, there=False).find("/planner", 1.2).at(1.2).leaf == "controller.node"
 
 
-def test_one_of_that_name_elsewhere_does_not_count_and_is_told_of():
+def test_a_node_of_the_same_name_in_another_pod_does_not_count_and_is_reported():
     world = World(leaf()).find(CONTROLLER, 1.0)
     world.at(1.0)
     assert_golden("health_tree", world.find(CONTROLLER, 1.1, there=False, elsewhere=True).at(1.1).reason, "/controller")
 
 
-def test_while_it_is_discovered_it_is_starting_until_the_grace_is_over():
+def test_a_node_that_is_not_yet_discovered_is_starting_until_the_grace_ends():
     world = World(leaf(), grace=10)
     assert_golden("health_tree", world.at(1.0).reason, "/controller", "10 s")
     assert world.find(CONTROLLER, 1.1, there=False).at(9.9).reason == "node /controller is not there yet"
@@ -83,7 +83,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(102.0).state == "Healthy"
 
 
-def test_nothing_is_subscribed_to_for_it_though_a_topic_has_its_name():
+def test_the_leaf_subscribes_to_no_topic_even_if_one_has_the_name_of_the_node():
     (alone,) = load(leaf()).topics
     assert (alone.name, alone.heard, alone.node) == (CONTROLLER, False, True)
     gap = {"topic": {"name": CONTROLLER, "gap": "1s"}}

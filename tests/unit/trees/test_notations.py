@@ -16,7 +16,7 @@ OSC = 'import osc.understudy\nscenario healthy:\n    do topic("/scan", gap: 1s)\
 
 
 @pytest.mark.parametrize("written", [{"yaml": YAML}, {"xml": XML}, {"osc": OSC}])
-def test_either_form_of_a_policy_is_loaded_with_its_grace(written: dict[str, Any]) -> None:
+def test_a_policy_in_each_language_is_loaded_with_its_grace(written: dict[str, Any]) -> None:
     tree = load_monitoring(Monitoring.model_validate({**written, "startupGrace": "7s"}))
     assert [topic.name for topic in tree.topics] == ["/scan"]
     assert tree.grace == 7.0
@@ -33,7 +33,7 @@ def test_either_form_of_a_policy_is_loaded_with_its_grace(written: dict[str, Any
         ("toml", YAML, "form: found 'toml'; known are yaml, xml, osc"),
     ],
 )
-def test_a_tree_of_another_form_is_refused(form: str, tree: Any, expected: str) -> None:
+def test_a_tree_in_another_language_is_refused(form: str, tree: Any, expected: str) -> None:
     with pytest.raises(TreeError) as caught:
         load_health(form, tree, grace=1.0)
     assert str(caught.value).startswith(expected)

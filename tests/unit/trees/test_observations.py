@@ -20,25 +20,25 @@ def test_without_a_window_only_the_last_arrival_is_kept():
     assert list(record(0.0, 1.0, 2.0, 3.0).arrivals) == [3.0]
 
 
-def test_late_arrival_finds_its_place():
+def test_a_late_arrival_is_inserted_at_its_place():
     made = record(5.0, 1.0, 3.0, 2.0)
     assert list(made.arrivals) == [1.0, 2.0, 3.0]
     assert made.last == 3.0
 
 
-def test_shift_moves_every_time():
+def test_a_shift_moves_every_time():
     made = record(5.0, 1.0, 3.0)
     made.shift(-1.0)
     assert (list(made.arrivals), made.last, made.count) == ([0.0, 2.0], 2.0, 2)
 
 
-def test_shift_of_nothing_is_nothing():
+def test_a_shift_of_an_empty_record_changes_nothing():
     made = record(5.0)
     made.shift(3.0)
     assert made.last is None
 
 
-def test_the_longest_gap_is_known_for_a_minute_at_least():
+def test_the_longest_gap_is_known_for_at_least_a_minute():
     made = record(0.0, *(100.0 + n / 10 for n in range(10)), 103.0)
     assert made.longest_gap(103.1) == 103.0 - 100.9
     for n in range(600):

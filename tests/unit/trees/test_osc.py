@@ -76,11 +76,11 @@ def test_each_node_is_equivalent_to_one_of_the_short_form(lines: list[str], tree
     same(scenario(*lines), {"parallel": [tree]})
 
 
-def test_a_scenario_may_be_one_leaf_and_end_without_a_line_break() -> None:
+def test_a_scenario_may_be_one_leaf_without_a_final_line_break() -> None:
     same(f"import osc.understudy\nscenario a:\n  do {LEAF}", SCAN)
 
 
-def test_lines_may_end_as_on_windows() -> None:
+def test_windows_line_breaks_are_accepted() -> None:
     same(scenario("serial:", f"    {LEAF}").replace("\n", "\r\n"), {"parallel": [{"sequence": [SCAN]}]})
 
 
@@ -108,7 +108,7 @@ def test_a_tree_written_in_openscenario_gives_the_same_trace(
 
 
 @pytest.mark.parametrize("policy", POLICIES)
-def test_the_policies_of_the_examples_are_the_same_in_openscenario(policy: dict[str, Any]) -> None:
+def test_the_policies_of_the_examples_are_equal_in_openscenario(policy: dict[str, Any]) -> None:
     tree = policy["spec"]["monitoring"]["yaml"]
     for seed in range(5):
         found, expected = load_osc(ScenarioWriter(random.Random(seed).randrange).file(tree)), load(tree)
@@ -140,7 +140,7 @@ def test_the_policies_of_the_examples_are_the_same_in_openscenario(policy: dict[
     ],
     ids=["long", "words", "brackets", "calls", "dots", "import", "blocks", "modifiers", "nodes"],
 )  # fmt: skip
-def test_what_is_too_much_is_refused(text: str, expected: str) -> None:
+def test_a_text_that_exceeds_a_limit_is_refused(text: str, expected: str) -> None:
     found = problems(text)
     assert found[0].partition(": ")[2] == expected
     assert len(found) <= 2

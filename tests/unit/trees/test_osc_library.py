@@ -44,7 +44,7 @@ PAGE = (REPOSITORY / "docs" / "trees-osc.md").read_text()
 # -- what there is --------------------------------------------------------------------------------------------------
 
 
-def test_every_leaf_and_each_of_its_keys_can_be_written() -> None:
+def test_every_leaf_and_key_can_be_written() -> None:
     for kind, leaf in LEAVES.items():
         reached = {argument.where for argument in ACTIONS[kind].arguments.values()}
         assert reached == {f"{kind}.{key}" for key in leaf.keys}
@@ -53,7 +53,7 @@ def test_every_leaf_and_each_of_its_keys_can_be_written() -> None:
 
 
 @pytest.mark.parametrize("kind", LEAVES)
-def test_each_leaf_s_own_example_is_the_same_in_openscenario(kind: str) -> None:
+def test_the_example_of_each_leaf_is_equal_in_openscenario(kind: str) -> None:
     example = yaml.safe_load(LEAVES[kind].example)
     text = ScenarioWriter().file({kind: example})
     assert f"{kind}(" in text
@@ -61,7 +61,7 @@ def test_each_leaf_s_own_example_is_the_same_in_openscenario(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", LEAVES)
-def test_what_the_short_form_reads_as_a_time_is_one(kind: str) -> None:
+def test_no_argument_with_the_type_string_is_a_duration(kind: str) -> None:
     """If this fails, the key of the leaf has the wrong type in its declaration."""
     texts = [one.where.rpartition(".")[2] for one in ACTIONS[kind].arguments.values() if one.type == "string"]
     for key in texts:
@@ -77,7 +77,7 @@ def refusals(tree: dict[str, Any]) -> list[str]:
     return []
 
 
-def test_no_argument_is_called_by_a_word_of_the_language() -> None:
+def test_no_argument_has_the_name_of_a_keyword() -> None:
     names = {name for one in (*ACTIONS.values(), *MODIFIERS.values()) for name in one.arguments}
     assert not names & WORDS
     literals = {name.strip("'") for name in OpenSCENARIO2Lexer.literalNames}
@@ -142,7 +142,7 @@ scenario healthy:
 
 
 @pytest.mark.usefixtures("installed")
-def test_values_are_what_scenario_execution_takes_them_for(tmp_path: Path) -> None:
+def test_scenario_execution_reads_the_same_values(tmp_path: Path) -> None:
     file = tmp_path / "healthy.osc"
     file.write_text(EVERYTHING)
     model = resolved(file)
@@ -163,7 +163,7 @@ def test_values_are_what_scenario_execution_takes_them_for(tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("installed")
-def test_units_are_the_standard_s_and_our_own(tmp_path: Path) -> None:
+def test_scenario_execution_has_the_same_units(tmp_path: Path) -> None:
     file = tmp_path / "healthy.osc"
     file.write_text(EVERYTHING)
     model = resolved(file)
@@ -195,7 +195,7 @@ TEXTS = [
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("text", TEXTS)
-def test_what_loads_here_is_openscenario_to_scenario_execution_too(text: str, tmp_path: Path) -> None:
+def test_scenario_execution_accepts_the_trees(text: str, tmp_path: Path) -> None:
     file = tmp_path / "healthy.osc"
     file.write_text(text)
     assert list(within(resolved(file), BehaviorInvocation))
@@ -213,7 +213,7 @@ PROCEDURES = [
 
 @pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize("text", PROCEDURES)
-def test_a_procedure_that_loads_here_is_openscenario_to_scenario_execution_too(text: str, tmp_path: Path) -> None:
+def test_scenario_execution_accepts_the_procedures(text: str, tmp_path: Path) -> None:
     file = tmp_path / "bring_up.osc"
     file.write_text(text)
     called = [found.behavior.name for found in within(resolved(file), BehaviorInvocation)]
@@ -222,7 +222,7 @@ def test_a_procedure_that_loads_here_is_openscenario_to_scenario_execution_too(t
 
 
 @pytest.mark.usefixtures("installed")
-def test_every_step_and_look_is_one_to_scenario_execution_too(tmp_path: Path) -> None:
+def test_scenario_execution_accepts_every_step_and_condition(tmp_path: Path) -> None:
     file = tmp_path / "all.osc"
     calls = [f"        {name}()\n" for name in (*steps.STEPS, *steps.CONDITIONS)]
     with_ = "            timeout(duration: 1s)\n            retry(count: 3, pause: 500ms)\n"
@@ -288,7 +288,7 @@ sys.stdout.write(repr(found[:3]) if found else "nothing")
 """
 
 
-def test_loading_opens_no_file_starts_nothing_and_prints_nothing() -> None:
+def test_loading_opens_no_files_starts_no_processes_and_prints_nothing() -> None:
     done = subprocess.run([sys.executable, "-c", _WATCHED], capture_output=True, text=True, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (0, "nothing", "")
 
@@ -296,7 +296,7 @@ def test_loading_opens_no_file_starts_nothing_and_prints_nothing() -> None:
 # -- its page -------------------------------------------------------------------------------------------------------
 
 
-def test_every_behaviour_and_argument_is_on_the_page() -> None:
+def test_the_page_lists_every_behaviour_and_argument() -> None:
     rows = [line.split("|") for line in PAGE.splitlines() if line.startswith("| `")]
     for name, behavior in (*ACTIONS.items(), *MODIFIERS.items()):
         told = [set(re.findall(r"`([a-z_]+)`", row[3])) for row in rows if f"`{name}()`" in row[1]]
@@ -310,7 +310,7 @@ def test_every_behaviour_and_argument_is_on_the_page() -> None:
     assert {f"{enum}!{member}" for enum, members in ENUMS.items() for member in members} <= told
 
 
-def test_the_mistakes_are_named_as_it_says() -> None:
+def test_the_documented_mistakes_are_reported() -> None:
     *_, shown = re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)
     text = (
         "import osc.understudy\n\nscenario healthy:\n    do parallel:\n"

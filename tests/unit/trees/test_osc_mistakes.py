@@ -243,7 +243,7 @@ def test_a_mistake_in_the_file_structure_is_reported(text: str, expected: str | 
         assert problems(text) == [expected]
 
 
-def test_a_value_that_is_not_a_text_is_refused() -> None:
+def test_a_value_that_is_not_text_is_refused() -> None:
     assert_golden("tree_problems", problems({"topic": {}}), "spec.monitoring.osc")
 
 
@@ -257,7 +257,7 @@ def test_all_semantic_mistakes_are_reported_at_once_in_text_order() -> None:
     ]
 
 
-def test_places_are_those_of_the_file_in_which_the_text_begins() -> None:
+def test_places_are_relative_to_the_file_that_contains_the_text() -> None:
     for text in (scenario("topik()"), scenario("topic($)"), scenario("wait")):
         with pytest.raises(TreeError) as caught:
             load_osc(text, begins=TextOffset(lines=10, columns=6))

@@ -31,7 +31,7 @@ def leaf(**more: Any) -> dict[str, Any]:
     return {"parameter": {"node": NODE, "name": SPEED, **expected, **more}}
 
 
-def test_it_fails_with_the_change_to_another_value():
+def test_the_leaf_fails_when_the_parameter_changes():
     world = World(leaf()).set(SPEED, 1.0, 0.26)
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
@@ -42,7 +42,7 @@ def test_it_fails_with_the_change_to_another_value():
     assert world.set(SPEED, 4.0, None, "it is not set").at(4.0).reason.endswith("(it is not set)")
 
 
-def test_it_fails_exactly_when_it_has_been_otherwise_for_so_long():
+def test_with_for_the_leaf_fails_exactly_after_that_time_with_other_values():
     world = World(leaf(between="0.2 to 0.3", **{"for": "2s"})).set(SPEED, 1.0, 0.2)
     world.at(1.0)
     for time, value in ((1.1, 0.5), (1.2, 0.31), (2.5, 0.6)):
@@ -74,14 +74,14 @@ def test_other_parameters_have_no_influence():
         ({"between": [1, 2]}, [1, 2.0, 1.5], [0.999]),
     ],
 )
-def test_a_value_is_compared_as_what_the_parameter_is(expected, holding, others):
+def test_a_value_is_compared_by_the_type_of_the_parameter(expected, holding, others):
     for value in holding:
         assert World(leaf(**expected)).set(SPEED, 1.0, value).at(1.0).state == "Healthy", value
     for value in others:
         assert World(leaf(**expected)).set(SPEED, 1.0, value).at(1.0).state == "Starting", value
 
 
-def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
+def test_a_node_that_is_brought_up_is_starting_until_the_grace_ends():
     world = World(leaf(), grace=10)
     assert_golden("health_tree", world.at(1.0).reason, "/controller", "max_vel_x", "10 s")
     assert_golden("health_tree", world.set(SPEED, 2.0, 0.1).at(9.9).reason, "max_vel_x", "/controller", "0.26", "0.1")
@@ -89,7 +89,7 @@ def test_while_it_is_brought_up_it_is_starting_until_the_grace_is_over():
     assert_golden("health_tree", world.at(10.0).reason, "max_vel_x", "/controller", "0.26", "10 s", "0.1")
 
 
-def test_unknown_values_are_no_failure():
+def test_an_unknown_value_is_no_failure():
     world = World(leaf(), grace=5).set(SPEED, 1.0, None, told=False)
     assert world.at(20.0).state == "Healthy"
     assert world.deadline(20.0) is None
@@ -97,7 +97,7 @@ def test_unknown_values_are_no_failure():
     assert world.set(SPEED, 22.0, None, told=False).at(22.0).state == "Healthy"
 
 
-def test_the_next_instance_is_judged_by_what_is_known_since_it_took_control():
+def test_the_next_instance_is_judged_only_by_observations_after_its_activation():
     world = World(leaf(), grace=10).set(SPEED, 1.0, 0.5)
     world.at(1.0)
     world.since = START + 3.0
@@ -113,7 +113,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(101.0).reason.endswith("(it is 0.5) while a goal of /go is active")
 
 
-def test_the_events_are_watched_once_for_all_parameters():
+def test_the_parameter_events_are_watched_once_for_all_parameters():
     (topic,) = load({"parallel": [leaf(), {"parameter": {"node": "/amcl", "name": "a", "equals": 1}}]}).topics
     assert (topic.name, topic.type, topic.reliable) == (
         "/parameter_events",
@@ -195,7 +195,7 @@ def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place,
     assert mistakes("parameter", found) == [f"{place}: {expected}"]
 
 
-def test_it_is_the_same_in_all_languages():
+def test_the_leaf_is_the_same_in_all_languages():
     short = {
         "parallel": [
             leaf(**{"for": "1s"}),
@@ -238,7 +238,7 @@ scalars = (
 
 @settings(max_examples=300, deadline=None)
 @given(value=scalars)
-def test_a_value_equals_itself_however_it_is_written(value):
+def test_a_value_equals_its_own_text(value):
     assume(not isinstance(value, str) or value.isprintable())
     for expected in (value, str(value)):
         assert World(leaf(equals=expected)).set(SPEED, 1.0, value).at(1.0).state == "Healthy"

@@ -46,14 +46,14 @@ def test_each_entry_point_is_a_leaf(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["lively", "Acme_lively", "acme_", "acme__lively", "acme-lively", "acme.lively", "2d_acme"]
 )
-def test_a_name_is_two_words_at_least(tmp_path: Path, name: str) -> None:
+def test_a_name_needs_at_least_two_words(tmp_path: Path, name: str) -> None:
     package(tmp_path, "acme-leaves", f"{name} = acme_added_judges:Judge")
     leaves, refused = found().leaves, found().refused
     assert (leaves, list(refused)) == ({}, [name])
     assert_golden("tree_problems", refused[name], f"{name} of acme-leaves 1.0", "two words")
 
 
-def test_a_name_that_is_taken_is_refused_and_the_others_of_its_package_are_not(
+def test_a_reserved_name_is_refused_without_the_other_leaves_of_its_package(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     package(tmp_path, "acme-leaves", "wait_for = acme_added_judges:Judge", "acme_two = acme_added_judges:Judge")
@@ -63,7 +63,7 @@ def test_a_name_that_is_taken_is_refused_and_the_others_of_its_package_are_not(
     assert caplog.messages[0] == why
 
 
-def test_of_two_packages_with_one_name_neither_is_used(tmp_path: Path) -> None:
+def test_a_name_that_two_packages_use_is_refused_for_both(tmp_path: Path) -> None:
     for name in ("beta-leaves", "acme-leaves"):
         package(tmp_path, name, "robot_lively = acme_added_judges:Judge")
     (why,) = found().refused.values()
@@ -93,7 +93,7 @@ def test_a_module_that_fails_to_import_is_reported(
     assert found().refused["acme_faulty"].startswith(f"acme_faulty of acme-leaves 1.0 cannot be used: {why}")
 
 
-def test_no_name_of_our_own_can_be_taken(tmp_path: Path) -> None:
+def test_all_names_of_understudy_are_reserved(tmp_path: Path) -> None:
     words = {
         *health_loader.KINDS,
         *procedure_loader.COMPOSITES,

@@ -32,7 +32,7 @@ def leaf(**more: Any) -> dict[str, Any]:
 # -- conditions -----------------------------------------------------------------------------------------------------
 
 
-def test_it_fails_with_the_status_that_is_another():
+def test_the_leaf_fails_when_the_condition_has_another_status():
     world = World(leaf()).pod_says(1.0, Ready="True")
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
@@ -43,7 +43,7 @@ def test_it_fails_with_the_status_that_is_another():
     assert world.pod_says(4.0).at(4.0).reason.endswith("(the pod has no such condition)")
 
 
-def test_it_fails_exactly_when_it_has_been_otherwise_for_so_long():
+def test_with_for_the_leaf_fails_exactly_after_that_time_with_another_status():
     world = World(leaf(condition="Ready", **{"for": "2s"})).pod_says(1.0, Ready="True")
     world.at(1.0)
     for time in (1.1, 1.2, 2.5, 3.0):
@@ -52,7 +52,7 @@ def test_it_fails_exactly_when_it_has_been_otherwise_for_so_long():
     assert_golden("health_tree", world.at(3.1).reason, "2 s", "Unknown")
 
 
-def test_other_conditions_and_restarts_do_it_no_harm():
+def test_other_conditions_and_restarts_have_no_influence():
     world = World(leaf()).pod_says(1.0, Ready="True", PodScheduled="True")
     world.at(1.0)
     assert (
@@ -60,20 +60,20 @@ def test_other_conditions_and_restarts_do_it_no_harm():
     )
 
 
-def test_a_condition_that_must_not_be():
+def test_an_inverted_condition_must_not_be_true():
     world = World({"inverter": leaf(condition="DisruptionTarget")}, grace=1.0).pod_says(2.0, Ready="True")
     assert world.at(2.0).state == "Healthy"
     assert world.pod_says(3.0, DisruptionTarget="True").at(3.0).state == "Failed"
 
 
-def test_what_the_pod_has_not_got_is_unknown():
+def test_a_missing_condition_is_unknown():
     world = World(leaf(condition="example.com/calibrated", status="Unknown")).pod_says(1.0)
     assert world.at(1.0).state == "Healthy"
     world.pod_says(2.0, **{"example.com/calibrated": "False"})
     assert world.at(2.0).leaf == "pod.example.com.calibrated"
 
 
-def test_before_anybody_has_looked_it_is_starting_until_the_grace_is_over():
+def test_a_pod_that_was_not_observed_is_starting_until_the_grace_ends():
     world = World(leaf(), grace=10)
     assert_golden("health_tree", world.at(1.0).reason, "10 s")
     assert world.pod_says(2.0, Ready="False").at(9.9).state == "Starting"
@@ -81,7 +81,7 @@ def test_before_anybody_has_looked_it_is_starting_until_the_grace_is_over():
     assert_golden("health_tree", world.at(10.0).reason, "10 s", "False")
 
 
-def test_the_next_instance_is_judged_by_looks_since_it_took_control():
+def test_the_next_instance_is_judged_only_by_observations_after_its_activation():
     world = World(leaf(), grace=10).pod_says(1.0, Ready="True")
     world.at(1.0)
     world.since = START + 3.0
@@ -100,7 +100,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
 # -- restarts -------------------------------------------------------------------------------------------------------
 
 
-def test_it_fails_with_the_restart_that_is_one_too_many_until_they_are_out_of_the_window():
+def test_the_leaf_fails_after_too_many_restarts_until_they_leave_the_window():
     world = World(leaf(restarts=1, window="10s")).pod_says(1.0, 7)
     assert world.at(1.0).state == "Healthy", "what was before isn't held against it"
     assert world.pod_says(2.0, 8).at(2.0).state == "Healthy"
@@ -111,13 +111,13 @@ def test_it_fails_with_the_restart_that_is_one_too_many_until_they_are_out_of_th
     assert world.at(12.0).state == "Healthy"
 
 
-def test_restarts_that_are_far_from_each_other_and_conditions_do_no_harm():
+def test_rare_restarts_and_conditions_have_no_influence():
     world = World(leaf(restarts=1, window="10s")).pod_says(1.0, 0, Ready="True")
     for step in range(1, 6):
         assert world.pod_says(10.0 * step, step, Ready="False").at(10.0 * step).state == "Healthy"
 
 
-def test_several_at_once_count_and_one_is_too_many_where_none_may_be():
+def test_several_restarts_at_once_count_and_a_limit_of_zero_allows_none():
     world = World(leaf(restarts=2, window="10s")).pod_says(1.0, 0)
     world.at(1.0)
     assert_golden("health_tree", world.pod_says(2.0, 40).at(2.0).reason, "3 times", "10 s")
@@ -126,7 +126,7 @@ def test_several_at_once_count_and_one_is_too_many_where_none_may_be():
     assert_golden("health_tree", world.pod_says(2.0, 4).at(2.0).reason, "once", "3600 s")
 
 
-def test_the_next_instance_has_restarts_of_its_own():
+def test_the_next_instance_starts_without_restarts():
     world = World(leaf(restarts=0, window="1h")).pod_says(1.0, 0)
     world.at(1.0)
     assert world.pod_says(2.0, 1).at(2.0).state == "Failed"
@@ -137,7 +137,7 @@ def test_the_next_instance_has_restarts_of_its_own():
     assert world.pod_says(5.0, 1).at(5.0).state == "Failed"
 
 
-def test_for_a_task_only_restarts_count_that_come_while_it_is_active():
+def test_for_a_task_only_restarts_during_the_task_count():
     world = World({**TASK, "do": leaf(restarts=0, window="1h")}).pod_says(1.0, 0)
     world.at(1.0)
     world.pod_says(2.0, 1).at(2.0)
@@ -164,7 +164,7 @@ def test_a_clock_step_moves_remembered_times():
     most=st.integers(0, 4),
     window=st.integers(1, 60),
 )
-def test_it_fails_when_there_are_more_in_the_window_and_only_then(steps, most, window):
+def test_the_leaf_fails_exactly_while_the_window_has_too_many_restarts(steps, most, window):
     """Times in tenths of a second."""
     world = World(leaf(restarts=most, window=f"{window / 10:g}s")).pod_says(0.0, 0)
     world.at(0.0)
@@ -183,7 +183,7 @@ def test_it_fails_when_there_are_more_in_the_window_and_only_then(steps, most, w
 # -- CPU and memory -------------------------------------------------------------------------------------------------
 
 
-def test_it_fails_when_it_has_taken_more_than_it_may_for_so_long():
+def test_the_leaf_fails_after_the_usage_exceeded_the_bound_for_that_time():
     world = World(leaf(cpu="< 1.5", **{"for": "10s"})).pod_says(1.0, usage=PodUsage(0.2, 0.0))
     assert world.at(1.0).state == "Healthy"
     assert world.pod_says(2.0, usage=PodUsage(1.5, 0.0)).at(2.0).state == "Healthy"
@@ -194,7 +194,7 @@ def test_it_fails_when_it_has_taken_more_than_it_may_for_so_long():
     assert world.pod_says(13.0, usage=PodUsage(1.49, 0.0)).at(13.0).state == "Healthy"
 
 
-def test_a_peak_and_what_else_it_takes_do_no_harm():
+def test_a_peak_and_other_resources_have_no_influence():
     world = World(leaf(memory="< 200Mi", **{"for": "10s"})).pod_says(1.0, usage=PodUsage(0.1, 100 * 2**20))
     world.at(1.0)
     assert world.pod_says(2.0, usage=PodUsage(0.1, 300 * 2**20)).at(2.0).state == "Healthy"
@@ -204,7 +204,7 @@ def test_a_peak_and_what_else_it_takes_do_no_harm():
     assert_golden("health_tree", world.at(41.0).reason, "memory < 200Mi", "10 s", "212.4Mi")
 
 
-def test_figures_that_are_not_there_are_no_failure():
+def test_missing_usage_is_no_failure():
     world = World(leaf(cpu="> 0.1", **{"for": "5s"}), grace=1.0).pod_says(2.0)
     assert world.at(20.0).state == "Healthy"
     assert world.pod_says(21.0, usage=PodUsage(0.0, 0.0)).at(21.0).state == "Healthy", (
@@ -223,14 +223,14 @@ def test_figures_that_are_not_there_are_no_failure():
         (">= 1e3", [1000.0], [999.9]),
     ],
 )
-def test_bounds_are_compared_as_they_are_written(bound, holding, others):
+def test_bounds_are_strict_or_inclusive_as_written(bound, holding, others):
     for what in ("cpu", "memory"):
         for value in (*holding, *others):
             world = World(leaf(**{what: bound})).pod_says(1.0, usage=PodUsage(value, value))
             assert (world.at(1.0).state == "Healthy") is (value in holding)
 
 
-def test_figures_are_asked_for_where_a_leaf_needs_them_and_only_there():
+def test_usage_is_requested_only_if_a_leaf_needs_it():
     assert not load(leaf()).topics[0].usage
     for nodes in ([leaf(), leaf(cpu="< 1")], [leaf(cpu="< 1"), leaf()]):
         (topic,) = load({"parallel": nodes}).topics
@@ -240,7 +240,7 @@ def test_figures_are_asked_for_where_a_leaf_needs_them_and_only_there():
 # -- both -----------------------------------------------------------------------------------------------------------
 
 
-def test_an_instance_that_waits_is_not_judged_by_it():
+def test_a_standby_is_not_judged_by_the_leaf():
     world = World({"parallel": [leaf(), leaf(restarts=0, window="1h")]}, grace=1.0)
     world.in_control = False
     assert world.at(20.0).state == "Healthy"
@@ -249,7 +249,7 @@ def test_an_instance_that_waits_is_not_judged_by_it():
     assert world.pod_says(22.0, 3, Ready="False").at(22.0).state == "Healthy"
 
 
-def test_nothing_is_subscribed_to_for_it_and_a_procedure_cannot_have_it():
+def test_the_leaf_subscribes_to_no_topic_and_a_procedure_cannot_contain_it():
     (topic,) = load({"parallel": [leaf(), leaf(restarts=0, window="1h")]}).topics
     assert (topic.pod, topic.heard) == (True, False)
     assert "pod" not in CONDITIONS
@@ -301,11 +301,11 @@ def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place,
 
 
 @pytest.mark.parametrize("status", [False, "False", "false"])
-def test_a_status_may_be_written_without_quotes(status):
+def test_a_status_may_be_a_yaml_boolean(status):
     assert World(leaf(condition="Paused", status=status)).pod_says(1.0, Paused="False").at(1.0).state == "Healthy"
 
 
-def test_it_is_the_same_in_all_languages():
+def test_the_leaf_is_the_same_in_all_languages():
     short = {
         "parallel": [
             leaf(condition="Ready", **{"for": "1s"}),

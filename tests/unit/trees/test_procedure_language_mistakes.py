@@ -161,21 +161,21 @@ ONLY = ": is not for checks: a check takes no action; it belongs in a procedure"
         ),
     ],
 )  # fmt: skip
-def test_a_check_only_looks_in_either_language(form: str, text: str, expected: str) -> None:
+def test_a_check_contains_only_conditions_in_every_language(form: str, text: str, expected: str) -> None:
     assert problems(form, text, check=True) == [expected]
 
 
-def test_what_procedures_do_is_not_for_health_trees() -> None:
+def test_a_health_tree_refuses_the_steps_of_procedures() -> None:
     with pytest.raises(TreeError, match=r"set_lifecycle\(\): is not for health trees: a health tree takes no action"):
         load_osc(scenario(ACTIVE_OSC))
 
 
 @pytest.mark.parametrize("form", ["xml", "osc"])
-def test_a_value_that_is_not_a_text_is_refused(form: str) -> None:
+def test_a_value_that_is_not_text_is_refused(form: str) -> None:
     assert problems(form, ACTIVE)[0].startswith("bringUp: found a mapping; give the text of ")
 
 
-def test_all_mistakes_are_named_at_once_where_the_text_has_them() -> None:
+def test_all_mistakes_are_reported_at_once_with_their_places() -> None:
     text = file(
         '<Sequence>\n<SetLifecycle node="a" state="b"/>\n<Publish topic="/a" type="b" message="json:"/>\n</Sequence>'
     )

@@ -124,7 +124,7 @@ def test_each_node_is_equivalent_to_one_of_the_short_form(node: dict[str, Any], 
     assert compose("yaml", node, check=False, path=PATH).node == node
 
 
-def test_a_subtree_is_given_values_with_fields_too() -> None:
+def test_a_subtree_accepts_structured_values() -> None:
     text = (
         '<root BTCPP_format="4" main_tree_to_execute="Main"><BehaviorTree ID="Main"><Sequence>'
         '<SubTree ID="Say" what=\'json:{"data": "a"}\'/><SubTree ID="Say" name="again" what=\'json:{"data": "b"}\'/>'
@@ -134,7 +134,7 @@ def test_a_subtree_is_given_values_with_fields_too() -> None:
     assert [node["publish"]["message"] for node in found] == [{"data": "a"}, {"data": "b"}]
 
 
-def test_everything_that_procedures_have_can_be_written() -> None:
+def test_every_kind_of_procedure_node_can_be_written() -> None:
     kinds = {*STEPS, *CONDITIONS, *DECORATORS, *procedure_loader.COMPOSITES}
     assert {node.key for node in xml.PROCEDURES.nodes.values()} == kinds
     assert {node.key for node in xml.CHECKS.nodes.values()} == kinds - {*STEPS, "timeout", "retry"}
@@ -148,7 +148,7 @@ def test_everything_that_procedures_have_can_be_written() -> None:
         assert {argument.where for argument in scenarios.PROCEDURES.actions[kind].arguments.values()} == where
 
 
-def test_nothing_is_known_and_refused_and_what_health_trees_refuse_is_told_here_too() -> None:
+def test_known_and_refused_nodes_are_disjoint_and_complete() -> None:
     for found in (xml.PROCEDURES, xml.CHECKS, library.HEALTH):
         assert not found.nodes.keys() & found.refused.keys()
     for found in (xml.PROCEDURES, xml.CHECKS):
@@ -162,7 +162,7 @@ def test_nothing_is_known_and_refused_and_what_health_trees_refuse_is_told_here_
         assert dialect.words.keys() == tokens.REFUSED.keys()
 
 
-def test_a_spec_is_composed_once_by_its_form() -> None:
+def test_a_spec_is_composed_once_and_by_its_language() -> None:
     procedure = Procedure(xml=file(ACTIVE_XML))
     found = composed(procedure, path=PATH)
     assert found.node == ACTIVE
@@ -262,7 +262,7 @@ async def trace(found: LoadedProcedure, seed: int) -> list[str]:
 
 @settings(max_examples=80, deadline=None)
 @given(tree=TREES, seed=st.integers(0, 2**32))
-def test_a_procedure_in_the_three_languages_does_the_same(tree: dict[str, Any], seed: int) -> None:
+def test_a_procedure_does_the_same_in_three_languages(tree: dict[str, Any], seed: int) -> None:
     short = compose("yaml", tree, check=False, path=PATH)
     in_xml = compose("xml", as_xml(tree), check=False, path=PATH)
     in_osc = compose("osc", as_scenario(tree), check=False, path=PATH)
@@ -273,7 +273,7 @@ def test_a_procedure_in_the_three_languages_does_the_same(tree: dict[str, Any], 
         assert asyncio.run(trace(in_osc, seed)) == expected
 
 
-async def test_what_fails_is_called_by_its_place_in_the_text() -> None:
+async def test_a_failure_is_reported_with_its_place_in_the_text() -> None:
     text = file("<Sequence>", '<NodePresent node="/a"/>', "</Sequence>")
     with pytest.raises(ProcedureFailed) as failure:
         await compose("xml", text, check=False, path=PATH).tree.run(Instance(), LONG)
@@ -289,7 +289,7 @@ async def test_what_fails_is_called_by_its_place_in_the_text() -> None:
 EXAMPLE = Path(__file__).parents[3] / "examples" / "navigation"
 
 
-def test_the_bring_up_of_the_example_is_the_same_in_all_languages() -> None:
+def test_the_bring_up_of_the_example_is_equal_in_all_languages() -> None:
     (expected,) = (
         item["spec"]["bringUp"]["yaml"]
         for item in yaml.safe_load_all((EXAMPLE / "manifests" / "workload.yaml").read_text())
@@ -315,7 +315,7 @@ def procedures_of_the_examples() -> list[Any]:
 
 
 @pytest.mark.parametrize(("tree", "check"), procedures_of_the_examples())
-def test_the_procedures_of_the_examples_are_the_same_in_all_languages(tree: dict[str, Any], check: bool) -> None:
+def test_the_procedures_of_the_examples_are_equal_in_all_languages(tree: dict[str, Any], check: bool) -> None:
     for form, text in (("xml", as_xml(tree)), ("osc", as_scenario(tree))):
         assert compose(form, text, check=check, path=PATH).node == tree
 
@@ -376,7 +376,7 @@ def test_an_agent_runs_procedures_without_their_languages() -> None:
     assert (done.returncode, done.stdout.strip(), done.stderr) == (0, "[]", "")
 
 
-def test_leaves_of_control_are_told_apart() -> None:
+def test_procedures_know_no_leaf_that_needs_the_active_instance() -> None:
     for kind, leaf in LEAVES.items():
         for check in (False, True):
             known = (xml.CHECKS if check else xml.PROCEDURES).nodes.values()

@@ -19,7 +19,7 @@ def procedure(tree: object):
     return load_procedure(tree, path="bringUp")
 
 
-async def test_a_sequence_does_one_after_the_other() -> None:
+async def test_a_sequence_runs_its_nodes_in_order() -> None:
     instance = Instance()
     tree = procedure(
         {
@@ -51,7 +51,7 @@ async def test_a_sequence_does_one_after_the_other() -> None:
     assert tree.resends_goals
 
 
-async def test_a_failed_leaf_is_named_with_its_place_and_ends_the_sequence() -> None:
+async def test_a_failed_leaf_is_reported_with_its_path_and_ends_the_sequence() -> None:
     instance = Instance()
     instance.answers["/go"] = [{"success": False, "message": "no map"}]
     tree = procedure(
@@ -70,7 +70,7 @@ async def test_a_failed_leaf_is_named_with_its_place_and_ends_the_sequence() -> 
     assert instance.done == ["call /go"]
 
 
-async def test_a_service_that_may_be_asked_twice_is_asked_again_so_often() -> None:
+async def test_a_service_with_a_repeat_time_is_called_again_at_that_interval() -> None:
     instance = Instance()
     tree = procedure({"call_service": {"service": "/go", "type": "std_srvs/srv/Trigger", "repeat": "1500ms"}})
 
@@ -79,7 +79,7 @@ async def test_a_service_that_may_be_asked_twice_is_asked_again_so_often() -> No
     assert instance.done == ["call every 1.5 s /go"]
 
 
-async def test_a_parallel_works_on_all_at_once_and_a_failure_cancels_the_rest() -> None:
+async def test_a_parallel_runs_all_nodes_at_once_and_a_failure_cancels_the_others() -> None:
     instance = Instance()
     instance.never = {"/slow"}
     instance.answers["/go"] = [{"success": False}]
@@ -98,7 +98,7 @@ async def test_a_parallel_works_on_all_at_once_and_a_failure_cancels_the_rest() 
     assert instance.cancelled == ["/slow"]
 
 
-async def test_a_parallel_does_each_of_its_nodes_once() -> None:
+async def test_a_parallel_runs_each_of_its_nodes_once() -> None:
     instance = Instance()
     instance.answers["/go"] = [{"success": False}, {"success": False}, {"success": True}]
     go = {"call_service": {"service": "/go", "type": "std_srvs/srv/Trigger", "expect": {"success": True}}}
@@ -116,7 +116,7 @@ async def test_a_parallel_does_each_of_its_nodes_once() -> None:
     assert sorted(instance.done) == ["active /map_server", "call /go", "call /go", "call /go"]
 
 
-async def test_a_selector_takes_the_first_that_succeeds() -> None:
+async def test_a_selector_stops_at_the_first_success() -> None:
     instance = Instance()
     tree = procedure(
         {
@@ -133,7 +133,7 @@ async def test_a_selector_takes_the_first_that_succeeds() -> None:
     assert instance.done == ["active /amcl"], "what is so already is left alone the second time"
 
 
-async def test_a_selector_that_fails_gives_all_reasons() -> None:
+async def test_a_failed_selector_reports_all_reasons() -> None:
     tree = procedure({"selector": [{"node_present": {"node": "/a"}}, {"service_present": {"service": "/b"}}]})
     with pytest.raises(ProcedureFailed) as failure:
         await tree.run(Instance(), LONG)
@@ -147,7 +147,7 @@ async def test_a_selector_that_fails_gives_all_reasons() -> None:
     )
 
 
-async def test_a_tree_that_never_ends_fails_in_time_and_names_the_leaf_that_runs() -> None:
+async def test_a_procedure_that_never_ends_fails_after_its_timeout_and_names_the_running_leaf() -> None:
     instance = Instance()
     instance.never = {"/amcl"}
     tree = procedure({"sequence": [{"resend_goals": {}}, {"set_lifecycle": {"node": "/amcl", "state": "active"}}]})
@@ -159,7 +159,7 @@ async def test_a_tree_that_never_ends_fails_in_time_and_names_the_leaf_that_runs
     assert instance.cancelled == ["/amcl"]
 
 
-async def test_endless_tries_fail_in_time_and_say_what_they_failed_by() -> None:
+async def test_endless_retries_fail_after_the_timeout_with_the_last_reason() -> None:
     instance = Instance()
     tree = procedure({"retry": {"times": 1000, "wait": "100s", "do": {"node_present": {"node": "/amcl"}}}})
     with pytest.raises(ProcedureFailed) as failure:
@@ -167,7 +167,7 @@ async def test_endless_tries_fail_in_time_and_say_what_they_failed_by() -> None:
     assert_golden("procedures", str(failure.value), "0.3 s", "bringUp.retry.do.node_present", "/amcl")
 
 
-async def test_a_timeout_bounds_its_node() -> None:
+async def test_a_timeout_limits_its_node() -> None:
     instance = Instance()
     instance.never = {"/amcl"}
     tree = procedure({"timeout": {"within": "200ms", "do": {"set_lifecycle": {"node": "/amcl", "state": "active"}}}})
@@ -177,7 +177,7 @@ async def test_a_timeout_bounds_its_node() -> None:
     assert instance.cancelled == ["/amcl"]
 
 
-async def test_a_leaf_is_told_how_much_time_is_left() -> None:
+async def test_a_leaf_knows_the_remaining_time() -> None:
     class Asked(Instance):
         async def bring_to(self, node: str, state: str, within: float) -> None:
             self.within = within
@@ -188,7 +188,7 @@ async def test_a_leaf_is_told_how_much_time_is_left() -> None:
     assert 5 < instance.within < 10
 
 
-async def test_a_cancelled_procedure_cancels_what_runs() -> None:
+async def test_a_cancelled_procedure_cancels_the_running_leaf() -> None:
     instance = Instance()
     instance.never = {"/amcl"}
     running = asyncio.create_task(
@@ -204,7 +204,7 @@ async def test_a_cancelled_procedure_cancels_what_runs() -> None:
     assert instance.cancelled == ["/amcl"]
 
 
-async def test_a_topic_is_waited_for_in_a_procedure_and_looked_at_in_a_check() -> None:
+async def test_a_procedure_waits_for_a_topic_and_a_check_evaluates_it_once() -> None:
     instance = Instance()
     leaf = {"topic": {"name": "/scan", "gap": "1h"}}
     with pytest.raises(ProcedureFailed, match="waiting for the first /scan"):
@@ -219,7 +219,7 @@ async def test_a_topic_is_waited_for_in_a_procedure_and_looked_at_in_a_check() -
     assert [topic.name for topic in procedure(leaf).topics] == ["/scan"]
 
 
-async def test_a_value_is_waited_for_in_a_procedure() -> None:
+async def test_a_procedure_waits_for_a_value() -> None:
     instance = Instance()
     leaf = {"value": {"topic": "/scan", "type": "t/msg/Battery", "holds": "percentage > 0.5"}}
     with pytest.raises(TreeError, match=r"bringUp\.value\.holds: found 'percentage >'"):
@@ -236,7 +236,7 @@ async def test_a_value_is_waited_for_in_a_procedure() -> None:
     await load_check(leaf, path="check").run(instance, LONG)
 
 
-async def test_an_inverter_needs_its_node_to_fail() -> None:
+async def test_an_inverter_succeeds_if_its_node_fails() -> None:
     instance = Instance()
     tree = load_check({"inverter": {"lifecycle_is": {"node": "/amcl", "state": "finalized"}}}, path="check")
     await tree.run(instance, LONG)
@@ -247,7 +247,7 @@ async def test_an_inverter_needs_its_node_to_fail() -> None:
         await tree.run(instance, LONG)
 
 
-async def test_a_parameter_is_compared() -> None:
+async def test_a_parameter_is_compared_with_the_expected_value() -> None:
     instance = Instance()
     instance.parameters["rate"] = 2.0
     tree = load_check({"parameter_is": {"node": "/amcl", "name": "rate", "value": 2}}, path="check")
@@ -294,7 +294,7 @@ async def test_a_parameter_is_compared() -> None:
         ({"resend_goals": {}, "within": "5s"}, "p.within: unknown key; within belongs inside timeout or retry"),
     ],
 )
-def test_mistakes_are_named_with_what_would_be_right(tree: object, message: str) -> None:
+def test_a_mistake_is_reported_with_the_valid_form(tree: object, message: str) -> None:
     with pytest.raises(TreeError) as error:
         load_procedure(tree, path="p")
     assert message in str(error.value)

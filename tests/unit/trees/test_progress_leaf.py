@@ -45,7 +45,7 @@ def drive(judged: World, *distances: tuple[float, float], goal: int = 1) -> list
     return [judged.feed_back(t, goal, distance_remaining=d).at(t).state for t, d in distances]
 
 
-def test_it_fails_exactly_when_the_distance_has_not_fallen_for_so_long():
+def test_the_leaf_fails_exactly_after_the_distance_has_not_fallen_for_that_time():
     judged = world(**FALLS)
     assert drive(judged, (100.5, 9.0), (105.0, 8.4), (108.0, 8.0), (112.0, 7.95)) == ["Healthy"] * 4
     assert judged.deadline(112.0) == 115.0, "since 8.4 it has fallen by 0.45"
@@ -63,14 +63,14 @@ def test_a_robot_that_backs_up_and_retries_makes_no_progress():
     assert judged.states([111.4, 111.5]) == ["Healthy", "Failed"]
 
 
-def test_what_grows_is_measured_the_other_way():
+def test_with_grows_an_increase_is_progress():
     judged = world(type=GO, grows="number_of_recoveries * 2", by=2, within="3s")
     for time, number in ((100.5, 0), (102.0, 1), (104.0, 2), (106.0, 1)):
         assert judged.feed_back(time, number_of_recoveries=number).at(time).state == "Healthy"
     assert_golden("health_tree", judged.at(107.0).reason, "number_of_recoveries", "/go", "3 s")
 
 
-def test_without_a_goal_nothing_is_asked_for():
+def test_without_a_goal_no_progress_is_required():
     judged = world(task=None, gap="1s", **FALLS)
     assert judged.at(100.0) == Verdict("Healthy", "", "", None)
     assert judged.deadline(100.0) is None
@@ -80,7 +80,7 @@ def test_without_a_goal_nothing_is_asked_for():
     assert judged.at(300.0).state == "Healthy", "it has arrived"
 
 
-def test_feedback_of_a_gap_may_say_what_it_likes_and_its_silence_fails():
+def test_a_gap_ignores_the_contents_of_feedback_and_fails_with_silence():
     judged = world(gap="2s")
     assert judged.deadline(100.0) == 102.0, "it may be silent for as long from the start of the goal"
     for time in (101.0, 102.5, 104.0):
@@ -91,7 +91,7 @@ def test_feedback_of_a_gap_may_say_what_it_likes_and_its_silence_fails():
     assert_golden("health_tree", verdict.reason, "/go", "2 s")
 
 
-def test_other_feedback_topics_do_it_no_harm_and_no_good():
+def test_other_feedback_topics_have_no_influence():
     judged = World(
         {"parallel": [leaf(gap="2s"), {"topic": {"name": "/other/_action/feedback", "gap": "60s"}}]}, grace=5
     )
@@ -102,7 +102,7 @@ def test_other_feedback_topics_do_it_no_harm_and_no_good():
     assert judged.hear("/other/_action/feedback", 104.9).at(104.9).leaf == "go.progress"
 
 
-def test_of_a_gap_and_a_distance_the_first_to_fail_is_told():
+def test_the_first_failure_of_gap_and_distance_is_reported():
     judged = world(gap="2s", **FALLS)
     drive(judged, (100.5, 9.0))
     assert judged.at(102.5).reason.startswith("no feedback of /go for 2 s")
@@ -133,7 +133,7 @@ def test_memory_is_bounded_for_any_number_of_goals():
     assert judged.deadline(105.0) == 115.0, "the one with the oldest feedback was forgotten"
 
 
-def test_unknown_feedback_is_no_progress():
+def test_unreadable_feedback_is_no_progress():
     judged = world(**FALLS)
     drive(judged, (100.5, 9.0), (105.0, math.nan), (106.0, math.inf))
     assert_golden(
@@ -145,7 +145,7 @@ def test_unknown_feedback_is_no_progress():
     assert_golden("health_tree", judged.at(111.5).reason, "no feedback")
 
 
-def test_an_instance_that_takes_over_a_goal_has_its_grace():
+def test_an_instance_that_takes_over_a_goal_has_the_startup_grace():
     judged = world(gap="1s", **FALLS)
     judged.since = START + 200.0
     assert judged.at(204.9) == Verdict("Starting", "no feedback of /go yet", "go.progress", None)
@@ -164,7 +164,7 @@ def test_a_clock_step_moves_remembered_times():
     assert judged.states([3712.9, 3713.0]) == ["Healthy", "Failed"]
 
 
-def test_in_a_while_it_is_judged_only_while_both_are_active_and_says_so_once():
+def test_inside_a_while_the_longer_settling_time_counts():
     tree = {"while": {"task_active": {"action": "/go"}}, "settle": "7s", "do": leaf(gap="1s", settle="3s")}
     judged = World(tree, grace=5.0)
     judged.task = 100.0
@@ -172,7 +172,7 @@ def test_in_a_while_it_is_judged_only_while_both_are_active_and_says_so_once():
     assert_golden("health_tree", judged.at(107.0).reason, "/go", "1 s")
 
 
-def test_the_status_and_the_feedback_are_watched_and_without_either_it_is_left_out():
+def test_status_and_feedback_are_watched_and_the_leaf_is_left_out_without_one():
     tree = load(leaf(**FALLS))
     status, feedback = sorted(tree.topics, key=lambda topic: topic.name, reverse=True)
     assert (status.name, status.task) == ("/go/_action/status", True)
@@ -238,7 +238,7 @@ def test_a_mistake_is_reported_with_its_place_and_the_valid_values(found, place,
     assert [str(problem) for problem in caught.value.problems] == [f"{ROOT}.progress{place}: {expected}"]
 
 
-def test_all_that_is_missing_is_said():
+def test_all_missing_keys_are_reported():
     with pytest.raises(TreeError) as caught:
         load({"progress": {"action": "/go", "falls": "x"}})
     assert_golden(
@@ -312,7 +312,7 @@ def test_the_deadline_is_the_first_moment_with_a_worse_verdict(node, fed, task, 
 
 @settings(max_examples=150, deadline=None)
 @given(fed=st.lists(st.tuples(st.integers(1, 300), st.integers(0, 40)), min_size=1, max_size=30))
-def test_it_is_healthy_exactly_while_the_best_was_bettered_in_time(fed):
+def test_the_leaf_is_healthy_exactly_while_the_best_distance_improves_in_time(fed):
     """Gaps in hundredths of a second, distances in quarters of a metre; ``within`` ends between the hundredths."""
     judged = world(**{**FALLS, "within": "3005ms"}, settle="10ms")
     time, bettered, best = 10_001, 10_000, None
@@ -336,7 +336,7 @@ def test_it_is_healthy_exactly_while_the_best_was_bettered_in_time(fed):
         max_size=9,
     ).map("".join)
 )
-def test_whatever_is_written_is_refused_or_a_number_or_untold(text):
+def test_any_quantity_is_refused_or_finite_or_undecided(text):
     try:
         quantity = Quantity.parse(text, "t/action/Go_Feedback")
     except ExpressionError:

@@ -29,7 +29,7 @@ def leaf(**more: Any) -> dict[str, Any]:
     return {"publisher": {"topic": CMD, **more}}
 
 
-def test_it_fails_by_the_look_that_finds_none():
+def test_the_leaf_fails_at_the_first_observation_without_a_publisher():
     world = World(leaf()).look(CMD, 1.0, CONTROLLER)
     assert world.at(1.0) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.0) is None
@@ -39,7 +39,7 @@ def test_it_fails_by_the_look_that_finds_none():
     assert world.look(CMD, 1.2, "").at(1.2).state == "Healthy", "whose node isn't known yet counts too"
 
 
-def test_it_fails_exactly_when_there_has_been_none_for_so_long():
+def test_with_for_the_leaf_fails_exactly_after_publishers_were_missing_for_that_time():
     world = World(leaf(**{"for": "2s"})).look(CMD, 1.0, CONTROLLER)
     world.at(1.0)
     for step in range(11, 30):
@@ -52,14 +52,14 @@ def test_it_fails_exactly_when_there_has_been_none_for_so_long():
     assert world.look(CMD, 5.3).at(6.0).state == "Healthy"
 
 
-def test_other_nodes_and_other_topics_neither_keep_it_alive_nor_do_it_harm():
+def test_other_nodes_and_topics_have_no_influence():
     world = World(leaf(node=CONTROLLER)).look(CMD, 1.0, CONTROLLER, TELEOP)
     assert world.at(1.0).state == "Healthy"
     assert world.look(CMD, 1.1, CONTROLLER).look("/scan", 1.1).at(1.1).state == "Healthy"
     assert_golden("health_tree", world.look(CMD, 1.2, TELEOP, "").at(1.2).reason, "/cmd_vel", "/controller", "none")
 
 
-def test_fewer_than_asked_for_is_a_failure_and_more_is_not():
+def test_fewer_publishers_than_the_count_are_a_failure():
     world = World(leaf(count=3)).look(CMD, 1.0, CONTROLLER, CONTROLLER, TELEOP, TELEOP)
     assert world.at(1.0).state == "Healthy"
     assert_golden(
@@ -72,7 +72,7 @@ def test_fewer_than_asked_for_is_a_failure_and_more_is_not():
     assert world.look(CMD, 1.3, TELEOP).at(1.3).reason.endswith("(there is 1)")
 
 
-def test_while_it_is_discovered_it_is_starting_until_the_grace_is_over():
+def test_a_publisher_that_is_not_yet_discovered_is_starting_until_the_grace_ends():
     world = World(leaf(), grace=10)
     assert_golden("health_tree", world.at(1.0).reason, "/cmd_vel", "10 s")
     assert world.look(CMD, 1.1).at(9.9).state == "Starting"
@@ -110,7 +110,7 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
     assert world.at(102.0).state == "Healthy"
 
 
-def test_its_topic_is_not_subscribed_to_unless_another_leaf_needs_its_messages():
+def test_the_leaf_does_not_subscribe_to_its_topic():
     (alone,) = load(leaf()).topics
     assert (alone.heard, alone.publishers) == (False, True)
     gap = {"topic": {"name": CMD, "gap": "1s"}}
@@ -119,7 +119,7 @@ def test_its_topic_is_not_subscribed_to_unless_another_leaf_needs_its_messages()
         assert (both.heard, both.publishers, both.type) == (True, True, None)
 
 
-def test_who_publishes_can_be_told_of_what_cannot_be_received_and_of_the_status_of_an_action():
+def test_publishers_are_counted_for_unreadable_topics_and_for_the_status_of_an_action():
     world = World({"parallel": [{"topic": {"name": CMD, "gap": "1s"}}, leaf()]}).look(CMD, 1.0, CONTROLLER)
     world.tree.leave_out({CMD})
     assert world.at(1.0).state == "Healthy"
@@ -133,7 +133,7 @@ def test_who_publishes_can_be_told_of_what_cannot_be_received_and_of_the_status_
             assert joined.task
 
 
-def test_an_output_whose_publishers_alone_are_looked_at_says_nothing_of_when_messages_must_come():
+def test_the_leaf_does_not_require_messages_of_an_output():
     gap = {"topic": {"name": CMD, "gap": "1s"}}
     world = World({"parallel": [leaf(), {**TASK, "do": gap}]}).look(CMD, 1.0, CONTROLLER)
     observed = world.observed()

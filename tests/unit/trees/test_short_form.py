@@ -22,7 +22,7 @@ def problems(tree: object) -> list[str]:
     return [str(problem) for problem in caught.value.problems]
 
 
-def test_topics_carry_what_their_subscription_needs():
+def test_topics_contain_what_their_subscription_needs():
     tree = load({"parallel": [SCAN, CMD_VEL]})
     scan, cmd_vel = tree.topics
     assert (scan.name, scan.type, scan.window, scan.rate) == ("/scan", None, 2.0, 16.0)
@@ -34,7 +34,7 @@ def test_topics_carry_what_their_subscription_needs():
     )
 
 
-def test_topic_of_two_leaves_is_watched_once_with_the_needs_of_both():
+def test_a_topic_of_two_leaves_is_watched_once_with_the_needs_of_both():
     slow = {
         "topic": {"name": "/scan", "type": "sensor_msgs/msg/LaserScan", "rate": "< 40 Hz", "window": "5s"},
         "name": "slow",
@@ -43,7 +43,7 @@ def test_topic_of_two_leaves_is_watched_once_with_the_needs_of_both():
     assert (topic.type, topic.window, topic.rate) == ("sensor_msgs/msg/LaserScan", 5.0, 40.0)
 
 
-def test_leaf_paths_are_the_names_of_named_nodes():
+def test_the_path_of_a_leaf_consists_of_the_names_of_its_named_nodes():
     tree = load(
         {"parallel": [{"selector": [SCAN], "name": "sensors"}, {"inverter": CMD_VEL}, {**SCAN, "name": "again"}]}
     )
@@ -162,7 +162,7 @@ def test_a_mistake_is_reported_with_its_place_and_the_valid_values(tree, place, 
     assert problems(tree) == [f"{ROOT}{place}: {expected}"]
 
 
-def test_all_problems_are_named_at_once():
+def test_all_problems_are_reported_at_once():
     found = problems(
         {
             "parallel": [
@@ -180,7 +180,7 @@ def test_all_problems_are_named_at_once():
     ]
 
 
-def test_path_is_the_callers():
+def test_problems_begin_with_the_given_path():
     with pytest.raises(TreeError) as caught:
         load({"inverter": 1}, path="configure.tree")  # type: ignore[dict-item]
     assert caught.value.problems == [
@@ -191,7 +191,7 @@ def test_path_is_the_callers():
     ]
 
 
-def test_tree_too_deep_is_refused_and_not_recursed_into():
+def test_a_tree_that_is_too_deep_is_refused_without_recursion():
     tree: dict = SCAN
     for _ in range(5000):
         tree = {"inverter": tree}
@@ -199,7 +199,7 @@ def test_tree_too_deep_is_refused_and_not_recursed_into():
     assert problem.endswith("the tree is more than 32 levels deep")
 
 
-def test_tree_too_large_is_refused_once():
+def test_a_tree_with_too_many_nodes_is_refused_with_one_problem():
     leaves = [{**SCAN, "name": f"leaf{i}"} for i in range(600)]
     assert_golden("tree_problems", problems({"parallel": leaves}), "spec.monitoring.yaml.parallel", "511", "512")
 
@@ -235,7 +235,7 @@ def test_tree_too_large_is_refused_once():
         ),
     ],
 )
-def test_mistakes_in_a_while_are_named(tree, message):
+def test_a_mistake_in_a_while_is_reported(tree, message):
     with pytest.raises(TreeError) as error:
         load(tree)
     assert message in str(error.value)

@@ -27,7 +27,7 @@ def listed(world: World, now: float) -> dict[str, Behaviour]:
     return {node.name: node for node in found}
 
 
-def test_a_tree_is_listed_with_its_types_and_states_and_is_drawn_by_py_trees() -> None:
+def test_behaviours_have_types_and_states_and_py_trees_draws_them() -> None:
     world = World(TREE).hear("/scan", 1.0).battery(1.1, 0.8)
     found = behaviours(taken(world, 1.5), "robot-1")
     assert [(n.kind, n.type, n.status, n.active) for n in found] == [
@@ -46,7 +46,7 @@ def test_a_tree_is_listed_with_its_types_and_states_and_is_drawn_by_py_trees() -
     assert lines[2].endswith("-- no goal of /go is active")
 
 
-def test_the_decision_is_followed_down_to_the_leaf_that_made_it() -> None:
+def test_the_tip_of_each_node_is_the_leaf_that_decided() -> None:
     world = World(TREE).hear("/scan", 1.0).battery(1.1, 0.8)
     world.task = 1.2
     world.hear("/cmd_vel", 1.3)
@@ -62,7 +62,7 @@ def test_the_decision_is_followed_down_to_the_leaf_that_made_it() -> None:
     assert [found[name].active for name in ("scan", "selector", "battery.value")] == [True, False, False]
 
 
-def test_ids_stay_while_the_node_does() -> None:
+def test_the_id_of_a_node_is_stable_and_unique() -> None:
     world = World(TREE).hear("/scan", 1.0).battery(1.1, 0.8)
     first, second = behaviours(taken(world, 1.5), "robot-1"), behaviours(taken(world, 2.5), "robot-1")
     assert [n.id for n in first] == [n.id for n in second]
@@ -74,14 +74,14 @@ def test_ids_stay_while_the_node_does() -> None:
     assert all(uuid.UUID(bytes=n.id).version == 4 for n in first)
 
 
-def test_a_message_alone_is_no_change() -> None:
+def test_a_changed_message_alone_is_not_a_change() -> None:
     leaf = {"name": "scan", "kind": "topic", "state": "Failed", "reason": "/scan came at 7.9 Hz", "topic": "/scan"}
     one, two = behaviours(leaf, "w"), behaviours({**leaf, "reason": "/scan came at 7.8 Hz"}, "w")
     assert one != two
     assert statuses(one) == statuses(two)
 
 
-def test_of_a_tree_of_which_nothing_can_be_watched_there_is_a_root_that_says_so() -> None:
+def test_a_tree_without_watched_topics_has_one_behaviour_with_the_reason() -> None:
     (only,) = behaviours(None, "w")
     assert (only.status, only.active, only.parent) == (INVALID, False, NOBODY)
     assert "none of its topics can be watched" in only.message
@@ -118,7 +118,7 @@ def _above(children: st.SearchStrategy[Any]) -> st.SearchStrategy[Any]:
 
 
 @given(st.recursive(LEAF, _above, max_leaves=12))
-def test_whatever_the_tree_tools_can_rebuild_it(tree: dict[str, Any]) -> None:
+def test_py_trees_can_rebuild_every_tree(tree: dict[str, Any]) -> None:
     found = behaviours(tree, "w")
     root = rebuilt(rows(found))
     assert [node.id.bytes for node in _depth_first(root)] == [node.id for node in found]

@@ -13,7 +13,7 @@ def states(node: Snapshot) -> list[Any]:
     return [node["state"], *(states(child) for child in node.get("children", ()))]
 
 
-def test_a_healthy_tree_says_what_each_node_is_and_when_its_topic_came() -> None:
+def test_a_snapshot_contains_the_state_of_each_node_and_the_age_of_its_topic() -> None:
     world = World(TREE).hear("/scan", 1.0).hear("/scan", 1.2).battery(1.1, 0.8)
     found = taken(world, 1.5)
     assert states(found) == ["Healthy", ["Healthy"], ["Idle", ["Idle"]], ["Healthy", ["Healthy"]]]
@@ -32,7 +32,7 @@ def test_a_healthy_tree_says_what_each_node_is_and_when_its_topic_came() -> None
     assert found["children"][2]["children"][0]["kind"] == "value"
 
 
-def test_a_failed_leaf_says_why_and_what_comes_after_it_in_a_sequence_was_not_asked() -> None:
+def test_a_failed_leaf_has_a_reason_and_later_nodes_of_its_sequence_are_not_evaluated() -> None:
     world = World(TREE).hear("/scan", 1.0).battery(1.1, 0.8)
     taken(world, 1.5)
     found = taken(world, 2.5)
@@ -40,7 +40,7 @@ def test_a_failed_leaf_says_why_and_what_comes_after_it_in_a_sequence_was_not_as
     assert found["children"][0]["reason"] == "no /scan for 1 s"
 
 
-def test_what_is_judged_again_is_shown_again() -> None:
+def test_an_idle_node_is_shown_again_when_it_is_judged() -> None:
     world = World(TREE, grace=1.0).hear("/scan", 1.0).battery(1.1, 0.8)
     world.task = 1.2
     assert states(taken(world, 1.5))[2] == ["Healthy", ["Healthy"]], "it may take a moment to start"
@@ -50,13 +50,13 @@ def test_what_is_judged_again_is_shown_again() -> None:
     assert found["children"][1]["children"][0]["reason"] == "no /cmd_vel while a goal of /go is active"
 
 
-def test_a_tree_of_which_nothing_can_be_watched_has_no_node() -> None:
+def test_a_tree_without_watched_topics_has_no_snapshot() -> None:
     world = World({"topic": {"name": "/scan", "gap": "1s"}})
     world.tree.leave_out(["/scan"])
     assert snapshot(world.tree, world.observed(), START) is None
 
 
-def test_both_leaves_about_the_pod_are_called_so() -> None:
+def test_both_forms_of_the_pod_leaf_have_the_kind_pod() -> None:
     world = World({"parallel": [{"pod": {"condition": "Ready"}}, {"pod": {"restarts": 1, "window": "1m"}}]})
     found = taken(world.pod_says(1.0, 0, Ready="True"), 1.5)
     assert [(child["name"], child["kind"]) for child in found["children"]] == [

@@ -34,13 +34,13 @@ class TaskWorld(World):
         return None if moment is None else round(moment - START, 6)
 
 
-def test_what_is_for_a_task_is_not_judged_without_one():
+def test_a_leaf_of_a_task_is_not_judged_without_the_task():
     world = TaskWorld({"parallel": [gap("/scan"), during(gap("/cmd_vel"))]}).arrive("/scan", 100.0)
     assert world.at(100.1) == Verdict("Healthy", "", "", None)
     assert world.deadline(100.1) == 100.5, "only the scan has an end"
 
 
-def test_an_active_task_gives_what_it_needs_time_to_start():
+def test_an_active_task_grants_time_to_settle():
     world = TaskWorld(during(gap("/cmd_vel"), settle="2s"), grace=5)
     world.task = 100.0
     assert world.at(101.999).state == "Healthy"
@@ -48,7 +48,7 @@ def test_an_active_task_gives_what_it_needs_time_to_start():
     assert world.at(102) == Verdict("Failed", "no /cmd_vel while a goal of /go is active", "cmd_vel", START + 100.0)
 
 
-def test_messages_of_an_earlier_goal_do_not_make_a_new_one_fail():
+def test_messages_of_an_earlier_goal_do_not_fail_a_new_one():
     world = TaskWorld(during(gap("/cmd_vel"), settle="1s"), grace=5).arrive("/cmd_vel", 50.0)
     world.task = 100.0
     assert world.at(100.9).state == "Healthy"
@@ -60,7 +60,7 @@ def test_messages_of_an_earlier_goal_do_not_make_a_new_one_fail():
     assert failed.onset == START + 100.95
 
 
-def test_a_gap_longer_than_the_time_to_settle_counts_from_the_start_of_the_task():
+def test_a_gap_longer_than_the_settling_time_counts_from_the_start_of_the_task():
     world = TaskWorld(during(gap("/cmd_vel", "5s"), settle="1s"), grace=2)
     world.task = 100.0
     assert world.deadline(100.0) == 105
@@ -95,21 +95,21 @@ def test_a_rate_for_a_task_is_counted_from_its_start():
 
 
 @pytest.mark.parametrize("inner", [gap("/a"), {"inverter": gap("/a")}])
-def test_an_inverter_around_fails_without_a_task_and_says_so(inner):
+def test_an_inverter_around_a_task_fails_without_the_task(inner):
     world = TaskWorld({"inverter": during(inner)}, grace=0).arrive("/a", 100.0)
     assert world.at(100.1) == Verdict(
         "Failed", "no goal of /go is active, but the tree requires the opposite", "a", None
     )
 
 
-def test_an_inverter_inside_counts_only_while_the_task_is_active():
+def test_an_inverter_inside_a_task_counts_only_while_the_task_is_active():
     world = TaskWorld(during({"inverter": gap("/stop")})).arrive("/stop", 100.0)
     assert world.at(100.1).state == "Healthy"
     world.task = 99.0
     assert world.at(100.1).state == "Failed"
 
 
-def test_a_task_whose_status_is_not_watched_makes_nothing_fail():
+def test_a_task_whose_status_cannot_be_watched_causes_no_failure():
     world = TaskWorld({"parallel": [gap("/scan"), during(gap("/cmd_vel"))]}).arrive("/scan", 100.0)
     world.task = 50.0
     assert world.at(100.1).state == "Failed"
@@ -117,7 +117,7 @@ def test_a_task_whose_status_is_not_watched_makes_nothing_fail():
     assert world.at(100.1).state == "Healthy"
 
 
-def test_the_status_of_the_action_is_among_what_is_watched():
+def test_the_status_of_the_action_is_watched():
     topics = {topic.name: topic for topic in load(during(gap("/cmd_vel"))).topics}
     assert topics["/go/_action/status"].task
     assert topics["/go/_action/status"].type == "action_msgs/msg/GoalStatusArray"
@@ -135,7 +135,7 @@ def test_the_status_of_the_action_is_among_what_is_watched():
         [gap("/a"), rate("/a", "> 2 Hz", "1s"), {"selector": [gap("/a"), gap("/b", "2s")]}, {"inverter": gap("/a")}]
     ),
 )
-def test_the_deadline_of_a_task_is_the_first_moment_that_is_worse(arrivals, task, since, now, settle, inner):
+def test_the_deadline_of_a_task_is_the_first_worse_moment(arrivals, task, since, now, settle, inner):
     """Times in hundredths of a second."""
     assume(now >= since)
     world = TaskWorld(during(inner, settle=settle), grace=2.0, since=since / 100)
@@ -154,7 +154,7 @@ def test_the_deadline_of_a_task_is_the_first_moment_that_is_worse(arrivals, task
         assert worse is None or worse - 0.0101 <= deadline <= worse + 1e-6
 
 
-def test_what_is_for_a_task_counts_only_while_that_is_active():
+def test_the_topics_of_a_task_count_only_while_the_task_is_active():
     world = TaskWorld({"parallel": [gap("/scan"), during(gap("/cmd_vel"))]})
 
     def counting() -> set[str]:

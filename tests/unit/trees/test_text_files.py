@@ -37,7 +37,7 @@ def refused(text: str, form: str = "yaml", **more: Any) -> list[str]:
     return [str(problem) for problem in caught.value.problems]
 
 
-def test_it_is_what_would_stand_in_the_policy() -> None:
+def test_a_yaml_file_loads_as_the_tree_of_a_policy() -> None:
     assert load(GOOD) == yaml.safe_load(GOOD)
     assert load("topic: {name: /scan, gap: 5e-1s}".replace("5e-1s", "1s")) == {"topic": {"name": "/scan", "gap": "1s"}}
 
@@ -68,18 +68,18 @@ def test_it_is_what_would_stand_in_the_policy() -> None:
         ("#" * (LONGEST_TEXT + 1), f"health: has {LONGEST_TEXT + 1} characters"),
     ],
 )  # fmt: skip
-def test_each_problem_says_where_it_is(text: str, expected: str) -> None:
+def test_each_problem_is_reported_with_its_place(text: str, expected: str) -> None:
     assert refused(text)[0].startswith(expected)
 
 
-def test_a_place_is_that_in_the_file_which_the_text_is_part_of() -> None:
+def test_places_are_relative_to_the_file_that_contains_the_text() -> None:
     file = "data:\n  health.yaml: |\n" + textwrap.indent(GOOD.replace("500ms", "500 parsecs"), "    ")
     (problem,) = refused(GOOD.replace("500ms", "500 parsecs"), begins=TextOffset(2, 4))
     assert problem.startswith("health, line 5, column 31: ")
     assert file.splitlines()[4][30:].startswith("gap: 500 parsecs")
 
 
-def test_xml_has_its_own_places() -> None:
+def test_problems_in_xml_have_their_own_places() -> None:
     text = (
         '<root BTCPP_format="4">\n<BehaviorTree ID="A">\n  <Topic topic="/scan" gap="1 moment"/></BehaviorTree></root>'
     )
@@ -95,7 +95,7 @@ def test_xml_has_its_own_places() -> None:
         st.lists(st.sampled_from([*"{}[]:,-&*!|>'\"#\n \t", "topic", "parallel", "&a", "*a", "<<", "1s", "/x"]), max_size=60).map("".join),
     )
 )  # fmt: skip
-def test_no_text_does_anything_but_load_or_be_refused(text: str) -> None:
+def test_any_text_loads_or_is_refused(text: str) -> None:
     try:
         load(text)
     except TreeError as error:

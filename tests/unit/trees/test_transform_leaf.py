@@ -43,7 +43,7 @@ def hear(world: World, time: float, *frames: tuple[str, str], late: float = 0.0,
 BASE, WHEEL = ("odom", "base_link"), ("base_link", "wheel")
 
 
-def test_it_fails_exactly_when_no_message_has_had_the_transform_for_the_gap():
+def test_the_leaf_fails_exactly_after_the_transform_was_missing_for_the_gap():
     world = hear(World(leaf()), 1.0, BASE)
     assert world.at(1.1) == Verdict("Healthy", "", "", None)
     assert world.deadline(1.1) == 1.5
@@ -54,7 +54,7 @@ def test_it_fails_exactly_when_no_message_has_had_the_transform_for_the_gap():
     assert hear(world, 2.0, BASE).at(2.0).state == "Healthy"
 
 
-def test_other_transforms_on_the_topic_do_not_keep_it_alive_and_those_beside_it_do_no_harm():
+def test_other_transforms_on_the_topic_have_no_influence():
     world = hear(World(leaf()), 1.0, WHEEL, BASE, ("map", "odom"))
     world.at(1.0)
     for time in (1.1, 1.2, 1.3, 1.4):
@@ -67,7 +67,7 @@ def test_other_transforms_on_the_topic_do_not_keep_it_alive_and_those_beside_it_
         assert hear(world, 2.05 + step / 10, WHEEL, late=3600.0).at(2.05 + step / 10).state == "Healthy"
 
 
-def test_a_message_that_comes_between_two_looks_counts_whatever_came_after_it():
+def test_a_message_between_two_evaluations_counts_despite_later_ones():
     world = hear(World(leaf()), 1.0, BASE)
     world.at(1.0)
     hear(world, 1.4, BASE)
@@ -77,14 +77,14 @@ def test_a_message_that_comes_between_two_looks_counts_whatever_came_after_it():
     assert world.deadline(1.52) == 1.9
 
 
-def test_without_a_parent_any_will_do_and_a_slash_in_front_is_none():
+def test_without_a_parent_any_parent_counts_and_a_leading_slash_is_ignored():
     world = World({"transform": {"child": "base_link", "gap": "500ms"}})
     assert hear(world, 1.0, ("/map", "/base_link")).at(1.4).state == "Healthy"
     assert world.at(1.5).reason == "no transform to base_link on /tf for 500 ms"
     assert hear(World(leaf()), 1.0, ("/odom", "/base_link")).at(1.0).state == "Healthy"
 
 
-def test_at_most_fails_by_a_stamp_that_is_older_at_its_receipt():
+def test_at_most_fails_if_the_stamp_is_older_at_its_receipt():
     world = hear(World(leaf(at_most="300ms")), 1.0, BASE, late=0.3)
     assert world.at(1.2).state == "Healthy", "how long ago it was received is for the gap"
     hear(world, 1.3, WHEEL, late=10.0)
@@ -99,7 +99,7 @@ def test_at_most_fails_by_a_stamp_that_is_older_at_its_receipt():
     assert world.at(1.7).state == "Healthy", "the newest in a message counts"
 
 
-def test_old_transforms_are_received_too_and_where_it_must_last_a_single_one_does_no_harm():
+def test_an_old_transform_ends_the_gap_and_with_for_a_single_one_is_no_failure():
     world = hear(World(leaf(at_most="300ms", **{"for": "1s"})), 1.0, BASE)
     for time in (1.4, 1.8, 2.2):
         assert hear(world, time, BASE, late=0.4).at(time).state == "Healthy"
@@ -111,7 +111,7 @@ def test_old_transforms_are_received_too_and_where_it_must_last_a_single_one_doe
     assert world.at(3.1).reason == "no transform odom -> base_link on /tf for 500 ms"
 
 
-def test_before_the_first_it_is_starting_until_the_grace_is_over():
+def test_before_the_first_transform_the_leaf_is_starting_until_the_grace_ends():
     world = hear(World(leaf(at_most="300ms"), grace=10), 1.0, WHEEL)
     assert_golden("health_tree", world.at(1.0).reason, "base_link", "/tf", "10 s")
     assert world.deadline(1.0) == 10
@@ -124,7 +124,7 @@ def test_before_the_first_it_is_starting_until_the_grace_is_over():
     assert hear(world, 30.5, BASE).at(30.5).state == "Healthy"
 
 
-def test_what_cannot_be_read_or_is_no_transform_says_nothing():
+def test_an_unreadable_message_is_ignored():
     world = hear(World(leaf()), 1.0, BASE)
     assert world.hear("/tf", 1.2, "it is no TFMessage").hear("/tf", 1.3, object()).at(1.4).state == "Healthy"
     assert world.at(1.5).state == "Failed"
@@ -139,7 +139,7 @@ def test_a_clock_step_moves_remembered_times():
     assert world.deadline(3601.4) == 3601.5
 
 
-def test_for_a_task_its_clock_begins_with_that():
+def test_for_a_task_the_gap_counts_from_the_start_of_the_task():
     world = hear(World({**TASK, "do": leaf()}, grace=5), 1.0, BASE)
     assert world.at(100.0).state == "Healthy"
     world.task = 100.0
@@ -150,7 +150,7 @@ def test_for_a_task_its_clock_begins_with_that():
     assert world.deadline(101.3) == 101.7
 
 
-def test_what_it_needs_of_its_topic_and_how_it_is_called():
+def test_the_leaf_subscribes_to_its_topic_and_is_named_after_its_child_frame():
     tree = load({"parallel": [leaf(), {"transform": {"child": "odom", "gap": "1s", "topic": "/robot/tf"}}]})
     assert [(t.name, t.type, t.contents, t.whole) for t in tree.topics] == [
         ("/tf", "tf2_msgs/msg/TFMessage", 256, True),

@@ -34,11 +34,11 @@ BASE = {"child": "base_link", "gap": "500ms"}
         ({"node": {"name": "/controller_server"}}, False),
     ],
 )
-def test_a_message_that_can_be_a_failure_is_looked_at_as_it_comes(leaf, prompt) -> None:
+def test_a_topic_on_which_one_message_can_be_a_failure_wakes_the_monitor(leaf, prompt) -> None:
     assert any(topic.prompt for topic in load(leaf).topics) is prompt
 
 
-def test_one_leaf_that_needs_it_is_enough() -> None:
+def test_one_leaf_that_needs_wakeups_is_enough() -> None:
     patient = BATTERY | {"for": "1s"}
     for leaves in ([BATTERY, patient], [patient, BATTERY]):
         named = [{"name": name, "value": leaf} for name, leaf in zip(("a", "b"), leaves, strict=True)]

@@ -59,7 +59,7 @@ def test_an_invalid_end_or_an_empty_reason_is_refused(
     assert "pause" not in stand.item(ROBOT)["spec"]
 
 
-def test_resume_ends_the_pause_and_resets_the_budget(
+def test_resume_removes_the_pause_and_records_its_time(
     stand: FakeKubectl, capsys: pytest.CaptureFixture[str], in_the_present: None
 ) -> None:
     assert pause.main([ROBOT, "--reason", "a new gripper", "--owner", "ann"]) == 0

@@ -119,7 +119,7 @@ def test_the_operator_must_be_ready_and_of_this_version(item: Object, level: str
     assert bool(found.cure) == (level != "OK")
 
 
-def test_without_the_right_to_list_deployments_no_operator_is_found() -> None:
+def test_without_the_right_to_list_deployments_the_check_of_the_operator_warns() -> None:
     server = Server({"*": Refused(403, "deployments.apps is forbidden")})
     assert installation_check.find(server) is None  # type: ignore[arg-type]
     assert installation_check.operator(None).level == "WARN"

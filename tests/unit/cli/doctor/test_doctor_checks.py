@@ -97,7 +97,7 @@ def test_received_packets_determine_the_finding_about_the_network(seen: GateTest
     assert bool(found[0].cure) == (level != "OK")
 
 
-def test_test_pods_have_no_label_that_operator_or_monitors_select() -> None:
+def test_pods_of_the_doctor_have_no_label_that_operator_or_monitors_select() -> None:
     made = test_pods.pod("doctor-1", "sender", Images("registry/monitor:1", pull_secrets=("key",)))
     assert not set(made["metadata"]["labels"]) & {
         names.WORKLOAD,

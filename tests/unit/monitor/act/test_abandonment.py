@@ -29,7 +29,7 @@ def monitor(tmp_path: Path) -> Monitor:
 
 
 @pytest.mark.parametrize("last", [None, STANDBY])
-async def test_one_that_an_error_stops_after_its_commit_is_under_way_for_nobody_any_more(
+async def test_a_recovery_stopped_by_an_error_after_its_commit_is_marked_as_abandoned(
     monitor: Monitor, last: Instance | None
 ) -> None:
     progress = await monitor.recover(None, last, DENIED)
@@ -45,7 +45,7 @@ async def test_one_that_an_error_stops_after_its_commit_is_under_way_for_nobody_
     assert (record.epoch, record.active, monitor.policy["spec"]) == (epoch, last.name if last else "", selector)
 
 
-async def test_one_that_a_refusal_of_its_next_commit_stops_is_under_way_for_nobody_either(monitor: Monitor) -> None:
+async def test_a_recovery_stopped_by_a_refused_commit_is_marked_as_abandoned(monitor: Monitor) -> None:
     progress = begun()
     await monitor.gate.commit(None, progress)
     monitor.fail("PATCH", DENIED)
@@ -56,14 +56,14 @@ async def test_one_that_a_refusal_of_its_next_commit_stops_is_under_way_for_nobo
     assert not monitor.seen().failing
 
 
-async def test_one_that_was_stopped_before_its_commit_costs_no_request(monitor: Monitor) -> None:
+async def test_a_recovery_stopped_before_its_commit_needs_no_request(monitor: Monitor) -> None:
     await monitor.recover(DENIED)
     before = len(monitor.client.requests)
     await monitor.look()
     assert (len(monitor.client.requests), monitor.journal.given_up()) == (before, [])
 
 
-async def test_those_that_wait_for_the_same_pool_do_not_wait_for_it(monitor: Monitor) -> None:
+async def test_an_abandoned_recovery_leaves_the_queue_of_its_pool(monitor: Monitor) -> None:
     progress = begun()
     progress.waiting = Waiter(workload="w", pool="spare", priority=0, since=2.0, until=1e12)
     await monitor.recover(None, DENIED, progress=progress)
@@ -76,9 +76,7 @@ async def test_those_that_wait_for_the_same_pool_do_not_wait_for_it(monitor: Mon
 
 
 @pytest.mark.parametrize("error", [DENIED, AWAY, ApiError(503, "Busy", "try again"), TimeoutError()])
-async def test_it_is_tried_until_the_api_server_answers_and_then_never_again(
-    monitor: Monitor, error: Exception
-) -> None:
+async def test_the_mark_is_retried_until_the_api_server_accepts_it_once(monitor: Monitor, error: Exception) -> None:
     await monitor.recover(None, DENIED)
     monitor.fail("PATCH", error)
     for _ in range(3):
@@ -94,7 +92,7 @@ async def test_it_is_tried_until_the_api_server_answers_and_then_never_again(
     assert monitor.journal.given_up() == []
 
 
-async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
+async def test_a_slow_mark_delays_nothing_and_is_requested_once_at_a_time(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await monitor.recover(None, DENIED)
@@ -121,7 +119,7 @@ async def test_nothing_waits_for_its_answer_and_one_is_asked_at_a_time(
     assert (found.id, found.result, monitor.gate.state.active) == (next_one.id, "Running", THIRD.name)
 
 
-async def test_a_commit_that_it_was_faster_than_is_carried_out_all_the_same(monitor: Monitor) -> None:
+async def test_a_commit_right_after_the_mark_is_not_blocked_by_it(monitor: Monitor) -> None:
     await monitor.recover(None, DENIED)
     before = dict(monitor.view.gates.items)
     await monitor.look()
@@ -134,7 +132,7 @@ async def test_a_commit_that_it_was_faster_than_is_carried_out_all_the_same(moni
 
 
 @pytest.mark.parametrize("noticed", [True, False])
-async def test_the_record_of_a_newer_recovery_is_not_written_over(
+async def test_the_record_of_a_newer_recovery_is_not_overwritten(
     monitor: Monitor, tmp_path: Path, noticed: bool
 ) -> None:
     await monitor.recover(None, DENIED)
@@ -153,9 +151,7 @@ async def test_the_record_of_a_newer_recovery_is_not_written_over(
     )
 
 
-async def test_one_that_another_monitor_has_taken_up_under_the_same_id_is_that_ones(
-    monitor: Monitor, tmp_path: Path
-) -> None:
+async def test_a_recovery_that_another_monitor_resumed_is_not_marked(monitor: Monitor, tmp_path: Path) -> None:
     progress = await monitor.recover(None, DENIED)
     other = monitor.successor(tmp_path / "elsewhere")
     taken_up = other.interrupted()
@@ -169,7 +165,7 @@ async def test_one_that_another_monitor_has_taken_up_under_the_same_id_is_that_o
     assert (found.resumed, found.result) == (True, "Running")
 
 
-async def test_a_monitor_that_starts_before_the_mark_was_written_does_not_continue_the_recovery_and_writes_it(
+async def test_a_restarted_monitor_does_not_continue_an_abandoned_recovery_and_marks_it(
     monitor: Monitor, tmp_path: Path
 ) -> None:
     await monitor.recover(None, STANDBY, DENIED)
@@ -184,7 +180,7 @@ async def test_a_monitor_that_starts_before_the_mark_was_written_does_not_contin
     assert later.successor(tmp_path / "elsewhere").interrupted() is None, "the gate says it to everybody"
 
 
-async def test_one_that_a_new_monitor_had_taken_up_and_was_stopped_at_before_it_committed_is_given_up_too(
+async def test_a_resumed_recovery_that_stops_before_its_commit_is_abandoned_too(
     monitor: Monitor, tmp_path: Path
 ) -> None:
     progress = begun()
@@ -197,7 +193,7 @@ async def test_one_that_a_new_monitor_had_taken_up_and_was_stopped_at_before_it_
     assert not later.seen().failing
 
 
-async def test_a_commit_that_is_carried_out_after_its_recovery_was_stopped_is_found(
+async def test_a_commit_that_takes_effect_after_its_recovery_stopped_is_marked(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = GATE.commit
@@ -218,9 +214,7 @@ async def test_a_commit_that_is_carried_out_after_its_recovery_was_stopped_is_fo
     assert not monitor.seen().failing
 
 
-async def test_an_earlier_one_that_stands_there_still_is_not_forgotten_for_the_next_that_is_stopped(
-    monitor: Monitor, tmp_path: Path
-) -> None:
+async def test_an_unmarked_abandoned_recovery_is_remembered_beside_later_ones(monitor: Monitor, tmp_path: Path) -> None:
     first = await monitor.recover(STANDBY, DENIED)
     monitor.fail("PATCH", DENIED)
     for _ in range(5):
@@ -235,7 +229,7 @@ async def test_an_earlier_one_that_stands_there_still_is_not_forgotten_for_the_n
     assert not later.seen().failing
 
 
-async def test_what_somebody_fenced_by_hand_is_not_opened_by_saying_it(monitor: Monitor) -> None:
+async def test_the_mark_does_not_open_a_gate_that_somebody_fenced(monitor: Monitor) -> None:
     progress = begun()
     await monitor.gate.commit(STANDBY, progress)
     over = GateRecord.of(monitor.policy)
@@ -248,9 +242,7 @@ async def test_what_somebody_fenced_by_hand_is_not_opened_by_saying_it(monitor: 
     assert not monitor.seen().failing
 
 
-async def test_on_a_full_volume_the_mark_is_written_all_the_same(
-    monitor: Monitor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_full_volume_does_not_prevent_the_mark(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
     await monitor.gate.commit(None, progress := begun())
 
     def full(given_up: Sequence[AbandonedRecovery]) -> None:
@@ -262,7 +254,7 @@ async def test_on_a_full_volume_the_mark_is_written_all_the_same(
     assert not monitor.seen().failing
 
 
-def test_what_is_kept_of_them_outlasts_a_restart_and_a_damaged_file_counts_as_none(tmp_path: Path) -> None:
+def test_abandoned_recoveries_survive_a_restart_and_a_damaged_file_is_ignored(tmp_path: Path) -> None:
     journal, kept = Journal(tmp_path / "recovery.json"), [AbandonedRecovery(id="r1", epoch=4, sent="{}")]
     assert journal.given_up() == []
     journal.give_up(kept)
@@ -275,7 +267,7 @@ def test_what_is_kept_of_them_outlasts_a_restart_and_a_damaged_file_counts_as_no
     assert list(tmp_path.iterdir()) == []
 
 
-async def test_one_that_is_superseded_leaves_what_the_other_monitor_has_committed(
+async def test_a_superseded_recovery_does_not_change_the_commit_of_the_other_monitor(
     monitor: Monitor, tmp_path: Path
 ) -> None:
     other = monitor.successor(tmp_path / "elsewhere")

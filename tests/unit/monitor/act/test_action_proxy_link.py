@@ -100,7 +100,7 @@ def link(socket: Path, seen: View, world: World) -> asyncio.Task[None]:
     return asyncio.create_task(ActionProxyLink(socket, seen, world, world, world, world.notices).run())  # type: ignore[arg-type]
 
 
-async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_late(socket: Path) -> None:
+async def test_the_proxy_receives_every_change_and_its_report_is_shown_even_if_it_starts_late(socket: Path) -> None:
     world, seen = World([ACTIVE, STANDBY]), view(TASK)
     running = link(socket, seen, world)
     heard: list[ControlState] = []
@@ -130,7 +130,7 @@ async def test_the_proxy_is_told_every_change_and_reported_even_when_it_starts_l
     running.cancel()
 
 
-async def test_a_workload_without_tasks_says_nothing_of_them(socket: Path) -> None:
+async def test_a_workload_without_tasks_has_no_condition_about_them(socket: Path) -> None:
     world = World([ACTIVE])
     world.notices.condition(CONDITION, "True", "Serving", "")
     running = link(socket, view(), world)
@@ -138,7 +138,7 @@ async def test_a_workload_without_tasks_says_nothing_of_them(socket: Path) -> No
     running.cancel()
 
 
-async def test_a_reference_with_tasks_says_that_there_is_no_proxy(socket: Path) -> None:
+async def test_a_reference_with_tasks_reports_that_there_is_no_proxy(socket: Path) -> None:
     world = World([ACTIVE])
     seen = view(TASK, problem="no agent there", template=None, workloadRef={"kind": "Deployment", "name": "arm"})
     running = link(socket, seen, world)
@@ -146,14 +146,14 @@ async def test_a_reference_with_tasks_says_that_there_is_no_proxy(socket: Path) 
     running.cancel()
 
 
-def test_whom_goals_can_be_given() -> None:
+def test_goals_are_sent_to_running_instances_with_an_agent() -> None:
     assert reachable(ACTIVE, GATE)
     assert reachable(replace(ACTIVE, terminating=True), GATE), "its word counts until the switch"
     for other in ({"terminating": True}, {"held": True}, {"running": False}, {"has_agent": False}, {"ip": ""}):
         assert not reachable(replace(STANDBY, **other), GATE)
 
 
-def test_who_runs_in_full() -> None:
+def test_only_standbys_of_executing_pools_and_own_pods_are_executing() -> None:
     assert executing(STANDBY, GATE, {"hot"})
     assert executing(replace(STANDBY, pool=""), GATE, {"hot"}), "the controller's own, while a standby is in control"
     assert not executing(STANDBY, GATE, set())
@@ -161,7 +161,7 @@ def test_who_runs_in_full() -> None:
     assert not executing(replace(STANDBY, claim="u/1"), GATE, {"hot"})
 
 
-def test_when_nothing_is_settled() -> None:
+def test_an_instance_is_settled_if_it_is_active_and_does_not_fail_or_recover() -> None:
     assert settled("Healthy", ACTIVE)
     assert settled("Starting", ACTIVE)
     assert not settled("Failed", ACTIVE)
@@ -170,7 +170,7 @@ def test_when_nothing_is_settled() -> None:
     assert not settled("Healthy", replace(ACTIVE, terminating=True))
 
 
-def test_what_the_condition_says() -> None:
+def test_the_condition_reports_the_state_of_the_tasks() -> None:
     task = {"action": "/goto", "message": "", "served": True}
     assert judged([task], "")[:2] == ("True", "Serving")
     assert judged([{**task, "served": False}], "")[:2] == ("Unknown", "Starting")

@@ -54,33 +54,33 @@ async def look(
         await asyncio.sleep(0)
 
 
-async def test_a_claimed_pod_that_is_not_in_control_for_long_is_deleted() -> None:
+async def test_a_claimed_pod_that_stays_inactive_for_long_is_deleted() -> None:
     cluster = Cluster()
     await look(cluster, DRIVES, LEFT, STANDBY)
     assert cluster.deleted == ["spare-2"]
     assert cluster.events == ["LeftoverDeleted"]
 
 
-async def test_one_that_may_be_about_to_drive_is_left_alone() -> None:
+async def test_a_recently_claimed_pod_is_not_deleted() -> None:
     cluster = Cluster()
     await look(cluster, DRIVES, LEFT, seconds=LEFT_FOR - 1)
     assert not cluster.deleted
 
 
-async def test_while_the_gate_is_closed_somebody_may_be_at_it() -> None:
+async def test_no_claimed_pod_is_deleted_while_the_gate_is_closed() -> None:
     cluster = Cluster(active="", active_uid="")
     await look(cluster, LEFT)
     assert not cluster.deleted
 
 
-async def test_what_was_seen_of_the_gate_may_be_old() -> None:
+async def test_a_pod_that_another_monitor_activated_is_not_deleted() -> None:
     cluster = Cluster()
     cluster.named = "uid-2"  # another monitor has put it in control
     await look(cluster, DRIVES, LEFT)
     assert not cluster.deleted
 
 
-async def test_without_an_answer_it_is_tried_again() -> None:
+async def test_an_unanswered_deletion_is_retried() -> None:
     cluster: Any = Cluster()
     garbage = GarbageCollection(cluster, cluster, cluster)
     cluster.away = True
@@ -103,7 +103,7 @@ async def test_a_failed_pod_whose_deletion_failed_is_deleted_soon() -> None:
     assert cluster.deleted == ["w-1"]
 
 
-async def test_one_that_has_failed_and_drives_again_is_left_alone() -> None:
+async def test_a_failed_pod_that_became_active_again_is_not_deleted() -> None:
     cluster: Any = Cluster()
     garbage = GarbageCollection(cluster, cluster, cluster)
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-1", "uid-3"))
@@ -115,7 +115,7 @@ async def test_one_that_has_failed_and_drives_again_is_left_alone() -> None:
     assert not cluster.deleted, "what it is now is judged anew"
 
 
-async def test_a_failed_pod_is_remembered_over_the_next_recovery() -> None:
+async def test_a_failed_pod_is_remembered_beyond_the_next_recovery() -> None:
     cluster: Any = Cluster()
     garbage = GarbageCollection(cluster, cluster, cluster)
     cluster.state = replace(cluster.state, recovery=recovered_from("uid-3"))

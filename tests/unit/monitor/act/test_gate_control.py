@@ -53,7 +53,7 @@ def found(client: MemoryClient) -> ClusterView:
     return ClusterView(client, "fleet", "w", Wakeups())
 
 
-async def test_a_recovery_commits_over_its_own_closing(
+async def test_a_recovery_commits_after_it_closed_the_gate(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
@@ -65,7 +65,7 @@ async def test_a_recovery_commits_over_its_own_closing(
 @pytest.mark.parametrize("kept", [True, False])
 @pytest.mark.parametrize("noticed", [True, False])
 @pytest.mark.parametrize("other", [THIRD, None])
-async def test_what_somebody_else_committed_since_is_not_undone(
+async def test_a_commit_of_somebody_else_is_not_undone(
     client: MemoryClient, found: ClusterView, tmp_path: Path, other: Instance | None, noticed: bool, kept: bool
 ) -> None:
     """Else a pod that drives would be shut out with nobody to delete it, or one that a person has fenced be let through."""
@@ -77,7 +77,7 @@ async def test_what_somebody_else_committed_since_is_not_undone(
     assert (gate.state.active, gate.state.epoch) == (other.name if other else "", 6)
 
 
-async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
+async def test_a_recovery_does_not_shut_out_a_pod_that_it_is_not_about(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
@@ -88,7 +88,7 @@ async def test_a_pod_that_the_recovery_is_not_about_is_not_shut_out(
 
 
 @pytest.mark.parametrize("what", ["target", "former", "taken_over"])
-async def test_a_recovery_that_is_taken_up_goes_on_with_the_pod_it_is_about(
+async def test_a_resumed_recovery_continues_with_its_own_pod(
     client: MemoryClient, found: ClusterView, tmp_path: Path, what: str
 ) -> None:
     progress = recovery().model_copy(update={what: PodIdentity(name=STANDBY.name, uid=STANDBY.uid)})
@@ -97,7 +97,7 @@ async def test_a_recovery_that_is_taken_up_goes_on_with_the_pod_it_is_about(
     assert gate.state.epoch == 5
 
 
-async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
+async def test_an_unanswered_commit_that_took_effect_counts_as_own(
     client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
@@ -115,7 +115,7 @@ async def test_a_commit_that_was_carried_out_without_an_answer_is_its_own(
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
 
 
-async def test_who_opens_the_gate_after_a_recovery_came_to_nothing_does_so_over_anything(
+async def test_after_a_failed_recovery_the_gate_opens_over_any_commit(
     client: MemoryClient, found: ClusterView, tmp_path: Path
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()

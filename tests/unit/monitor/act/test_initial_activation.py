@@ -54,7 +54,7 @@ class Closed:
 
 
 @pytest.mark.parametrize("left", [(), (replace(ACTIVE, terminating=True),), (replace(ACTIVE, running=False),)])
-async def test_where_nothing_runs_and_nothing_is_recovered_a_pod_is_requested(
+async def test_a_pod_is_requested_repeatedly_while_none_runs_and_none_is_recovered(
     tmp_path: Path, left: tuple[Instance, ...]
 ) -> None:
     # The operator may have scaled the workload's own ReplicaSet to none, for a pod of a shared pool that drove then.
@@ -71,7 +71,7 @@ async def test_where_nothing_runs_and_nothing_is_recovered_a_pod_is_requested(
     assert closed.requested == 4, "also after the clock was set back"
 
 
-async def test_a_gate_that_opens_after_a_recovery_failed_still_reports_which_pods_had_failed(tmp_path: Path) -> None:
+async def test_opening_the_gate_after_a_failed_recovery_keeps_the_list_of_failed_pods(tmp_path: Path) -> None:
     failed = [PodIdentity(name="w-0", uid="uid-0"), PodIdentity(name="w-1", uid="uid-1")]
     left = Progress.begin("it ended", last_healthy=0.0, detected=0.0, failed=failed)
     closed = Closed(tmp_path, ACTIVE, left=left)
@@ -82,7 +82,7 @@ async def test_a_gate_that_opens_after_a_recovery_failed_still_reports_which_pod
     assert ([pod.name for pod in progress.failed], progress.result) == (["w-0"], "Failed"), "nobody continues it"
 
 
-async def test_in_a_pause_no_instance_is_put_in_control(tmp_path: Path) -> None:
+async def test_no_instance_is_activated_during_a_pause(tmp_path: Path) -> None:
     closed = Closed(tmp_path, ACTIVE, paused=Pause(reason="a new gripper", owner="ann"))
     assert not await closed.look(1000.0)
     assert closed.objects.commits == []

@@ -56,7 +56,7 @@ def recovery(*failed: Instance, reflex: bool = False) -> Progress:
         (ACTIVE, AFTER, set(), recovery(ACTIVE, reflex=True), "Stay"),
     ],
 )
-def test_only_who_drives_or_stands_by_goes_on(
+def test_only_active_and_standby_instances_may_continue(
     instance: Instance, state: GateState, replaced: set[str], recovering: Progress | None, expected: Word
 ) -> None:
     assert word(instance, state, replaced, recovering) == expected
@@ -96,13 +96,13 @@ def readers(*ips: str) -> set[bytes]:
     return {VENDOR + host_id(ip) for ip in ips}
 
 
-def test_names_are_those_of_the_labels() -> None:
+def test_labels_are_named_after_the_constants() -> None:
     assert {names.WORKLOAD, names.HELD, names.MONITORED} == {
         f"understudy.dev/{label}" for label in ("workload", "held", "monitored")
     }
 
 
-def test_a_robot_counts_wherever_it_is_and_others_on_other_nodes_only() -> None:
+def test_robots_are_witnesses_anywhere_and_other_pods_only_on_other_nodes() -> None:
     heard = readers("10.1.1.2", "10.1.2.2", "10.1.1.1")
     found = witnesses(ACTIVE, PODS, workload="w", readers=heard, robots=["203.0.113.7/32", "198.51.100.0/24"])
     assert found[:2] == ["203.0.113.7", "10.1.1.2"]
@@ -111,14 +111,14 @@ def test_a_robot_counts_wherever_it_is_and_others_on_other_nodes_only() -> None:
     assert "10.1.1.3" not in found, "it would answer although the node is cut off"
 
 
-def test_the_standby_on_another_node_has_others() -> None:
+def test_a_standby_on_another_node_has_other_witnesses() -> None:
     found = witnesses(STANDBY, PODS, workload="w", readers=readers("10.1.1.2"), robots=[])
     assert found[0] == "10.1.1.2"
     assert set(found[1:]) >= {"10.1.1.3", "10.1.3.1"}
     assert not {"10.1.1.1", "10.1.3.2", "10.1.3.3", "192.168.0.3", "10.1.2.3"} & set(found)
 
 
-def test_where_the_node_is_not_known_only_robots_count() -> None:
+def test_only_robots_are_witnesses_of_an_instance_on_an_unknown_node() -> None:
     stranger = Instance("x", "uid-x")
     assert witnesses(stranger, PODS, workload="w", readers=readers("10.1.1.2"), robots=[]) == ["10.1.1.2"]
 
@@ -208,7 +208,7 @@ def cut_off() -> AgentStatus:
     return AgentStatus("Running", False, "held", cut_off=1700000000.0)
 
 
-async def test_every_agent_learns_its_witnesses_in_each_session() -> None:
+async def test_every_agent_receives_its_witnesses_in_each_session() -> None:
     world = World(("uid-a", running()), ("uid-s", running()))
     agents = world.agents
     task = asyncio.create_task(world.permits.run())
@@ -224,7 +224,7 @@ async def test_every_agent_learns_its_witnesses_in_each_session() -> None:
     task.cancel()
 
 
-async def test_a_permit_is_delayed_neither_by_an_api_server_that_is_away_nor_by_another_agent() -> None:
+async def test_neither_an_unavailable_api_server_nor_another_agent_delays_a_permit() -> None:
     world = World(("uid-a", running()), ("uid-s", running()), deaf="uid-a", client=Away())
     agents = world.agents
     task = asyncio.create_task(world.permits.run())
@@ -247,7 +247,7 @@ async def test_a_permit_is_delayed_neither_by_an_api_server_that_is_away_nor_by_
     task.cancel()
 
 
-async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_learn_of_the_gate(
+async def test_an_inactive_instance_may_continue_after_its_node_could_learn_of_the_gate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "CATCH_UP", 0.3)
@@ -275,7 +275,7 @@ async def test_who_is_not_in_control_goes_on_only_once_its_node_has_had_time_to_
     task.cancel()
 
 
-async def test_a_replaced_instance_is_ordered_to_stay_for_as_long_as_it_exists() -> None:
+async def test_a_replaced_instance_must_stay_held_as_long_as_it_exists() -> None:
     world = World(("uid-a", cut_off()), ("uid-s", running()))
     agents = world.agents
     world.current.progress = recovery(ACTIVE, reflex=True)
@@ -290,7 +290,7 @@ async def test_a_replaced_instance_is_ordered_to_stay_for_as_long_as_it_exists()
     task.cancel()
 
 
-async def test_one_whose_recovery_was_stopped_before_it_had_committed_was_replaced_by_nobody(
+async def test_an_instance_whose_recovery_stopped_before_its_commit_may_continue(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """As where somebody deletes the gate: whoever is put in control then, it stands by, and was held for good."""
@@ -307,7 +307,7 @@ async def test_one_whose_recovery_was_stopped_before_it_had_committed_was_replac
     task.cancel()
 
 
-async def test_without_a_reflex_nobody_is_told_anything() -> None:
+async def test_without_a_reflex_no_agent_receives_anything() -> None:
     world = World(("uid-a", running()), reflex=False)
     task = asyncio.create_task(world.permits.run())
     await asyncio.sleep(0.1)
@@ -315,7 +315,7 @@ async def test_without_a_reflex_nobody_is_told_anything() -> None:
     task.cancel()
 
 
-async def test_of_many_pods_that_were_replaced_only_the_oldest_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_only_the_oldest_of_many_replaced_pods_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "REMEMBERED", 5)
     monkeypatch.setattr(module, "CATCH_UP", 0.1)
     replaced = [Instance(f"p-{number}", f"uid-{number}", running=True) for number in range(7)]
@@ -332,7 +332,7 @@ async def test_of_many_pods_that_were_replaced_only_the_oldest_are_forgotten(mon
     task.cancel()
 
 
-async def test_one_that_is_cut_off_is_reported_once_for_as_long_as_it_is_there() -> None:
+async def test_an_isolated_instance_is_reported_once_as_long_as_it_exists() -> None:
     world = World(("uid-a", cut_off()))
     task = asyncio.create_task(world.permits.run())
     for present, count in (((ACTIVE,), 1), ((ACTIVE,), 1), ((), 1), ((ACTIVE,), 2)):

@@ -207,7 +207,7 @@ async def test_a_new_monitor_starts_again_with_a_switchover_that_was_being_prepa
     assert scene.told.reasons == ["SwitchoverBegun"], "which isn't told twice"
 
 
-async def test_it_waits_for_an_understudy_and_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_switchover_waits_for_a_standby_and_ends_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planned_switchover, "PATIENCE", 0.15)
     scene = Scene(ready=False)
     scene.ask(request("failover", time.time()))
@@ -231,7 +231,7 @@ async def test_a_switchover_does_not_begin_while_the_active_instance_is_not_heal
     assert await scene.looked() is not None
 
 
-async def test_a_request_that_is_old_or_unknown_is_reported_and_not_carried_out() -> None:
+async def test_an_old_or_unknown_request_is_reported_and_not_carried_out() -> None:
     scene = Scene()
     scene.ask(request("failover", time.time() - 3600))
     assert await scene.looked(0.05) is None
@@ -242,7 +242,7 @@ async def test_a_request_that_is_old_or_unknown_is_reported_and_not_carried_out(
     assert scene.told.reasons == ["SwitchoverNotDone"] * 2, "each is told once"
 
 
-async def test_a_failure_comes_first_and_ends_the_request() -> None:
+async def test_a_failure_takes_precedence_and_ends_the_request() -> None:
     scene = Scene(InitializedFallback("warm", recovery=BRING_UP), pool="warm")
     scene.store.broken.add("w-2")
     scene.ask(request("failover", time.time()))
@@ -254,7 +254,7 @@ async def test_a_failure_comes_first_and_ends_the_request() -> None:
     assert await scene.looked(0.05) is None
 
 
-async def test_what_was_asked_for_before_a_recovery_is_not_done_after_it() -> None:
+async def test_a_request_from_before_a_recovery_is_not_carried_out() -> None:
     scene = Scene()
     scene.ask(request("failover", time.time() - 5))
     recovery = Progress.begin("it failed", last_healthy=time.time() - 2, detected=time.time() - 1)
@@ -263,7 +263,7 @@ async def test_what_was_asked_for_before_a_recovery_is_not_done_after_it() -> No
     assert "the active instance failed and was recovered" in scene.told.message
 
 
-async def test_a_status_that_an_earlier_monitor_wrote_and_that_comes_late_has_nothing_done_twice() -> None:
+async def test_a_late_status_of_an_earlier_monitor_does_not_repeat_a_switchover() -> None:
     scene = Scene()
     scene.ask(asked := request("failover", time.time()))
     found = await scene.looked()
@@ -279,7 +279,7 @@ async def test_a_status_that_an_earlier_monitor_wrote_and_that_comes_late_has_no
     assert scene.told.status.switchover.handled == asked
 
 
-async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:
+async def test_a_withdrawn_request_leaves_no_prepared_standby() -> None:
     scene = Scene(InitializedFallback("warm", recovery=BRING_UP), pool="warm")
     scene.store.broken.add("w-2")
     scene.ask(request("failover", time.time()))
@@ -289,7 +289,7 @@ async def test_a_request_that_is_taken_back_leaves_nothing_behind() -> None:
     assert (scene.told.phase, scene.left) == ("NotDone", ["w-2"]), "what was begun with is of no use"
 
 
-async def test_a_switchover_that_waits_ends_when_its_request_is_withdrawn() -> None:
+async def test_a_waiting_switchover_ends_when_the_drain_ends() -> None:
     scene = Scene(ready=False)
     scene.drain("node-1")
     assert await scene.looked(0.05) is None
@@ -299,7 +299,7 @@ async def test_a_switchover_that_waits_ends_when_its_request_is_withdrawn() -> N
     assert (scene.told.phase, scene.told.message) == ("NotDone", "Nothing was changed: the request was withdrawn.")
 
 
-async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_waits() -> None:
+async def test_a_drain_waits_for_a_standby_on_a_node_that_is_not_drained() -> None:
     scene = Scene()
     scene.drain("node-1", "node-2")
     assert await scene.looked(0.05) is None
@@ -314,14 +314,14 @@ async def test_a_drain_takes_no_understudy_of_a_node_that_is_drained_too_and_wai
     assert await scene.looked(0.05) is None, "who drives now runs elsewhere"
 
 
-async def test_a_drain_is_for_the_instance_that_it_names() -> None:
+async def test_a_drain_applies_only_to_the_instance_that_it_names() -> None:
     scene = Scene()
     scene.drain("node-1", uid="uid-of-one-before")
     assert await scene.looked(0.05) is None
     assert scene.told.status.switchover is None
 
 
-async def test_home_is_where_the_robot_is_driven_from_already() -> None:
+async def test_a_failback_is_done_if_the_own_pod_is_already_active() -> None:
     scene = Scene()
     scene.ask(request("failback", time.time()))
     assert await scene.looked(0.05) is None
@@ -329,7 +329,7 @@ async def test_home_is_where_the_robot_is_driven_from_already() -> None:
     assert_golden("monitor", scene.told.message, "w-1")
 
 
-async def test_home_is_the_pod_of_the_workloads_own_controller_and_no_other_standby() -> None:
+async def test_a_failback_uses_only_the_pod_of_the_workload_controller() -> None:
     scene = Scene()
     scene.store.add("w-3", created="9")
     scene.store.add("w-4", pool="hot", created="1")
@@ -343,7 +343,7 @@ async def test_home_is_the_pod_of_the_workloads_own_controller_and_no_other_stan
     assert (found.target.name, found.progress.strategy) == ("w-3", "Fallback/Executing")
 
 
-async def test_home_is_started_where_the_policy_has_no_strategy_for_it() -> None:
+async def test_a_failback_starts_the_own_pod_if_no_strategy_keeps_one() -> None:
     scene = Scene(ExecutingFallback("hot", with_source=False))
     scene.store.gate = GateState(epoch=4, active="w-2", active_uid="uid-w-2")
     scene.store.pods.pop("w-1")
@@ -356,7 +356,7 @@ async def test_home_is_started_where_the_policy_has_no_strategy_for_it() -> None
     assert scene.state.active == "w-2"
 
 
-async def test_a_commit_that_was_carried_out_late_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_switchover_that_took_effect_late_is_settled(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene()
     scene.ask(request("failover", time.time()))
     found = await scene.looked()

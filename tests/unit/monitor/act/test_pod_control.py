@@ -37,21 +37,19 @@ def container(name: str, reason: str, restarts: int = 3) -> dict[str, Any]:
         (container(names.AGENT_CONTAINER, "CrashLoopBackOff"), False),
     ],
 )
-def test_an_application_that_ends_again_and_again_is_known_by_what_the_kubelet_says(
-    status: dict[str, Any], crashing: bool
-) -> None:
+def test_a_crash_loop_is_recognized_from_the_container_status(status: dict[str, Any], crashing: bool) -> None:
     found = instance_of(pod(containerStatuses=[status]))
     assert found.crashing is crashing
     assert found.usable
 
 
-def test_a_pod_that_is_evicted_since_its_node_is_lost_is_not_leaving() -> None:
+def test_a_pod_that_is_evicted_from_a_lost_node_is_not_leaving() -> None:
     found = instance_of(pod(DELETED, conditions=[EVICTION]))
     assert (found.terminating, found.evicted, found.leaving, found.usable) == (True, True, False, False)
 
 
 @pytest.mark.parametrize("conditions", [[], [{**EVICTION, "reason": "EvictionByEvictionAPI"}]])
-def test_a_pod_that_is_deleted_otherwise_is_leaving(conditions: list[dict[str, Any]]) -> None:
+def test_a_pod_that_is_deleted_for_another_reason_is_leaving(conditions: list[dict[str, Any]]) -> None:
     found = instance_of(pod(DELETED, conditions=conditions))
     assert (found.terminating, found.evicted, found.leaving) == (True, False, True)
 
@@ -64,16 +62,16 @@ def test_a_pod_that_is_deleted_otherwise_is_leaving(conditions: list[dict[str, A
         Instance("w-2", "u3", running=True, terminating=True, evicted=True, restarts=2, crashing=True),
     ],
 )
-def test_the_pods_of_these_tests_are_seen_as_the_instances_that_they_stand_for(instance: Instance) -> None:
+def test_the_pods_of_the_tests_represent_their_instances(instance: Instance) -> None:
     assert instance_of(pod_of(instance)) == instance
 
 
-def test_a_pod_that_stays_is_neither() -> None:
+def test_a_pod_that_is_not_deleted_is_neither_evicted_nor_leaving() -> None:
     found = instance_of(pod(conditions=[EVICTION]))
     assert (found.terminating, found.evicted, found.leaving) == (False, False, False)
 
 
-def test_what_its_status_says_is_known_and_restarts_of_the_agent_are_not_the_application_s() -> None:
+def test_conditions_and_restarts_are_read_without_those_of_the_agent() -> None:
     ready = {"type": "Ready", "status": "False", "reason": "ContainersNotReady"}
     found = instance_of(
         pod(
@@ -106,7 +104,7 @@ def objects(*errors: Exception) -> ClusterObjects:
     "error",
     [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()],
 )
-async def test_a_pod_is_replaced_though_the_api_server_is_busy_for_a_moment(error: Exception) -> None:
+async def test_a_pod_is_replaced_despite_temporary_errors_of_the_api_server(error: Exception) -> None:
     found = objects(error, error)
     await found.pods.replace([FAILED])
     scaled = [body["spec"]["replicas"] for method, name, body in found.client.requests if method == "PATCH"]

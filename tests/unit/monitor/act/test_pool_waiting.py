@@ -37,7 +37,7 @@ def waits(me: Waiter) -> Progress:
     return progress
 
 
-async def test_a_gate_says_for_which_pool_its_workload_waits_until_it_waits_no_longer(tmp_path: Path) -> None:
+async def test_the_gate_records_the_pool_for_which_its_workload_waits(tmp_path: Path) -> None:
     client = MemoryClient()
     found = view(client, "w")
     switch = await gate(client, found, tmp_path)
@@ -55,7 +55,7 @@ async def test_a_gate_says_for_which_pool_its_workload_waits_until_it_waits_no_l
     assert switch.state.epoch == 6
 
 
-async def test_an_instance_that_is_let_through_ends_the_wait_too(tmp_path: Path) -> None:
+async def test_admitting_an_instance_ends_the_wait(tmp_path: Path) -> None:
     client = MemoryClient()
     switch = await gate(client, view(client, "w"), tmp_path)
     await switch.commit(None, waits(place("w")))
@@ -68,9 +68,7 @@ async def test_an_instance_that_is_let_through_ends_the_wait_too(tmp_path: Path)
     "error",
     [ApiError(429, "TooManyRequests", "later"), ApiError(500, "Error", "etcd"), OSError("reset"), TimeoutError()],
 )
-async def test_a_pod_whose_labels_can_not_be_written_for_a_moment_is_let_through_all_the_same(
-    tmp_path: Path, error: Exception
-) -> None:
+async def test_a_pod_is_admitted_despite_temporary_errors_at_its_labels(tmp_path: Path, error: Exception) -> None:
     client, refusals = MemoryClient(), [error, error]
     found, instance = view(client, "w"), Instance(name="w-2", uid="u2")
     switch = await gate(client, found, tmp_path)
@@ -94,7 +92,7 @@ def noted(gate_name: str, waiter: Waiter, **annotations: str) -> Object:
     return {"metadata": metadata}
 
 
-async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate() -> None:
+async def test_the_queue_contains_workloads_that_wait_for_the_same_pool_at_their_own_gates() -> None:
     found = view(MemoryClient(), "w")
     for item in (
         noted("w-gate", place("w")),
@@ -108,7 +106,7 @@ async def test_others_are_those_that_wait_for_the_same_pool_each_by_its_own_gate
     assert [(w.workload, w.priority) for w in line.others("spare")] == [("a", 7)]
 
 
-async def test_the_place_in_the_queue_is_in_the_condition_and_in_one_event() -> None:
+async def test_the_place_in_the_queue_is_reported_in_the_condition_and_in_one_event() -> None:
     notices, me = RecordedNotices(), place("w", priority=5)
     line = PoolQueue(view(MemoryClient(), "w"), notices)
     notices.condition("Recovering", "True", "FailureDetected", "no /cmd_vel for 500 ms")
@@ -139,7 +137,7 @@ async def test_the_place_in_the_queue_is_in_the_condition_and_in_one_event() -> 
     assert len(notices.events) == 2
 
 
-def test_a_recovery_tells_how_long_it_waited() -> None:
+def test_a_recovery_reports_how_long_it_waited() -> None:
     progress = waits(place("w"))
     progress.result, progress.strategy = "Recovered", "Fallback/Uninitialized"
     assert "waited" not in describe(progress.to_recovery(1))
@@ -147,7 +145,7 @@ def test_a_recovery_tells_how_long_it_waited() -> None:
     assert describe(progress.to_recovery(1)).endswith(", including 2.1 s of waiting for a pod")
 
 
-def test_a_strategy_waits_for_as_long_as_the_policy_says_and_the_workload_has_its_priority() -> None:
+def test_a_strategy_has_the_wait_of_the_policy_and_the_priority_of_the_workload() -> None:
     waiting = {"type": "Fallback", "poolRef": {"name": "spare"}}
     policy = policy_of({**waiting, "waitFor": "2.5s"}, waiting)
     settings = settings_of(pools=[{"name": "spare", "readiness": "Uninitialized", "reserved": 2}])

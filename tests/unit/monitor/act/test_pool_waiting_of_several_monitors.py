@@ -276,9 +276,7 @@ async def all_wait(monitors: Sequence[Monitor]) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-async def test_pods_that_come_one_by_one_go_by_priority_and_then_by_who_has_waited_longest(
-    seed: int, tmp_path: Path
-) -> None:
+async def test_single_pods_are_served_by_priority_and_then_by_waiting_time(seed: int, tmp_path: Path) -> None:
     cluster = Cluster(seed)
     monitors = await fleet(cluster, [0, 5, 0, 100], tmp_path)
     tasks = []
@@ -302,7 +300,7 @@ async def test_pods_that_come_one_by_one_go_by_priority_and_then_by_who_has_wait
 
 
 @pytest.mark.parametrize("seed", range(4))
-async def test_as_many_pods_as_wait_are_taken_at_once_each_by_one(seed: int, tmp_path: Path) -> None:
+async def test_simultaneous_pods_are_claimed_at_once_by_different_workloads(seed: int, tmp_path: Path) -> None:
     cluster = Cluster(seed)
     monitors = await fleet(cluster, [0, 0, 7, 7], tmp_path)
     tasks = [asyncio.create_task(monitor.fails(wait_for=60)) for monitor in monitors]
@@ -315,7 +313,7 @@ async def test_as_many_pods_as_wait_are_taken_at_once_each_by_one(seed: int, tmp
 
 
 @pytest.mark.parametrize("wait_for", [0.0, 0.3])
-async def test_of_many_that_fail_at_once_as_many_are_served_as_there_are_pods_and_the_others_go_on(
+async def test_if_pods_are_scarce_each_serves_one_workload_and_the_others_continue(
     wait_for: float, tmp_path: Path
 ) -> None:
     cluster = Cluster(1)
@@ -331,7 +329,7 @@ async def test_of_many_that_fail_at_once_as_many_are_served_as_there_are_pods_an
     assert all(("no pod became free within 0.3 s" in attempt.message) == bool(wait_for) for attempt in lost)
 
 
-async def test_without_anybody_waiting_a_claim_costs_what_it_did(tmp_path: Path) -> None:
+async def test_without_a_queue_a_claim_needs_no_additional_writes(tmp_path: Path) -> None:
     cluster = Cluster(1)
     (monitor,) = await fleet(cluster, [0], tmp_path)
     await cluster.add_pod()
@@ -343,7 +341,7 @@ async def test_without_anybody_waiting_a_claim_costs_what_it_did(tmp_path: Path)
     assert cluster.writes("-1") == 1
 
 
-async def test_where_a_pool_has_plenty_nobody_watches_it_and_most_ask_for_a_part_of_it_only(tmp_path: Path) -> None:
+async def test_a_full_pool_is_not_watched_and_mostly_listed_in_part(tmp_path: Path) -> None:
     cluster = Cluster(2)
     monitors = await fleet(cluster, [0] * 12, tmp_path)
     for _ in range(100):
@@ -356,7 +354,7 @@ async def test_where_a_pool_has_plenty_nobody_watches_it_and_most_ask_for_a_part
     assert all(f"{names.POOL}={POOL}" in asked for asked in cluster.asked)
 
 
-async def test_who_waits_watches_and_no_longer_than_it_waits(tmp_path: Path) -> None:
+async def test_a_waiting_workload_watches_the_pool_only_while_it_waits(tmp_path: Path) -> None:
     cluster = Cluster(3)
     (monitor,) = await fleet(cluster, [0], tmp_path)
     running = asyncio.create_task(monitor.fails(wait_for=60))

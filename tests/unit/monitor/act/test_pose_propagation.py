@@ -110,7 +110,7 @@ def carried(monitor: Monitor) -> bool:
     return found is not None and not found.missing
 
 
-async def test_a_pose_is_kept_with_where_odometry_was_then(monitor: Monitor, robot: Robot) -> None:
+async def test_a_pose_is_kept_with_the_odometry_of_its_time(monitor: Monitor, robot: Robot) -> None:
     await monitor.until(lambda: carried(monitor), each=robot.say)
     end = time.monotonic() + 1.0
     await monitor.until(lambda: time.monotonic() > end and carried(monitor), each=robot.say)
@@ -127,7 +127,7 @@ async def test_a_pose_is_kept_with_where_odometry_was_then(monitor: Monitor, rob
     assert (found.missing, len(found.writer)) == ("", 16)
 
 
-async def test_a_pose_from_before_it_is_healthy_is_carried_once_it_is(monitor: Monitor, robot: Robot) -> None:
+async def test_a_latched_pose_from_before_the_health_is_propagated_later(monitor: Monitor, robot: Robot) -> None:
     """Said once, and held for late joiners: it counts from when the health tree first holds."""
     robot.publish_poses(QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
     monitor.health = "Starting"
@@ -167,7 +167,9 @@ async def test_odometry_is_watched_during_a_recovery(monitor: Monitor, robot: Ro
     assert_golden("monitor", found.missing, "/odom", "another publisher")
 
 
-async def test_it_outlasts_the_monitor(monitor: Monitor, robot: Robot, tmp_path: Path) -> None:
+async def test_the_odometry_of_a_pose_survives_a_restart_of_the_monitor(
+    monitor: Monitor, robot: Robot, tmp_path: Path
+) -> None:
     await monitor.until(lambda: carried(monitor), each=robot.say)
     onset = time.time()
     wanted = motion(monitor, onset)
@@ -196,7 +198,7 @@ async def test_a_pose_that_cannot_be_propagated_is_reported(
     await monitor.until(lambda: monitor.told.conditions["StateKept"][0] == "True", each=robot.say)
 
 
-async def test_a_standby_is_kept_up_with_what_is_carried(monitor: Monitor, robot: Robot) -> None:
+async def test_a_standby_receives_propagated_poses(monitor: Monitor, robot: Robot) -> None:
     monitor.waiting = [(STANDBY, 0.1)]
     await monitor.until(
         lambda: any(s.motion and not s.motion.missing for _, given in monitor.agents.given for s in given.samples),

@@ -37,7 +37,7 @@ async def later(monitor: Monitor, tmp_path: Path) -> Monitor:
     return found
 
 
-async def test_it_ends_once_the_robot_is_driven_for_so_long_that_it_would_be_recorded(
+async def test_a_recovery_of_another_monitor_ends_after_the_robot_was_driven_long_enough(
     later: Monitor, clock: Clock
 ) -> None:
     for now in (100.0, 100.0 + LASTS - 0.1):
@@ -51,7 +51,9 @@ async def test_it_ends_once_the_robot_is_driven_for_so_long_that_it_would_be_rec
 
 
 @pytest.mark.parametrize("health", ["Failed", "Starting", "Unknown", "Recovering"])
-async def test_while_the_robot_is_not_driven_somebody_may_be_at_it(later: Monitor, clock: Clock, health: str) -> None:
+async def test_a_recovery_of_another_monitor_does_not_end_while_the_robot_is_not_driven(
+    later: Monitor, clock: Clock, health: str
+) -> None:
     for clock.now in (100.0, 200.0, 300.0):
         later.notices.set(health="Healthy" if clock.now == 100.0 else health)
         await later.look()
@@ -60,7 +62,7 @@ async def test_while_the_robot_is_not_driven_somebody_may_be_at_it(later: Monito
     assert later.seen().failing, "it counts from when it is healthy again"
 
 
-async def test_each_commit_starts_the_time_again(monitor: Monitor, later: Monitor, clock: Clock) -> None:
+async def test_each_commit_restarts_the_time(monitor: Monitor, later: Monitor, clock: Clock) -> None:
     await later.look()
     clock.now += LASTS - 1
     await monitor.gate.commit(THIRD, begun(STANDBY))
@@ -71,7 +73,7 @@ async def test_each_commit_starts_the_time_again(monitor: Monitor, later: Monito
     assert later.seen().failing
 
 
-async def test_what_the_status_tells_of_is_left_as_it_is(later: Monitor, clock: Clock) -> None:
+async def test_a_recovery_in_the_status_is_not_changed(later: Monitor, clock: Clock) -> None:
     found = beside(GateRecord.of(later.policy).recovery)
     assert found is not None
     later.notices.record(found.model_copy(update={"result": "Recovered"}))
@@ -81,7 +83,7 @@ async def test_what_the_status_tells_of_is_left_as_it_is(later: Monitor, clock: 
     assert written(later.client) == before
 
 
-async def test_of_a_switchover_it_is_seen_what_came_of_it(monitor: Monitor, later: Monitor, clock: Clock) -> None:
+async def test_a_switchover_of_another_monitor_is_not_ended(monitor: Monitor, later: Monitor, clock: Clock) -> None:
     switchover = begun(STANDBY).model_copy(update={"switchover": "Failover", "planned": True})
     await monitor.gate.commit(THIRD, switchover)
     later.watch()

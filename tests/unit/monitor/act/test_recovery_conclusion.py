@@ -65,7 +65,7 @@ def over(result: str) -> Progress:
 
 
 @pytest.mark.parametrize(("priority", "wait"), [("Normal", 7.0), ("Safety", 0.0)])
-def test_an_instance_that_took_over_is_watched_from_the_commit_and_the_cooldown_runs(
+def test_after_a_recovery_the_instance_is_watched_from_the_commit_and_the_cooldown_runs(
     tmp_path: Path, priority: str, wait: float
 ) -> None:
     world = World(tmp_path, priority=priority, limits={"cooldown": "7s"})
@@ -76,7 +76,7 @@ def test_an_instance_that_took_over_is_watched_from_the_commit_and_the_cooldown_
     assert (world.told.status.health, world.told.status.active) == ("Healthy", "w-1")
 
 
-def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later(tmp_path: Path) -> None:
+def test_after_a_recovery_without_a_verified_instance_a_backoff_runs(tmp_path: Path) -> None:
     world = World(tmp_path)
     world.unattended.driven()
     for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST):
@@ -86,14 +86,14 @@ def test_where_nothing_was_verified_nobody_drives_and_it_is_tried_again_later(tm
     assert world.told.status.health == "Failed"
 
 
-def test_whoever_acts_at_a_newer_epoch_drives_and_is_watched_at_once(tmp_path: Path) -> None:
+def test_after_a_superseded_recovery_the_active_instance_is_watched_at_once(tmp_path: Path) -> None:
     world = World(tmp_path)
     world.end("Superseded", error=Superseded("the gate is at epoch 9"))
     assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, 0.0, None)
     assert world.told.conditions["Recovering"][1] == "Superseded"
 
 
-def test_what_the_api_server_refused_is_tried_again_in_a_moment(tmp_path: Path) -> None:
+def test_after_an_error_of_the_api_server_the_recovery_is_retried_soon(tmp_path: Path) -> None:
     world = World(tmp_path)
     world.end("Stopped", error=OSError("no route"))
     assert (world.detector.since, world.waits(), world.unattended.since) == (NOW, BACKOFF_FIRST, NOW)

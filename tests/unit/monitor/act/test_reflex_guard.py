@@ -99,28 +99,28 @@ def world() -> World:
     return World()
 
 
-async def test_a_healthy_weaker_standby_is_let_through_once_the_gate_was_seen_to_hold_it(world: World) -> None:
+async def test_a_healthy_weaker_standby_is_admitted_after_the_gate_was_proven(world: World) -> None:
     assert await world.keep(enforced=False) == ("Unknown", "GateNotProven")
     assert not world.writes
     assert await world.keep(seconds=2) == ("True", "Armed")
     assert world.writes == ["w-2"], "written once"
 
 
-async def test_it_is_not_let_through_before_it_was_ready_for_as_long_as_the_gate_takes_to_show(world: World) -> None:
+async def test_a_standby_is_admitted_after_it_was_ready_long_enough_for_the_proof(world: World) -> None:
     await world.keep(seconds=SETTLE)
     assert not world.writes
     await world.keep(seconds=2)
     assert world.writes == ["w-2"]
 
 
-async def test_of_several_the_strongest_is_let_through(world: World) -> None:
+async def test_the_strongest_of_several_standbys_is_admitted(world: World) -> None:
     world.add("w-3", 150)
     world.add("w-4", 50)
     await world.keep()
     assert world.writes == ["w-3"]
 
 
-async def test_one_that_a_recovery_claimed_and_left_behind_is_not_let_through(world: World) -> None:
+async def test_a_standby_that_a_recovery_claimed_is_not_admitted(world: World) -> None:
     world.add("spare-1", 150, claim="recovery-1")
     await world.keep()
     assert world.writes == ["w-2"], "the other is about to be deleted"
@@ -139,7 +139,7 @@ async def test_a_standby_that_is_no_longer_healthy_is_shut_out_at_once(world: Wo
     assert "w-2: no /cmd_vel for 500 ms" in world.message
 
 
-async def test_in_a_pause_no_standby_is_admitted_and_afterwards_one_is_again(world: World) -> None:
+async def test_no_standby_is_admitted_during_a_pause_and_one_is_afterwards(world: World) -> None:
     await world.keep()
     assert await world.keep(paused=True, seconds=2) == ("False", "Paused")
     assert world.writes == ["w-2", ""]
@@ -149,7 +149,7 @@ async def test_in_a_pause_no_standby_is_admitted_and_afterwards_one_is_again(wor
     assert world.writes == ["w-2", "", "w-2"]
 
 
-async def test_one_that_is_gone_is_shut_out_too(world: World) -> None:
+async def test_a_missing_standby_is_shut_out_too(world: World) -> None:
     await world.keep()
     world.remove("w-2")
     world.reflexes.guard()
@@ -157,7 +157,7 @@ async def test_one_that_is_gone_is_shut_out_too(world: World) -> None:
     assert world.writes == ["w-2", ""]
 
 
-async def test_a_write_that_failed_is_tried_again_after_a_while_only(world: World) -> None:
+async def test_a_failed_write_is_retried_after_a_while(world: World) -> None:
     await world.keep()
     world.api_away()
     world.unready("w-2")
@@ -168,7 +168,7 @@ async def test_a_write_that_failed_is_tried_again_after_a_while_only(world: Worl
 
 
 @pytest.mark.parametrize("strength", [200, 201])
-async def test_one_that_is_as_strong_as_the_pod_in_control_is_replaced(world: World, strength: int) -> None:
+async def test_a_standby_that_is_not_weaker_than_the_active_instance_is_replaced(world: World, strength: int) -> None:
     world.strength("w-2", 50, strength)
     assert await world.keep(seconds=3) == ("False", "StandbyTooStrong")
     assert not world.objects.deleted
@@ -177,12 +177,12 @@ async def test_one_that_is_as_strong_as_the_pod_in_control_is_replaced(world: Wo
     assert not world.writes
 
 
-async def test_a_restarted_pod_in_control_counts_as_its_weakest(world: World) -> None:
+async def test_a_restarted_active_instance_counts_with_its_lowest_strength(world: World) -> None:
     world.strength("w-1", 90, 200)
     assert await world.keep(seconds=3) == ("False", "StandbyTooStrong")
 
 
-async def test_while_the_strength_in_control_is_unknown_nothing_changes(world: World) -> None:
+async def test_while_the_active_strength_is_unknown_nothing_changes(world: World) -> None:
     await world.keep()
     world.strength("w-1")
     assert await world.keep() == ("Unknown", "StrengthUnknown")
@@ -196,7 +196,7 @@ async def test_commands_slower_than_the_deadline_are_reported_and_no_standby_is_
     assert not world.writes
 
 
-async def test_nothing_is_let_through_before_the_period_is_known(world: World) -> None:
+async def test_no_standby_is_admitted_before_the_command_period_is_known(world: World) -> None:
     world.arrives("w-1")
     assert await world.keep() == ("Unknown", "Measuring")
     assert not world.writes
@@ -218,7 +218,7 @@ async def test_a_standby_whose_packets_do_not_arrive_is_reported(world: World) -
 # -- noticing ------------------------------------------------------------------------------------------------------
 
 
-async def test_the_standby_that_is_let_through_is_seen_to_drive(world: World) -> None:
+async def test_a_takeover_by_the_admitted_standby_is_detected(world: World) -> None:
     await world.keep()
     last = world.arrivals("w-1")[-1]
     assert world.takeover.look(last + 0.2) is None, "silence alone is nothing"
@@ -228,12 +228,12 @@ async def test_the_standby_that_is_let_through_is_seen_to_drive(world: World) ->
     assert (taken.standby.name, taken.last, taken.first) == ("w-2", last, last + 0.12)
 
 
-async def test_a_standby_that_is_not_admitted_takes_nothing_over(world: World) -> None:
+async def test_a_standby_that_is_not_admitted_cannot_take_over(world: World) -> None:
     world.arrives("w-2", world.arrivals("w-1")[-1] + 0.12)
     assert world.takeover.look(world.arrivals("w-2")[-1] + 1) is None
 
 
-async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
+async def test_a_takeover_is_looked_for_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
     assert world.takeover.next_look(NOW) is None, "nobody is let through"
     await world.keep()
     last = world.arrivals("w-1")[-1]
@@ -242,7 +242,7 @@ async def test_it_looks_at_the_deadline_and_then_often_for_a_while(world: World)
     assert world.takeover.next_look(last + 5) is None, "it may be at rest"
 
 
-async def test_a_clock_that_is_set_back_keeps_no_standby_out(world: World) -> None:
+async def test_a_clock_that_is_set_back_does_not_shut_out_a_standby(world: World) -> None:
     await world.keep(enforced=False, seconds=1)
     world.now -= 3600
     world.arrives("w-1", *(time - 3600 for time in world.arrivals("w-1")))

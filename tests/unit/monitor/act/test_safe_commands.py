@@ -59,18 +59,18 @@ class TestUnattended:
     def test_no_safe_command_is_sent_before_the_failed_instance_is_fenced(self) -> None:
         assert Waits().during(progress(decided=100.0)) is None
 
-    def test_it_begins_with_the_closed_gate_and_again_with_the_opened_one(self) -> None:
+    def test_safe_commands_begin_when_the_gate_closes_and_again_when_it_opens(self) -> None:
         found = Waits()
         assert found.during(progress(fenced=101.0)) == 101.0
         assert found.during(progress(fenced=101.0, committing=105.0)) == 105.0, "whom it names has its time too"
 
-    def test_the_first_output_ends_it(self) -> None:
+    def test_the_first_output_ends_safe_commands(self) -> None:
         found = Waits()
         found.during(progress(fenced=101.0))
         assert found.during(progress(fenced=101.0, committing=105.0, first_output=105.1)) is None
         assert found.after is None
 
-    def test_the_next_attempt_begins_where_the_last_one_left_the_robot(self) -> None:
+    def test_the_next_attempt_continues_the_safe_commands(self) -> None:
         found, under_way = Waits(), progress(fenced=101.0, committing=105.0)
         found.during(under_way)
         under_way.attempts.append(Attempt(strategy="Fallback/Executing", result="NotVerified"))
@@ -84,7 +84,7 @@ class TestUnattended:
         assert Waits().during(under_way) is None
 
     @pytest.mark.parametrize("kind", ["Recovered", "Superseded", "SwitchedOver", "NotSwitchedOver"])
-    def test_it_goes_on_after_nothing_verified_until_an_instance_drives(self, kind: Kind) -> None:
+    def test_safe_commands_continue_after_a_failed_recovery_until_an_instance_drives(self, kind: Kind) -> None:
         found = Waits()
         found.during(progress(fenced=101.0))
         found.conclude("NothingVerified")
@@ -104,7 +104,7 @@ class TestUnattended:
             max_size=12,
         )
     )
-    def test_whatever_happens_a_robot_that_is_driven_is_told_nothing(self, steps: list[str]) -> None:
+    def test_a_driven_robot_never_receives_safe_commands(self, steps: list[str]) -> None:
         found, under_way = Waits(), progress()
         for number, step in enumerate(steps):
             if step == "driven":
@@ -165,7 +165,9 @@ def received(subscription: Any) -> list[Any]:
     return found
 
 
-async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives(graphs: tuple[Any, Any]) -> None:
+async def test_the_robot_receives_safe_commands_at_their_period_until_an_instance_drives(
+    graphs: tuple[Any, Any],
+) -> None:
     monitor, robot = graphs
     subscription = robot.subscribe("/cmd_vel", TWIST, depth=100)
     waited = Waiting(None)
@@ -203,7 +205,7 @@ async def test_the_robot_hears_it_in_its_period_and_no_more_once_somebody_drives
         ({"topic": "/cmd_vel"}, True, "spec.gate.reflex"),
     ],
 )  # fmt: skip
-async def test_a_safe_command_that_cannot_be_sent_is_a_problem(
+async def test_a_safe_command_that_cannot_be_sent_is_reported(
     graphs: tuple[Any, Any], command: dict[str, Any], reflex: bool, words: str
 ) -> None:
     safe = SafeCommands(graphs[0], Waiting(1.0))
@@ -215,7 +217,7 @@ async def test_a_safe_command_that_cannot_be_sent_is_a_problem(
     assert safe.sent == 0
 
 
-async def test_a_topic_that_is_watched_as_another_type_is_a_problem_and_the_monitor_goes_on(
+async def test_a_topic_that_is_watched_with_another_type_is_reported(
     graphs: tuple[Any, Any],
 ) -> None:
     watched = graphs[0].subscribe("/cmd_vel", "geometry_msgs/msg/TwistStamped", depth=1)
@@ -254,7 +256,7 @@ async def repeated(since: float) -> AsyncIterator[Publisher]:
     safe.close()
 
 
-async def test_a_command_that_fails_is_followed_by_the_next() -> None:
+async def test_a_failed_safe_command_is_followed_by_the_next() -> None:
     async with repeated(time.time() - 1) as publisher, asyncio.timeout(20):
         publisher.failures = 3
         while publisher.sent < 3:

@@ -88,7 +88,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     return found
 
 
-async def test_each_instance_is_brought_there_once(world: World) -> None:
+async def test_each_instance_is_brought_up_once(world: World) -> None:
     await world.look()
     assert world.notices.conditions["BroughtUp"][:2] == ("Unknown", "UnderWay")
     await world.look()
@@ -115,7 +115,7 @@ async def test_a_failed_procedure_is_reported_once_and_tried_again_later(world: 
 OTHER = Procedure(yaml={"wait_for": {"node": "/nav"}}, within="7s")
 
 
-async def test_a_correction_is_tried_at_once_and_the_corrected_problem_is_no_longer_reported(world: World) -> None:
+async def test_a_corrected_procedure_runs_at_once_and_the_problem_is_no_longer_reported(world: World) -> None:
     world.agents.ready["uid-3"] = False
     world.agents.fails = "initialization.set_lifecycle: node /nav did not configure"
     for _ in range(4):  # the wait for the next try grows
@@ -128,7 +128,7 @@ async def test_a_correction_is_tried_at_once_and_the_corrected_problem_is_no_lon
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
-async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corrected(world: World) -> None:
+async def test_a_procedure_that_does_not_end_is_stopped_when_its_time_limit_is_corrected(world: World) -> None:
     world.agents.endless = 3600.0
     endless = WARM.model_copy(update={"initialization": INIT.model_copy(update={"within": "1h"})})
     await world.look(pool=endless)
@@ -140,7 +140,7 @@ async def test_a_procedure_that_does_not_end_is_cut_short_when_its_time_is_corre
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "BroughtUp")
 
 
-async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_procedure(world: World) -> None:
+async def test_a_standby_that_is_briefly_not_ready_is_not_brought_up_again(world: World) -> None:
     await world.look()
     await world.look()
     world.agents.ready["uid-3"] = False
@@ -149,7 +149,7 @@ async def test_a_standby_that_is_not_ready_for_a_moment_is_not_given_another_pro
     assert world.roles.was_ready(STANDBY)
 
 
-async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(world: World) -> None:
+async def test_a_standby_that_an_earlier_procedure_brought_up_is_reported(world: World) -> None:
     world.agents.brought["uid-3"] = "init:other:0"
     await world.look()
     assert world.agents.ran == []
@@ -158,7 +158,7 @@ async def test_a_standby_that_waits_as_an_earlier_procedure_left_it_is_named(wor
     assert_golden("monitor", message, "w-3")
 
 
-async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_reported(world: World) -> None:
+async def test_a_standby_that_is_not_ready_for_long_is_replaced_and_reported(world: World) -> None:
     await world.look()
     await world.look()
     world.agents.ready["uid-3"] = False
@@ -174,7 +174,7 @@ async def test_a_standby_that_lost_its_readiness_for_long_is_replaced_and_report
     assert "node /nav is gone" in world.notices.events[-1][2]
 
 
-async def test_a_standby_that_comes_back_stays(world: World) -> None:
+async def test_a_standby_that_becomes_ready_again_is_not_replaced(world: World) -> None:
     await world.look()
     world.agents.ready["uid-3"] = False
     await world.look()
@@ -186,7 +186,7 @@ async def test_a_standby_that_comes_back_stays(world: World) -> None:
     assert world.objects.deleted == []
 
 
-async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(world: World) -> None:
+async def test_standbys_are_not_replaced_while_the_active_instance_fails(world: World) -> None:
     """The reason may be the robot, whose sensors are silent for all of them."""
     await world.look()
     world.agents.ready["uid-3"] = False
@@ -197,7 +197,7 @@ async def test_standbys_stay_while_the_one_in_control_is_not_healthy_either(worl
     assert world.objects.deleted == []
 
 
-async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: World) -> None:
+async def test_a_standby_that_was_never_ready_is_not_replaced(world: World) -> None:
     world.agents.ready["uid-3"] = False
     for _ in range(3):
         await world.look()
@@ -205,7 +205,7 @@ async def test_a_standby_that_was_never_ready_is_not_replaced_for_that(world: Wo
     assert world.objects.deleted == []
 
 
-async def test_pods_without_an_agent_are_named(world: World) -> None:
+async def test_a_pod_without_an_agent_is_reported(world: World) -> None:
     await world.look(replace(ACTIVE, has_agent=False))
     status, reason, message = world.notices.conditions["BroughtUp"]
     assert (status, reason) == ("False", "NoAgent")
@@ -217,13 +217,13 @@ async def test_without_procedures_nothing_is_reported(world: World) -> None:
     assert world.notices.conditions == {}
 
 
-async def test_the_condition_says_that_nothing_is_to_do_once_the_procedures_are_gone(world: World) -> None:
+async def test_the_condition_reports_that_there_are_no_procedures_after_their_removal(world: World) -> None:
     await world.look()
     world.keep_house(ACTIVE, spec=parsed_spec(), pool=HOT)
     assert world.notices.conditions["BroughtUp"][:2] == ("True", "NothingToDo")
 
 
-async def test_a_procedure_that_can_not_be_read_fails_with_its_place() -> None:
+async def test_an_unreadable_procedure_fails_with_its_place() -> None:
     procedure = BringUp.of("recovery", Procedure(xml=XML_CHECK.replace("LifecycleIs", "LifecycleWas")))
     assert procedure is not None
     objects = ClusterObjects()

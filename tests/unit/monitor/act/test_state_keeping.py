@@ -96,7 +96,9 @@ async def test_messages_received_while_the_workload_fails_are_never_restored(mon
     assert monitor.x(onset) == monitor.x() == 1.0
 
 
-async def test_it_outlasts_the_monitor(monitor: Monitor, say: Callable[[float], None], tmp_path: Path) -> None:
+async def test_kept_state_survives_a_restart_of_the_monitor(
+    monitor: Monitor, say: Callable[[float], None], tmp_path: Path
+) -> None:
     say(1.0)
     await monitor.until(lambda: monitor.x() == 1.0)
     onset = time.time()
@@ -111,7 +113,7 @@ async def test_it_outlasts_the_monitor(monitor: Monitor, say: Callable[[float], 
     await monitor.until(outlasts)
 
 
-async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
+async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_started(
     monitor: Monitor, say: Callable[[float], None], graph: Graph, tmp_path: Path
 ) -> None:
     say(1.0)
@@ -133,9 +135,7 @@ async def test_it_is_there_for_a_recovery_that_an_earlier_monitor_had_begun(
     recovering.cancel()
 
 
-async def test_a_topic_that_nobody_publishes_is_reported_in_time(
-    monitor: Monitor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_topic_that_nobody_publishes_is_reported(monitor: Monitor, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pure, "PATIENCE", 0.3)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("",))[0] == "False")
     told = (
@@ -166,7 +166,7 @@ async def test_state_that_is_too_old_is_reported(monitor: Monitor, say: Callable
     assert "more than maxAge (500ms)" in left.reason
 
 
-async def test_ages_alone_are_seldom_written(monitor: Monitor, say: Callable[[float], None]) -> None:
+async def test_a_changed_age_alone_is_written_rarely(monitor: Monitor, say: Callable[[float], None]) -> None:
     count = [0.0]
 
     def move() -> None:
@@ -180,7 +180,7 @@ async def test_ages_alone_are_seldom_written(monitor: Monitor, say: Callable[[fl
     assert count[0] > 10
 
 
-async def test_parameters_and_states_are_asked_of_the_agent(monitor: Monitor) -> None:
+async def test_parameters_and_lifecycle_states_are_requested_from_the_agent(monitor: Monitor) -> None:
     monitor.state = State.model_validate(
         {"parameters": [{"node": "/controller", "names": ["speed"]}], "lifecycle": ["/amcl"], "margin": "0s"}
     )
@@ -208,9 +208,7 @@ async def test_a_pod_without_an_agent_is_reported(monitor: Monitor) -> None:
     assert "pod w-1 has no agent, because" in monitor.told.conditions["StateKept"][2]
 
 
-async def test_a_waiting_standby_is_given_what_is_new_and_only_that(
-    monitor: Monitor, say: Callable[[float], None]
-) -> None:
+async def test_a_standby_receives_only_changed_state(monitor: Monitor, say: Callable[[float], None]) -> None:
     monitor.waiting = [(STANDBY, 0.1)]
     monitor.state = STATE.model_copy(update={"lifecycle": ["/amcl"]})
     monitor.agents.answer = {"parameters": {}, "lifecycle": {"/amcl": "active"}, "problems": []}
@@ -237,7 +235,7 @@ async def test_a_standby_that_cannot_be_kept_up_to_date_is_reported_once(
     assert_golden("monitor", message, "w-2", "/amcl_pose", "/initialpose")
 
 
-async def test_nothing_is_given_to_standbys_while_the_workload_is_not_healthy(
+async def test_standbys_receive_no_state_while_the_workload_is_not_healthy(
     monitor: Monitor, say: Callable[[float], None]
 ) -> None:
     say(1.0)
@@ -279,7 +277,7 @@ async def test_a_recovery_without_restored_state_withdraws_the_last_report(monit
 
 
 @pytest.mark.parametrize("step", [-3600.0, 3600.0])
-async def test_a_clock_that_is_set_changes_no_age(
+async def test_a_clock_step_changes_no_age(
     monitor: Monitor, say: Callable[[float], None], monkeypatch: pytest.MonkeyPatch, step: float
 ) -> None:
     say(1.0)
@@ -299,7 +297,7 @@ async def test_a_clock_that_is_set_changes_no_age(
     assert after.taken_at - before.taken_at == pytest.approx(step, abs=0.5)
 
 
-def test_only_ready_standbys_of_pools_that_say_so_are_kept_up(tmp_path: Path) -> None:
+def test_only_ready_standbys_of_pools_with_keep_up_are_kept_up_to_date(tmp_path: Path) -> None:
     warm = PoolChoice(name="warm", readiness="Initialized", keep_up="2s")
     settings = settings_of(pools=[warm, PoolChoice(name="hot", readiness="Executing")])
     of_source = Instance("w-3", "uid-3", running=True)

@@ -31,13 +31,13 @@ def world(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> World:
     return World(monkeypatch, tmp_path)
 
 
-async def test_within_the_budget_nothing_is_waited_for_nor_written(world: World) -> None:
+async def test_within_the_budget_nothing_is_held_or_written(world: World) -> None:
     assert await world.allowed(failure())
     assert (world.objects.commits, world.notices.events) == ([], [])
     assert world.monitor.journal.load() is None
 
 
-async def test_with_a_spent_budget_a_failed_pod_is_fenced_and_safe_commands_are_sent_until_it_is_resumed(
+async def test_with_a_spent_budget_the_failed_pod_is_fenced_and_safe_commands_are_sent(
     world: World,
 ) -> None:
     world.spend()
@@ -64,7 +64,7 @@ async def test_with_a_spent_budget_a_failed_pod_is_fenced_and_safe_commands_are_
     assert world.monitor.senses.current.progress is None
 
 
-async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left_alone(world: World) -> None:
+async def test_during_a_hold_the_failed_instance_keeps_its_role(world: World) -> None:
     world.spend()
     assert world.monitor.senses.roles.driver == "uid-1"
     holding = asyncio.create_task(world.allowed(failure()))
@@ -78,7 +78,7 @@ async def test_while_it_is_held_the_others_are_its_standbys_still_and_it_is_left
     assert world.monitor.senses.roles.driver == ""
 
 
-async def test_it_goes_on_by_itself_when_the_window_has_moved_on(world: World) -> None:
+async def test_a_hold_ends_when_the_window_has_moved_on(world: World) -> None:
     world.notices.set_spent([time.time() - 599.9])
     async with asyncio.timeout(5):
         assert await world.allowed(failure())
@@ -104,7 +104,7 @@ async def test_an_interrupted_hold_continues_and_an_interrupted_recovery_is_fini
 
 
 @pytest.mark.parametrize("exempt", ["planned", "reflex"])
-async def test_what_is_no_new_failure_is_not_held(world: World, exempt: str) -> None:
+async def test_planned_recoveries_and_takeovers_by_the_reflex_are_not_held(world: World, exempt: str) -> None:
     world.spend()
     progress = failure(planned=exempt == "planned")
     if exempt == "reflex":
@@ -112,7 +112,7 @@ async def test_what_is_no_new_failure_is_not_held(world: World, exempt: str) -> 
     assert await world.allowed(progress)
 
 
-async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
+async def test_a_gate_that_somebody_opens_during_a_hold_supersedes_the_recovery(world: World) -> None:
     world.spend()
     holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.objects.commits)
@@ -125,9 +125,7 @@ async def test_whoever_opens_the_gate_meanwhile_is_right(world: World) -> None:
 @pytest.mark.parametrize(
     ("error", "reason"), [(ApiError(403, "Forbidden", "no"), "Error"), (Superseded("another"), "Superseded")]
 )
-async def test_a_fence_that_fails_is_tried_again_as_another_recovery(
-    world: World, error: Exception, reason: str
-) -> None:
+async def test_a_failed_fence_ends_the_recovery_without_a_journal(world: World, error: Exception, reason: str) -> None:
     world.spend()
     if isinstance(error, Superseded):
         world.objects.put_gate(GateState(epoch=4, active="w-9", active_uid="uid-9"))
@@ -138,7 +136,7 @@ async def test_a_fence_that_fails_is_tried_again_as_another_recovery(
     assert world.monitor.journal.load() is None, "a new monitor would fence who may be well by then"
 
 
-async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_the_budget(world: World) -> None:
+async def test_a_pause_ends_safe_commands_of_a_held_recovery_and_takes_precedence_over_the_budget(world: World) -> None:
     world.spend()
     holding = asyncio.create_task(world.allowed(failure()))
     await world.until(lambda: world.objects.commits)
@@ -153,7 +151,7 @@ async def test_a_pause_ends_the_safe_commands_of_what_is_held_and_goes_before_th
         assert await holding
 
 
-def test_a_failure_in_a_pause_is_reported_once_and_nothing_is_done(world: World) -> None:
+def test_a_failure_during_a_pause_is_reported_once_and_not_acted_on(world: World) -> None:
     world.pause(PAUSE)
     now = time.time()
     world.loop.decide.limits.pauses.look(now)
@@ -181,7 +179,7 @@ def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     assert found.onset == now + 50
 
 
-async def test_a_volume_that_is_full_costs_no_recovery_and_leaves_nothing_old(
+async def test_a_full_volume_prevents_no_recovery_and_leaves_no_old_journal(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     class Full(Journal):
@@ -199,7 +197,7 @@ async def test_a_volume_that_is_full_costs_no_recovery_and_leaves_nothing_old(
     assert before.load() is None, "what is beside the gate is newer"
 
 
-async def test_a_new_monitor_hears_of_the_understudies_before_it_chooses_and_an_older_one_knows(
+async def test_a_new_monitor_waits_for_the_agents_of_standbys_before_its_first_decision(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else a warm standby, to whose agent it has no connection yet, would be passed over for a restart."""

@@ -81,7 +81,7 @@ def test_a_spent_budget_is_reported_with_its_end_and_what_to_do(world: World) ->
     assert world.events == [("Warning", "BudgetSpent")]
 
 
-def test_when_the_window_has_moved_on_that_is_told(world: World) -> None:
+def test_the_end_of_the_window_is_reported(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     world.spending.say(1599.0)
@@ -91,7 +91,7 @@ def test_when_the_window_has_moved_on_that_is_told(world: World) -> None:
     assert world.events[-1] == ("Normal", "BudgetLeft")
 
 
-def test_resuming_gives_the_whole_budget_back(world: World) -> None:
+def test_a_resume_restores_the_whole_budget(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     world.resume(rfc3339(1100.0))
@@ -104,12 +104,12 @@ def test_resuming_gives_the_whole_budget_back(world: World) -> None:
 
 
 @pytest.mark.parametrize("said", ["", "soon", "2026-02-30T00:00:00Z"])
-def test_an_annotation_that_is_no_time_resumes_nothing(world: World, said: str) -> None:
+def test_an_invalid_resume_time_is_ignored(world: World, said: str) -> None:
     world.resume(said)
     assert world.spending.resumed is None
 
 
-def test_the_next_monitor_knows_what_was_spent(world: World) -> None:
+def test_a_new_monitor_knows_the_spent_budget(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     later = World(world.notices.status.to_wire())
@@ -118,26 +118,26 @@ def test_the_next_monitor_knows_what_was_spent(world: World) -> None:
     assert later.events == [], "it was told already"
 
 
-def test_a_planned_hand_over_spends_nothing(world: World) -> None:
+def test_a_planned_switchover_spends_no_budget(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at, planned=True)
     assert world.notices.status.spent == []
 
 
-def test_a_recovery_without_an_attempt_spends_nothing_and_a_failed_attempt_does(world: World) -> None:
+def test_a_recovery_without_an_attempt_spends_no_budget_and_a_failed_attempt_does(world: World) -> None:
     world.recover(1000.0, "NotAvailable")
     assert world.notices.status.spent == []
     world.recover(1060.0, "NotVerified")
     assert world.notices.status.spent == [1060.0]
 
 
-def test_only_as_many_as_the_budget_has_are_kept(world: World) -> None:
+def test_only_as_many_recoveries_as_the_budget_allows_are_stored(world: World) -> None:
     for at in (1000.0, 2000.0, 3000.0):
         world.recover(at)
     assert world.notices.status.spent == [2000.0, 3000.0]
 
 
-def test_without_a_budget_nothing_is_kept_nor_said(world: World) -> None:
+def test_without_a_budget_nothing_is_stored_or_reported(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     world.limit()
@@ -147,7 +147,7 @@ def test_without_a_budget_nothing_is_kept_nor_said(world: World) -> None:
     assert "spent" not in world.notices.status.to_wire()
 
 
-def test_a_held_recovery_is_in_the_condition_recovering(world: World) -> None:
+def test_a_held_recovery_is_reported_in_the_condition_recovering(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     failed = [PodIdentity(name="w-1", uid="uid-1")]

@@ -40,7 +40,7 @@ GOAL = BusyReason("task", "a goal of /go is active")
 
 
 class TestHandingOver:
-    def test_it_is_due_when_it_has_been_degraded_and_idle_for_long_enough(self, world: World) -> None:
+    def test_a_switchover_is_due_after_enough_degraded_and_idle_time(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL
         world.look(10, given=HANDED)
         assert world.levels.due is None
@@ -51,7 +51,7 @@ class TestHandingOver:
         world.look(2, given=HANDED)
         assert_golden("monitor", world.levels.due, "/scan", "8.6 Hz", "9 Hz", "2 s", "spec.degraded")
 
-    def test_idle_means_without_a_break(self, world: World) -> None:
+    def test_idle_time_must_be_uninterrupted(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL
         world.look(10, given=HANDED)
         for _ in range(5):
@@ -61,14 +61,14 @@ class TestHandingOver:
             world.look(0.5, given=HANDED)
         assert world.levels.due is None
 
-    def test_not_before_it_has_been_degraded_for_so_long(self, world: World) -> None:
+    def test_a_switchover_is_not_due_before_enough_degraded_time(self, world: World) -> None:
         world.observer.well = SLOW
         world.look(4.5, given=HANDED)
         assert world.levels.due is None
         world.look(2, given=HANDED)
         assert world.levels.due is not None
 
-    def test_what_shows_at_work_only_is_handed_over_when_the_work_is_done(self, world: World) -> None:
+    def test_degradation_during_a_task_leads_to_a_switchover_after_the_task(self, world: World) -> None:
         world.observer.well, world.observer.work = SLOW, GOAL
         world.look(10, given=HANDED)
         world.observer.well, world.observer.work = HEALTHY, None
@@ -77,7 +77,7 @@ class TestHandingOver:
         world.look(8, given=HANDED)
         assert world.levels.due is None, "it is well by now"
 
-    def test_never_while_health_itself_fails_or_the_tree_can_not_tell(self, world: World) -> None:
+    def test_no_switchover_is_due_while_health_fails_or_degradation_is_unknown(self, world: World) -> None:
         world.observer.well = SLOW
         world.look(10, given=HANDED)
         world.look(0.5, given=HANDED, health=FAILED)
@@ -86,7 +86,7 @@ class TestHandingOver:
         world.look(5, given=HANDED)
         assert world.levels.due is None
 
-    def test_goals_that_only_the_proxy_knows_of_and_a_proxy_that_is_away_are_work(self, world: World) -> None:
+    def test_goals_of_the_proxy_and_an_unavailable_proxy_count_as_work(self, world: World) -> None:
         world.observer.well = SLOW
         world.notices.set_tasks([TaskStatus(action="/go", active=1)])
         world.look(10, given=HANDED)
@@ -100,9 +100,7 @@ class TestHandingOver:
         world.look(4, given=HANDED)
         assert world.levels.due is not None
 
-    def test_an_instance_that_is_no_better_is_not_handed_over_again_before_the_pause_is_over(
-        self, world: World
-    ) -> None:
+    def test_the_next_switchover_is_due_after_the_pause_between_switchovers(self, world: World) -> None:
         world.observer.well = SLOW
         world.look(10, given=HANDED)
         assert world.levels.due is not None
@@ -114,13 +112,13 @@ class TestHandingOver:
         assert world.levels.due is not None
 
     @pytest.mark.parametrize(("ago", "is_due"), [(10.0, False), (100.0, True)])
-    def test_a_new_monitor_keeps_the_pause_too(self, world: World, ago: float, is_due: bool) -> None:
+    def test_a_new_monitor_keeps_the_pause_between_switchovers(self, world: World, ago: float, is_due: bool) -> None:
         world.observer.well = SLOW
         world.notices.record(handed_over(time.time() - ago))
         world.look(20, given=HANDED)
         assert (world.levels.due is not None) == is_due
 
-    def test_what_prevents_a_hand_over_is_reported(self, world: World) -> None:
+    def test_an_obstacle_to_a_switchover_is_reported(self, world: World) -> None:
         world.observer.well = SLOW
         world.look(10, given=HANDED)
         world.levels.wait(
@@ -131,7 +129,7 @@ class TestHandingOver:
         assert world.levels.due is not None, "it's tried again"
         assert "pool hot has no standby" in world.notices.conditions["Degraded"][2]
 
-    def test_one_that_is_not_asked_for_is_never_due(self, world: World) -> None:
+    def test_no_switchover_is_due_without_the_action_in_the_policy(self, world: World) -> None:
         world.observer.well = SLOW
         world.look(100)
         assert world.levels.due is None
@@ -196,7 +194,7 @@ class Deciding:
         ("pause", "a new gripper"),
     ],
 )
-def test_a_hand_over_begins_like_a_recovery_if_its_first_strategy_is_available_and_the_limits_allow_it(
+def test_a_due_switchover_begins_if_its_strategy_is_available_and_the_limits_allow_it(
     world: World, tmp_path: Path, obstacle: str, words: str
 ) -> None:
     first = FALLBACK if obstacle == "no standby" else RESTART
@@ -214,7 +212,7 @@ def test_a_hand_over_begins_like_a_recovery_if_its_first_strategy_is_available_a
     assert words in deciding.waits_for
 
 
-def test_a_workload_that_is_well_is_not_handed_over(world: World, tmp_path: Path) -> None:
+def test_a_workload_that_is_well_is_not_switched_over(world: World, tmp_path: Path) -> None:
     deciding, now = Deciding(world, tmp_path, strategy=RESTART, well=True), time.time()
     judgement = Judgement(now, active=ACTIVE, verdict=HEALTHY, degraded=True, last_well=now)
     assert deciding.decide.decide(deciding.policy, judgement, None).decision.trigger is not Trigger.DEGRADED
@@ -238,7 +236,7 @@ class Looked(Restart):
     ("takes", "lacking", "there"),
     [(0.0, "", True), (0.0, "pool spare has no unclaimed pod", False), (9.0, "", False)],
 )
-async def test_a_hand_over_that_is_due_does_not_begin_if_a_look_finds_otherwise_or_takes_too_long(
+async def test_a_due_switchover_is_cancelled_if_its_strategy_is_unavailable_or_slow_to_check(
     world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, takes: float, lacking: str, there: bool
 ) -> None:
     monkeypatch.setattr(strategy_options, "LOOK_WITHIN", 0.02)

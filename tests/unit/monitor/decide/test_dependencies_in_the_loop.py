@@ -66,7 +66,7 @@ class Planning:
         return await self.monitor.loop.look(self.policy, self.now)
 
 
-async def test_a_failure_that_is_held_is_none_yet_and_is_looked_at_again_in_time(tmp_path: Path) -> None:
+async def test_a_held_failure_causes_no_recovery_and_is_evaluated_again_in_time(tmp_path: Path) -> None:
     planning = Planning(tmp_path, "Failed", active())
     await planning.upstream_fails()
     found = await planning.look()
@@ -75,21 +75,21 @@ async def test_a_failure_that_is_held_is_none_yet_and_is_looked_at_again_in_time
     assert planning.monitor.notices.status.failing_since == planning.onset, "others learn of it"
 
 
-async def test_one_that_is_not_held_is_acted_on_in_the_same_look(tmp_path: Path) -> None:
+async def test_a_failure_that_is_not_held_is_acted_on_at_once(tmp_path: Path) -> None:
     planning = Planning(tmp_path, "Failed", active())
     failure = recovered(await planning.look())
     assert failure is not None
     assert failure.onset == planning.onset
 
 
-async def test_what_is_critical_to_safety_is_never_held(tmp_path: Path) -> None:
+async def test_a_failure_with_priority_safety_is_never_held(tmp_path: Path) -> None:
     critical = POLICY.model_copy(update={"priority": "Safety"})
     planning = Planning(tmp_path, "Failed", active(), policy=critical)
     await planning.upstream_fails()
     assert recovered(await planning.look()) is not None
 
 
-async def test_a_pod_that_is_gone_is_acted_on_whatever_has_failed_besides(tmp_path: Path) -> None:
+async def test_a_missing_pod_is_acted_on_despite_a_failed_dependency(tmp_path: Path) -> None:
     planning = Planning(tmp_path)
     await planning.upstream_fails()
     failure = recovered(await planning.look())
@@ -98,7 +98,7 @@ async def test_a_pod_that_is_gone_is_acted_on_whatever_has_failed_besides(tmp_pa
 
 
 @pytest.mark.parametrize("state", ["Healthy", "Failed"])
-async def test_what_is_due_after_another_was_recovered_comes_first(tmp_path: Path, state: State) -> None:
+async def test_a_reaction_to_a_recovered_dependency_takes_precedence(tmp_path: Path, state: State) -> None:
     planning = Planning(tmp_path, state, active())
     await planning.upstream_recovers()
     failure = recovered(await planning.look())
@@ -106,7 +106,7 @@ async def test_what_is_due_after_another_was_recovered_comes_first(tmp_path: Pat
     assert list(failure.follows) == [DependencyRecovery(name="localization", recovery="r1")]
 
 
-async def test_but_not_while_it_starts_nor_within_the_cooldown_after_a_recovery(tmp_path: Path) -> None:
+async def test_a_reaction_waits_for_the_start_of_the_instance_and_for_the_cooldown(tmp_path: Path) -> None:
     starting = Planning(tmp_path, "Starting", active())
     await starting.upstream_recovers()
     assert recovered(await starting.look()) is None

@@ -23,7 +23,7 @@ RUNS = 20
 
 
 @pytest.mark.parametrize(("limits", "first"), [(BUDGET, 200_000), (GUARD, 400_000)], ids=["budget", "storm"])
-def test_robots_whose_failures_are_held_are_driven_in_the_end(
+def test_robots_whose_failures_are_held_are_finally_driven(
     monkeypatch: pytest.MonkeyPatch, limits: Object, first: int
 ) -> None:
     made, report, on = world.policy, BudgetSpending.report_held, StormCondition.on

@@ -44,7 +44,7 @@ class World:
         return (found.status, found.reason, found.message) if found is not None else None
 
 
-def test_who_why_and_until_when() -> None:
+def test_a_pause_is_reported_with_owner_reason_and_end() -> None:
     world = World(GIVEN)
     world.pauses.look(1000.0)
     assert world.pauses.on == GIVEN
@@ -57,7 +57,7 @@ def test_who_why_and_until_when() -> None:
     assert [reason for reason, _ in world.events] == ["Paused"]
 
 
-def test_it_ends_by_itself() -> None:
+def test_a_pause_ends_at_its_time() -> None:
     world = World(GIVEN)
     world.pauses.look(END - 0.1)
     world.pauses.look(END)
@@ -70,7 +70,7 @@ def test_it_ends_by_itself() -> None:
     assert_golden("monitor", message, "ann: a new gripper", "1970-01-01 00:20:00 UTC")
 
 
-def test_it_ends_when_it_is_taken_away() -> None:
+def test_a_pause_ends_when_it_is_removed() -> None:
     world = World(Pause(reason="a new gripper", owner="ann"))
     world.pauses.look(1000.0)
     world.pause(None)
@@ -90,7 +90,9 @@ def test_it_ends_when_it_is_taken_away() -> None:
         ({}, {names.RESUMED: "2"}, "spec.pause was removed"),
     ],
 )
-def test_who_ends_a_pause_and_why_is_reported(before: dict[str, str], after: dict[str, str], words: str) -> None:
+def test_the_end_of_a_pause_is_reported_with_owner_and_reason_of_the_resume(
+    before: dict[str, str], after: dict[str, str], words: str
+) -> None:
     world = World()
     world.pause(GIVEN, before)
     world.pauses.look(1000.0)
@@ -99,7 +101,7 @@ def test_who_ends_a_pause_and_why_is_reported(before: dict[str, str], after: dic
     assert world.events[-1][1].endswith(words)
 
 
-def test_the_reason_for_an_earlier_resume_does_not_explain_this_end() -> None:
+def test_an_earlier_resume_does_not_explain_the_end_of_a_pause() -> None:
     world, said = World(), {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}
     world.pause(GIVEN, said)
     world.pauses.look(1000.0)
@@ -108,7 +110,7 @@ def test_the_reason_for_an_earlier_resume_does_not_explain_this_end() -> None:
     assert world.events[-1][1].endswith("spec.pause was removed")
 
 
-def test_another_pause_is_reported_too() -> None:
+def test_a_changed_pause_is_reported_too() -> None:
     world = World(GIVEN)
     world.pauses.look(1000.0)
     world.pause(Pause(reason="and a new arm", owner="bob"))
@@ -128,13 +130,13 @@ def test_a_new_monitor_raises_no_second_event_for_a_pause(pause: Pause | None, r
     assert [reason for reason, _ in later.events] == reasons
 
 
-def test_a_day_that_there_is_not_ends_no_pause() -> None:
+def test_an_invalid_date_does_not_end_a_pause() -> None:
     pause = Pause(reason="a new gripper", owner="ann", until="2026-02-30T00:00:00Z")
     assert pause.in_force(1e10)
     assert pause.words == "paused by ann: a new gripper"
 
 
-def test_a_workload_without_a_pause_reports_nothing() -> None:
+def test_a_workload_without_a_pause_has_no_condition_about_it() -> None:
     world = World()
     world.pauses.look(1000.0)
     assert world.said is None

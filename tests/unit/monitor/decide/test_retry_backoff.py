@@ -68,7 +68,7 @@ class World:
             self.retries.after_nothing_verified(self.policy)
 
 
-def test_the_backoff_grows_with_each_recovery_without_success_until_one_succeeds() -> None:
+def test_the_backoff_grows_with_each_failed_recovery_until_one_succeeds() -> None:
     world = World()
     for wait in (BACKOFF_FIRST, 2 * BACKOFF_FIRST, 4 * BACKOFF_FIRST):
         world.in_vain(1)
@@ -81,7 +81,7 @@ def test_the_backoff_grows_with_each_recovery_without_success_until_one_succeeds
 
 
 @pytest.mark.parametrize("what", ["policy", "spec", "settings"])
-def test_a_correction_is_tried_at_once(what: str) -> None:
+def test_a_correction_ends_the_backoff(what: str) -> None:
     world = World()
     world.in_vain(3)
     world.correct(what)
@@ -91,7 +91,7 @@ def test_a_correction_is_tried_at_once(what: str) -> None:
     assert world.waits() == BACKOFF_FIRST
 
 
-def test_the_same_once_more_is_no_correction() -> None:
+def test_an_unchanged_object_does_not_end_the_backoff() -> None:
     world = World()
     world.in_vain(3)
     before = world.retries.not_before
@@ -100,7 +100,7 @@ def test_the_same_once_more_is_no_correction() -> None:
     assert world.retries.not_before == before
 
 
-def test_the_cooldown_after_a_recovery_stays() -> None:
+def test_a_correction_does_not_end_the_cooldown() -> None:
     world = World()
     world.retries.after(60.0)
     world.correct("policy")
@@ -108,7 +108,7 @@ def test_the_cooldown_after_a_recovery_stays() -> None:
     assert world.waits() == 60
 
 
-def test_resuming_ends_a_backoff() -> None:
+def test_a_resume_ends_the_backoff_once() -> None:
     world, now = World(), NOW
     world.in_vain(3)
     before = world.retries.not_before
@@ -121,7 +121,7 @@ def test_resuming_ends_a_backoff() -> None:
     assert world.retries.not_before == now + 10, "once"
 
 
-def test_a_clock_that_is_set_back_puts_nothing_off() -> None:
+def test_a_clock_that_is_set_back_does_not_prolong_the_wait() -> None:
     world = World()
     world.retries.after(10.0)
     world.retries.look(None, NOW - 3600)
@@ -129,13 +129,13 @@ def test_a_clock_that_is_set_back_puts_nothing_off() -> None:
 
 
 @pytest.mark.parametrize(("priority", "later"), [("Normal", 4 * BACKOFF_FIRST), ("Safety", BACKOFF_FIRST)])
-def test_with_the_priority_safety_trying_again_is_not_put_off_longer_and_longer(priority: str, later: float) -> None:
+def test_with_priority_safety_the_backoff_does_not_grow(priority: str, later: float) -> None:
     world = World(priority=priority)
     world.in_vain(3)
     assert world.waits() == later
 
 
-def test_after_the_instance_of_every_strategy_failed_at_once_a_backoff_is_reported() -> None:
+def test_a_backoff_is_reported_after_the_instance_of_every_strategy_failed_at_once() -> None:
     world, now = World(), NOW
     world.retries.note(took_over(0, now))
     assert world.first(now + 1) == 1
@@ -150,7 +150,7 @@ def test_after_the_instance_of_every_strategy_failed_at_once_a_backoff_is_report
     assert world.first(now + 1) == 0, "and then the first one is tried again"
 
 
-def test_an_instance_that_fails_within_the_healthy_delay_gets_the_next_strategy_and_an_event() -> None:
+def test_an_instance_that_fails_within_the_healthy_delay_leads_to_the_next_strategy() -> None:
     world, now = World(limits={"healthyDelay": "1m"}), NOW
     world.retries.note(took_over(0, now))
     assert world.first(now + 30) == 1
@@ -161,7 +161,7 @@ def test_an_instance_that_fails_within_the_healthy_delay_gets_the_next_strategy_
     assert world.first(now + 60) == 0
 
 
-def test_a_recovery_reports_the_attempts_that_did_not_succeed() -> None:
+def test_a_recovery_reports_its_failed_attempts() -> None:
     hung = "strategies[0].recovery.sequence[0].wait_for: node /nobody is not there within 14 s"
     recovery = Recovery(
         id="1",

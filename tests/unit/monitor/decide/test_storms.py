@@ -51,7 +51,7 @@ def failure(now: float) -> Failure:
 
 
 @pytest.mark.parametrize("others", [(), (FALLBACK,), (FALLBACK, SPARE)])
-def test_without_a_standby_that_is_ready_a_failure_waits_and_that_is_told_once(
+def test_without_a_ready_standby_a_failure_waits_and_is_reported_once(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, others: tuple[dict[str, Any], ...]
 ) -> None:
     world, now = Storm(monkeypatch, tmp_path, *others, RESTART), time.time()
@@ -64,7 +64,7 @@ def test_without_a_standby_that_is_ready_a_failure_waits_and_that_is_told_once(
     assert world.objects.commits == [], "it isn't fenced: maybe it is well, and can't be heard"
 
 
-def test_a_standby_that_is_ready_takes_over_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_ready_standby_takes_over_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     world, now = Storm(monkeypatch, tmp_path, SPARE, FALLBACK, standby=STANDBY), time.time()
     assert world.recovered(failure(now), now) is not None
     assert world.loop.decide.options.holds(ExecutingFallback("hot")) is None
@@ -72,15 +72,13 @@ def test_a_standby_that_is_ready_takes_over_at_once(monkeypatch: pytest.MonkeyPa
     assert world.loop.decide.options.holds(Restart()) is not None
 
 
-def test_a_storm_that_never_ends_holds_a_recovery_for_holdfor_only(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_an_endless_storm_holds_a_recovery_only_for_hold_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     world, now = Storm(monkeypatch, tmp_path, RESTART), time.time()
     assert world.recovered(failure(now), now + 50) is None
     assert world.recovered(failure(now), now + 61) is not None
 
 
-def test_once_it_is_over_what_still_fails_is_recovered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_after_a_storm_remaining_failures_are_recovered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     world, now = Storm(monkeypatch, tmp_path, RESTART), time.time()
     assert world.recovered(failure(now), now) is None
     world.say("False")
@@ -88,7 +86,9 @@ def test_once_it_is_over_what_still_fails_is_recovered(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("absent", ["guard", "condition", "policy"])
-def test_where_nothing_is_said_nothing_waits(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, absent: str) -> None:
+def test_without_a_guard_a_condition_or_a_policy_nothing_waits(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, absent: str
+) -> None:
     world, now = (
         Storm(monkeypatch, tmp_path, RESTART, **({"stormGuard": None} if absent == "guard" else {})),
         time.time(),

@@ -32,7 +32,7 @@ def world(monkeypatch: pytest.MonkeyPatch) -> World:
     return World(monkeypatch)
 
 
-def test_it_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: World) -> None:
+def test_a_workload_is_degraded_after_the_debounce_and_well_after_the_clear_time(world: World) -> None:
     assert not world.look(1)
     assert world.said == ("False", "Well")
     world.observer.well = SLOW
@@ -64,7 +64,7 @@ def test_degradation_is_judged_less_often_than_health(world: World) -> None:
     assert world.observer.times_asked <= 10 / LOOK + 1
 
 
-def test_figures_that_change_all_the_time_are_seldom_written(world: World) -> None:
+def test_changing_figures_are_written_rarely(world: World) -> None:
     for hundredth in range(600):
         world.observer.well = Verdict("Failed", f"/scan at 8.{hundredth} Hz", "sensors/scan", None)
         world.look(0.1)
@@ -80,7 +80,7 @@ def test_another_failing_leaf_is_reported_at_once(world: World) -> None:
     assert "in leaf commands" in world.notices.conditions["Degraded"][2]
 
 
-def test_an_instance_whose_health_fails_is_not_asked_and_is_not_well_by_that(world: World) -> None:
+def test_an_instance_whose_health_fails_stays_degraded_and_is_not_evaluated(world: World) -> None:
     world.observer.well = SLOW
     world.look(3)
     world.observer.well = HEALTHY
@@ -103,7 +103,7 @@ def test_another_instance_starts_with_an_unknown_level(world: World) -> None:
     assert world.said == ("False", "Well")
 
 
-def test_a_new_monitor_goes_on_where_the_last_one_was(world: World) -> None:
+def test_a_new_monitor_continues_with_the_level_of_its_predecessor(world: World) -> None:
     world.adopt("w-1")
     world.observer.well = UNKNOWN
     assert world.look(1)
@@ -113,14 +113,14 @@ def test_a_new_monitor_goes_on_where_the_last_one_was(world: World) -> None:
     assert [reason for _, reason, _ in world.notices.events] == ["WellAgain"], "it is told once that it was degraded"
 
 
-def test_the_last_monitors_report_on_another_instance_does_not_count_for_this_one(world: World) -> None:
+def test_the_level_of_another_instance_does_not_count(world: World) -> None:
     world.adopt("w-0")
     world.observer.well = UNKNOWN
     assert not world.look(1)
     assert world.said == ("Unknown", "Starting")
 
 
-def test_the_condition_goes_with_spec_degraded(world: World) -> None:
+def test_the_condition_is_removed_with_spec_degraded(world: World) -> None:
     world.observer.well = SLOW
     world.look(3)
     assert not world.look(1, given=policy())
@@ -131,7 +131,7 @@ def test_the_condition_goes_with_spec_degraded(world: World) -> None:
     ("health", "well", "level"),
     [(HEALTHY, SLOW, "Degraded"), (HEALTHY, HEALTHY, "Healthy"), (FAILED, SLOW, "Failed"), (UNKNOWN, SLOW, "Starting")],
 )
-async def test_the_level_of_a_workload_neither_causes_nor_delays_a_failover(
+async def test_degradation_neither_causes_nor_delays_a_failover(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, health: Verdict, well: Verdict, level: str
 ) -> None:
     at_once = policy({"monitoring": {**WELL, "debounce": "0s"}})

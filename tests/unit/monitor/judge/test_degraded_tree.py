@@ -55,31 +55,31 @@ def busy(found: DegradedTrees, observed: RecordedObservations) -> str:
     return said.words if said is not None else ""
 
 
-def test_tasks_are_watched_only_where_it_matters_whether_the_robot_is_idle() -> None:
+def test_the_status_of_tasks_is_watched_only_if_idleness_matters() -> None:
     assert {topic.name for topic in wellness(None, "/go").topics} == {"/scan"}
     found = wellness({}, "/go").topics
     assert {topic.name for topic in found} == {"/scan", STATUS}
     assert next(topic for topic in found if topic.name == STATUS).task
 
 
-def test_no_message_calls_for_a_look_for_the_sake_of_it() -> None:
+def test_the_topics_of_the_idle_tree_cause_no_wakeups() -> None:
     log = {"yaml": {"log": {"level": "ERROR"}}}
     assert load_inline(InlineTree.model_validate(log), path="", grace=1.0).topics[0].prompt
     (rosout,) = (topic for topic in wellness({"idle": log}).topics if topic.name == "/rosout")
     assert not rosout.prompt
 
 
-def test_a_goal_that_is_worked_on_is_work() -> None:
+def test_an_active_goal_is_work() -> None:
     found = wellness({}, "/go", "/dock")
     assert busy(found, RecordedObservations({})) == ""
     assert busy(found, RecordedObservations({}, {"/dock/_action/status": 1.0})) == "a goal of /dock is active"
 
 
-def test_without_tasks_and_without_a_word_of_the_policy_a_robot_is_never_idle() -> None:
+def test_a_robot_without_tasks_and_idle_tree_is_never_idle() -> None:
     assert "has no tasks" in busy(wellness({}), RecordedObservations({}))
 
 
-def test_what_the_policy_says_must_hold_too() -> None:
+def test_the_idle_tree_must_hold_in_addition() -> None:
     found, record = wellness({"idle": STILL}, "/go"), TopicRecord()
     assert busy(found, RecordedObservations({"/beat": record})) != ""
     record.add(time.time())
@@ -87,20 +87,20 @@ def test_what_the_policy_says_must_hold_too() -> None:
     assert busy(found, RecordedObservations({"/beat": record}, {STATUS: 1.0})) == "a goal of /go is active"
 
 
-def test_it_is_enough_where_there_are_no_tasks() -> None:
+def test_without_tasks_the_idle_tree_is_sufficient() -> None:
     record = TopicRecord()
     record.add(time.time())
     assert busy(wellness({"idle": STILL}), RecordedObservations({"/beat": record})) == ""
 
 
-def test_what_can_not_be_watched_is_not_idle() -> None:
+def test_a_robot_with_an_unwatched_topic_is_not_idle() -> None:
     found, record = wellness({"idle": STILL}, "/go"), TopicRecord()
     record.add(time.time())
     found.leave_out(frozenset({"/beat"}))
     assert busy(found, RecordedObservations({"/beat": record})) == "/beat cannot be watched"
 
 
-def test_an_idle_tree_that_does_not_load_is_told_by_its_place() -> None:
+def test_an_invalid_idle_tree_is_reported_with_its_path() -> None:
     found = DegradedTrees()
     found.follow(policy({"idle": {"yaml": {"topic": {"name": "/beat", "gap": "1"}}}}), None)
     (problem,) = found.problems
@@ -108,7 +108,7 @@ def test_an_idle_tree_that_does_not_load_is_told_by_its_place() -> None:
 
 
 @pytest.mark.ros
-def test_with_real_topics_it_is_short_of_well_while_it_is_healthy_and_busy_while_a_goal_is_worked_on(
+def test_real_topics_show_degradation_and_an_active_goal(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     keep_to_itself(monkeypatch)

@@ -41,7 +41,7 @@ class Evaluating(GivenObserver):
         return self._evaluated.evaluate(self._observations, now=now, since=since)
 
 
-def test_a_pod_that_is_evicted_from_a_lost_node_is_not_lost_while_it_lives() -> None:
+def test_a_running_pod_that_is_evicted_from_a_lost_node_is_not_lost() -> None:
     evicted = replace(ACTIVE, terminating=True, evicted=True)
     assert detector().lost(evicted, time.time()) is None
 
@@ -63,7 +63,7 @@ def test_a_pod_whose_processes_end_is_lost(pod: Instance | None, words: str) -> 
 
 
 @pytest.mark.parametrize(("ip", "lost"), [("10.0.0.2", True), ("", False)])
-def test_a_lost_pod_is_not_taken_to_live_on_in_its_successor_of_the_same_name(ip: str, lost: bool) -> None:
+def test_outputs_of_a_successor_with_the_same_name_do_not_keep_a_lost_pod_alive(ip: str, lost: bool) -> None:
     # As of a StatefulSet. While that one has no address, who is heard under the name is the process of the one before.
     successor = replace(ACTIVE, uid="uid-2", ip=ip)
     found = detector(successor, last_output=time.time()).lost(None, time.time())
@@ -71,7 +71,7 @@ def test_a_lost_pod_is_not_taken_to_live_on_in_its_successor_of_the_same_name(ip
     assert (found[0] is not None) == lost
 
 
-def test_what_fails_after_the_clock_was_set_back_is_noticed_in_the_usual_time() -> None:
+def test_a_clock_that_is_set_back_does_not_delay_the_detection() -> None:
     # The times of what was received are moved with the clock (ros/watching.py); the tree's grace is 30 s.
     monitoring = Monitoring.model_validate({"yaml": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}})
     tree, record = load_monitoring(monitoring), TopicRecord()

@@ -30,14 +30,14 @@ def instance(name: str, **values: object) -> Instance:
 ACTIVE, STANDBY = instance("w-1"), instance("w-2", pool="hot")
 
 
-def test_it_is_true_when_only_the_active_pods_packets_get_through() -> None:
+def test_the_gate_is_enforced_if_only_packets_of_the_active_pod_arrive() -> None:
     assert judge([ACTIVE, STANDBY], "uid-w-1", {"uid-w-1": NOW - 0.5}, now=NOW, since=SINCE)[:2] == (
         "True",
         "SeenFromPackets",
     )
 
 
-def test_a_standbys_packet_means_that_the_network_does_not_enforce() -> None:
+def test_a_packet_of_a_standby_shows_that_the_network_does_not_enforce() -> None:
     status, reason, message = judge(
         [ACTIVE, STANDBY], "uid-w-1", {"uid-w-1": NOW, "uid-w-2": NOW - 1}, now=NOW, since=SINCE
     )
@@ -45,12 +45,12 @@ def test_a_standbys_packet_means_that_the_network_does_not_enforce() -> None:
     assert "w-2" in message
 
 
-def test_packets_from_before_the_switch_are_no_leak() -> None:
+def test_packets_from_before_the_switch_do_not_count() -> None:
     last = {"uid-w-1": NOW, "uid-w-2": SINCE + SETTLE - 1}
     assert judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE)[0] == "True"
 
 
-def test_an_active_pod_that_does_not_get_through_is_blocked() -> None:
+def test_an_active_pod_whose_packets_do_not_arrive_is_blocked() -> None:
     last = {"uid-w-1": NOW - SILENT - 1}
     assert judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE)[:2] == ("False", "Blocked")
 
@@ -64,11 +64,11 @@ def test_a_pod_without_an_agent_is_not_judged() -> None:
     assert judge([foreign, STANDBY], "uid-d-1", {}, now=NOW, since=SINCE)[:2] == ("Unknown", "NoProbe")
 
 
-def test_without_a_standby_holding_back_is_not_claimed() -> None:
+def test_without_a_standby_enforcement_is_unknown() -> None:
     assert judge([ACTIVE], "uid-w-1", {"uid-w-1": NOW}, now=NOW, since=SINCE)[:2] == ("Unknown", "NoStandby")
 
 
-def test_a_standby_that_is_let_through_is_no_leak() -> None:
+def test_an_admitted_standby_is_not_a_leak() -> None:
     last = {"uid-w-1": NOW, "uid-w-2": NOW}
     judged = judge([ACTIVE, STANDBY], "uid-w-1", last, now=NOW, since=SINCE, admitted_uid="uid-w-2")
     assert judged[:2] == ("Unknown", "Admitted"), "and nobody is left to be held back"
@@ -83,7 +83,7 @@ def test_a_standby_that_is_let_through_is_no_leak() -> None:
     assert "w-2" not in judged[2]
 
 
-def test_it_is_judged_again_after_the_gate_admits_another_pod_and_reported_once_known(
+def test_enforcement_is_judged_again_after_the_gate_admits_another_pod(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     objects, clock = ClusterObjects(), Clock(NOW)
@@ -107,7 +107,7 @@ def test_it_is_judged_again_after_the_gate_admits_another_pod_and_reported_once_
     assert told.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
 
 
-def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_packets_say(
+def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     objects, clock, readers = ClusterObjects(), Clock(NOW), Readers()
@@ -128,7 +128,7 @@ def test_a_reader_that_the_gate_does_not_reach_counts_as_not_enforced_whatever_p
     assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"
 
 
-def test_after_the_clock_was_set_back_it_is_judged_as_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clock_that_is_set_back_does_not_change_the_judgement(monkeypatch: pytest.MonkeyPatch) -> None:
     objects, clock = ClusterObjects(), Clock(NOW + 3600)
     objects.put_gate(GateState(epoch=1, active="w-1", active_uid="uid-w-1"))
     last = objects.packets

@@ -57,37 +57,39 @@ class TestWhatIsSeen:
         assert made.follow(policy(carrying=TASK, loaded=LOADED))
         return made
 
-    def test_nothing_is_watched_where_the_policy_has_none(self) -> None:
+    def test_a_policy_without_situations_watches_no_topics(self) -> None:
         made = ContextDetection()
         assert not made.follow(NONE)
         assert made.topics == []
 
-    def test_the_task_s_status_is_watched_and_what_the_tree_needs(self, found: ContextDetection) -> None:
+    def test_the_status_of_the_task_and_the_topics_of_the_tree_are_watched(self, found: ContextDetection) -> None:
         assert {topic.name for topic in found.topics} == {STATUS, "/loaded"}
         assert next(topic for topic in found.topics if topic.name == STATUS).task
 
-    def test_the_same_policy_loads_nothing_anew(self, found: ContextDetection) -> None:
+    def test_an_unchanged_policy_is_not_loaded_again(self, found: ContextDetection) -> None:
         assert not found.follow(policy(carrying=TASK, loaded=LOADED))
         assert found.follow(CARRYING)
         assert [topic.name for topic in found.topics] == [STATUS]
 
-    def test_a_goal_that_is_worked_on_is_one(self, found: ContextDetection) -> None:
+    def test_a_situation_with_a_task_applies_while_a_goal_is_active(self, found: ContextDetection) -> None:
         assert self.seen(found, RecordedObservations({}))["carrying"] == SituationState(False, "")
         active = self.seen(found, RecordedObservations({}, {STATUS: 1.0}))["carrying"]
         assert active == SituationState(True, "a goal of /carry is active")
 
-    def test_so_is_one_that_waits_for_the_next_instance(self, found: ContextDetection) -> None:
+    def test_a_situation_with_a_task_applies_while_a_goal_waits_for_the_next_instance(
+        self, found: ContextDetection
+    ) -> None:
         assert self.seen(found, RecordedObservations({}), "/carry")["carrying"].so
         assert not self.seen(found, RecordedObservations({}), "/other")["carrying"].so
 
-    def test_a_tree_that_holds(self, found: ContextDetection) -> None:
+    def test_a_situation_with_a_tree_applies_while_the_tree_holds(self, found: ContextDetection) -> None:
         assert self.seen(found, RecordedObservations({}))["loaded"].so is False, "without a grace"
         heard = TopicRecord()
         heard.add(time.time())
         beat = RecordedObservations({"/loaded": heard})
         assert self.seen(found, beat)["loaded"] == SituationState(True, "its tree holds")
 
-    def test_what_is_not_watched_can_not_be_told(self, found: ContextDetection) -> None:
+    def test_a_situation_with_unwatched_topics_is_unknown(self, found: ContextDetection) -> None:
         found.leave_out({"/loaded"})
         assert self.seen(found, RecordedObservations({}))["loaded"].so is None
 
@@ -141,7 +143,7 @@ def metric(world: World, name: str) -> float | None:
     return REGISTRY.get_sample_value("understudy_situation", {"situation": name})
 
 
-def test_it_is_said_when_it_begins_and_when_it_is_over_and_not_in_between(world: World) -> None:
+def test_the_begin_and_end_of_a_situation_are_reported_once(world: World) -> None:
     world.so = {"carrying": False}
     assert world.pass_(HEARING + 1) == ""
     assert world.notices.changes == 0
@@ -161,18 +163,18 @@ def test_it_is_said_when_it_begins_and_when_it_is_over_and_not_in_between(world:
     assert ["carrying" in message for _, _, message in world.notices.events] == [True, True]
 
 
-def test_without_situations_nothing_is_looked_at(world: World) -> None:
+def test_without_situations_nothing_is_evaluated(world: World) -> None:
     assert world.pass_(10, NONE) == ""
     assert (world.asked, world.notices.changes) == (0, 0)
 
 
-def test_a_policy_that_has_none_any_more_ends_it_at_once(world: World) -> None:
+def test_a_situation_ends_at_once_if_the_policy_no_longer_has_it(world: World) -> None:
     world.so = {"carrying": True}
     assert world.pass_(1) == "carrying"
     assert world.pass_(0.1, NONE) == ""
 
 
-def test_while_the_instance_fails_it_stays_however_long_that_takes(world: World) -> None:
+def test_a_situation_stays_while_the_instance_fails(world: World) -> None:
     world.so = {"carrying": True}
     assert world.pass_(HEARING + 1) == "carrying"
     world.so = {"carrying": False}
@@ -181,7 +183,7 @@ def test_while_the_instance_fails_it_stays_however_long_that_takes(world: World)
     assert world.pass_(2) == ""
 
 
-def test_a_new_monitor_goes_on_with_it_and_hears_first_of_the_goals(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_monitor_keeps_the_situation_until_it_knows_the_goals(monkeypatch: pytest.MonkeyPatch) -> None:
     said = SituationStatus(name="carrying", since="2026-01-01T00:00:00Z", reason="it was")
     world = made(monkeypatch, PublishedStatus(situation=said))
     world.so = {"carrying": False}
@@ -193,7 +195,7 @@ def test_a_new_monitor_goes_on_with_it_and_hears_first_of_the_goals(monkeypatch:
     assert world.pass_(6) == ""
 
 
-def test_the_next_one_is_in_force_when_the_first_is_over(world: World) -> None:
+def test_the_next_situation_is_in_force_when_the_first_ends(world: World) -> None:
     both = policy(carrying=TASK, loaded=LOADED)
     world.so = {"carrying": True, "loaded": True}
     assert world.pass_(HEARING + 1, both) == "carrying"

@@ -36,7 +36,7 @@ def _instance(name: str, ready: str, restarts: int = 0) -> Instance:
     return Instance(name, f"uid-{name}", restarts=restarts, conditions=(PodCondition("Ready", ready),))
 
 
-def test_a_leaf_about_the_pod_is_judged_by_what_the_cluster_says_of_the_one_in_control(
+def test_a_pod_leaf_is_judged_by_the_status_of_the_active_pod(
     observer: HealthObserver,
 ) -> None:
     observer.follow(policy_with({"pod": {"condition": "Ready"}}), None)
@@ -58,7 +58,7 @@ def test_a_leaf_about_the_pod_is_judged_by_what_the_cluster_says_of_the_one_in_c
     assert observer.verdict(now=time.time(), since=since).state == "Healthy", "what is gone is told otherwise"
 
 
-def test_restarts_of_the_instance_in_control_count(observer: HealthObserver) -> None:
+def test_restarts_of_the_active_instance_count(observer: HealthObserver) -> None:
     observer.follow(policy_with({"pod": {"restarts": 1, "window": "10m"}}), None)
     since = time.time()
     for restarts, expected in ((4, "Healthy"), (5, "Healthy"), (6, "Failed")):
@@ -115,7 +115,7 @@ class Metered:
         return self.observer.verdict(now=time.time(), since=self.since)
 
 
-async def test_what_the_pod_uses_is_asked_for_where_the_tree_needs_it_and_judged(
+async def test_the_usage_of_the_pod_is_requested_only_if_the_tree_needs_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(resource_meter, "PERIOD", 0.02)

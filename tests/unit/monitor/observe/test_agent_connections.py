@@ -78,7 +78,7 @@ def reads(client: MemoryClient) -> int:
     return sum(method == "GET" for method, _, _ in client.requests)
 
 
-async def test_a_secret_that_was_created_again_is_read_again_when_an_agent_refuses_its_token(
+async def test_a_recreated_secret_is_read_when_an_agent_refuses_the_token(
     agent: Agent, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "READ_AGAIN", 2.5, raising=False)

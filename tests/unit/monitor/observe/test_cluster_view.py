@@ -67,9 +67,7 @@ def view(given: Given) -> ClusterView:
 
 
 @pytest.mark.parametrize("broken", [{"bringUp": BROKEN}, {"outputs": "none"}])
-def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(
-    given: Given, view: ClusterView, broken: dict[str, Any]
-) -> None:
+def test_an_invalid_spec_leaves_the_last_one_in_force(given: Given, view: ClusterView, broken: dict[str, Any]) -> None:
     given.workload(bringUp=GOOD)
     before = view.spec
     assert before is not None
@@ -82,7 +80,7 @@ def test_a_spec_that_can_not_be_followed_leaves_the_last_one_in_force(
     assert view.spec is None
 
 
-def test_a_pause_counts_also_where_the_rest_of_a_spec_can_not_be_followed(given: Given, view: ClusterView) -> None:
+def test_a_pause_applies_even_if_the_rest_of_the_spec_is_invalid(given: Given, view: ClusterView) -> None:
     given.workload(bringUp=GOOD)
     assert view.spec is not None
     given.workload(bringUp=BROKEN, pause={"reason": "a new gripper", "owner": "ann"})
@@ -91,9 +89,7 @@ def test_a_pause_counts_also_where_the_rest_of_a_spec_can_not_be_followed(given:
     assert view.spec.bring_up.yaml == GOOD["yaml"]
 
 
-def test_settings_that_somebody_deletes_stay_in_force_until_the_operator_gives_them_again(
-    given: Given, view: ClusterView
-) -> None:
+def test_deleted_settings_stay_in_force(given: Given, view: ClusterView) -> None:
     assert view.settings is None
     given.settings("hot")
     settings = view.settings
@@ -102,7 +98,7 @@ def test_settings_that_somebody_deletes_stay_in_force_until_the_operator_gives_t
     assert view.settings == settings, "without them nothing can be recovered"
 
 
-def test_a_recovery_that_does_not_load_leaves_the_last_policy_in_force(given: Given, view: ClusterView) -> None:
+def test_an_invalid_recovery_procedure_leaves_the_last_policy_in_force(given: Given, view: ClusterView) -> None:
     given.workload()
     given.policy(recovery=GOOD)
     before = view.policy
@@ -113,13 +109,15 @@ def test_a_recovery_that_does_not_load_leaves_the_last_policy_in_force(given: Gi
     assert view.policy.strategies[0].recovery is None, "corrected"
 
 
-def test_a_new_monitor_watches_by_a_policy_with_a_recovery_that_does_not_load(given: Given, view: ClusterView) -> None:
+def test_a_new_monitor_uses_the_health_tree_of_a_policy_with_an_invalid_recovery_procedure(
+    given: Given, view: ClusterView
+) -> None:
     given.workload()
     given.policy(recovery=BROKEN)
     assert view.policy is not None
 
 
-def test_a_tree_in_a_config_map_is_followed_as_the_operator_read_it(given: Given, view: ClusterView) -> None:
+def test_a_tree_in_a_config_map_is_used_as_the_operator_read_it(given: Given, view: ClusterView) -> None:
     given.workload()
     given.policy()
     before = view.policy
@@ -132,7 +130,7 @@ def test_a_tree_in_a_config_map_is_followed_as_the_operator_read_it(given: Given
     assert view.policy.monitoring.tree == tree
 
 
-def test_a_bring_up_in_another_language_is_loaded_as_well(given: Given, view: ClusterView) -> None:
+def test_a_bring_up_in_another_language_is_loaded(given: Given, view: ClusterView) -> None:
     text = 'import osc.understudy\nscenario up:\n    do set_lifecycle("/nav", lifecycle_state!active)\n'
     given.workload(bringUp={"osc": text})
     before = view.spec
@@ -144,9 +142,7 @@ def test_a_bring_up_in_another_language_is_loaded_as_well(given: Given, view: Cl
 AUTO = {"strategies": [{"type": "Auto"}], "requirements": {"availability": "High"}}
 
 
-def test_strategies_that_are_left_to_be_chosen_are_those_that_the_operator_chose(
-    given: Given, view: ClusterView
-) -> None:
+def test_automatic_strategies_are_those_that_the_operator_chose(given: Given, view: ClusterView) -> None:
     given.workload()
     given.policy(AUTO)
     assert view.policy is None, "nothing was chosen yet, and nothing was in force before"
@@ -161,7 +157,7 @@ def test_strategies_that_are_left_to_be_chosen_are_those_that_the_operator_chose
     assert given.pools == ["spare"]
 
 
-def test_until_others_are_chosen_the_last_strategies_are_in_force(given: Given, view: ClusterView) -> None:
+def test_the_last_strategies_stay_in_force_until_others_are_chosen(given: Given, view: ClusterView) -> None:
     given.workload()
     given.policy(verifyWithin="9s")
     before = view.policy

@@ -28,9 +28,7 @@ async def test_a_failure_is_held_for_a_moment_and_recovered_if_no_dependency_has
     assert world.notices.status.find("DependencyFailed") is None, "nothing is said of a look"
 
 
-async def test_a_failure_that_is_noticed_before_the_one_it_follows_from_is_held_as_soon_as_that_one_s_gate_tells() -> (
-    None
-):
+async def test_a_failure_is_held_as_soon_as_the_gate_of_the_dependency_shows_its_failure() -> None:
     world = Upstream()
     await world.said("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
@@ -45,7 +43,7 @@ async def test_a_failure_that_is_noticed_before_the_one_it_follows_from_is_held_
     assert [event[1] for event in world.notices.events] == ["DependencyFailed"]
 
 
-async def test_it_settles_and_is_then_a_failure_of_its_own() -> None:
+async def test_after_the_settling_time_the_failure_is_acted_on() -> None:
     world = Upstream({"name": "localization"})
     await world.said("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
@@ -68,7 +66,7 @@ async def test_the_message_of_a_held_failure_does_not_change_with_its_figures() 
         assert world.condition()[2].startswith("/plan at 3.9 Hz, below 5 Hz")
 
 
-async def test_one_that_gets_well_again_is_held_no_longer() -> None:
+async def test_a_failure_that_ends_is_no_longer_held() -> None:
     world = Upstream()
     await world.said("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.notice(NOW - 0.5, NOW)
@@ -77,14 +75,14 @@ async def test_one_that_gets_well_again_is_held_no_longer() -> None:
     assert world.condition()[:2] == ("False", "HealthyAgain")
 
 
-async def test_a_failure_before_that_of_the_other_is_acted_on_as_ever() -> None:
+async def test_a_failure_that_precedes_that_of_the_dependency_is_not_held() -> None:
     world = Upstream()
     await world.said("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.notice(NOW - 2, NOW - 1.5)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 2, NOW) is None
 
 
-async def test_workloads_that_depend_on_this_one_learn_at_once_that_it_fails() -> None:
+async def test_a_failure_is_written_to_the_status_at_once_for_dependent_workloads() -> None:
     world = Upstream()
     flushed = asyncio.Event()
 
@@ -115,7 +113,7 @@ async def test_without_dependencies_nothing_is_watched_reported_or_held() -> Non
     assert world.notices.status.failing_since is None
 
 
-def test_the_start_of_a_failure_stays_in_the_status_until_it_is_over_also_with_the_next_monitor() -> None:
+def test_the_start_of_a_failure_stays_in_the_status_until_it_ends() -> None:
     notices = RecordedNotices()
     notices.set(health="Failed", failing_since=NOW)
     notices.set(health="Recovering", failing_since=NOW + 5)
@@ -131,7 +129,7 @@ def test_the_start_of_a_failure_stays_in_the_status_until_it_is_over_also_with_t
 class TestBetweenMonitors:
     """What one writes is what the other reads: without that nobody would be held, and nothing be done."""
 
-    async def test_the_first_commit_of_a_recovery_tells_of_the_failure(self, tmp_path: Path) -> None:
+    async def test_the_first_commit_of_a_recovery_shows_the_failure_to_dependents(self, tmp_path: Path) -> None:
         world = Upstream()
         client = world.objects.client
         switch = await gate(client, view(client, "localization"), tmp_path)
@@ -142,7 +140,7 @@ class TestBetweenMonitors:
         world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05)
         assert world.condition()[:2] == ("True", "Held")
 
-    async def test_its_record_tells_that_it_is_over_and_that_something_is_to_be_done(self) -> None:
+    async def test_the_record_of_a_recovery_leads_to_a_reaction_of_dependents(self) -> None:
         first, world = RecordedNotices(), Upstream(adopted="")
         first.set(health="Recovering", failing_since=NOW - 5)
         await world.told(first)
@@ -155,7 +153,7 @@ class TestBetweenMonitors:
         assert found is not None
         assert (found.follows[0].recovery, found.since) == ("r1", pytest.approx(NOW - 1))
 
-    async def test_a_failure_that_is_held_is_known_to_those_that_wait_for_it_in_turn(self) -> None:
+    async def test_a_held_failure_holds_those_of_dependents_too(self) -> None:
         """Of a chain the middle one commits nothing: its status has to tell."""
         middle, last = Upstream(), Upstream()
         await middle.said("Failed", failing_since=rfc3339(NOW - 1))

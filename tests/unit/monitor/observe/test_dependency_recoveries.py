@@ -16,13 +16,13 @@ COSTMAP = {"yaml": {"call_service": {"service": "/costmap/clear", "type": "std_s
 
 
 class TestAfterARecovery:
-    async def test_what_was_recovered_before_it_was_first_seen_asks_for_nothing(self) -> None:
+    async def test_a_recovery_from_before_the_first_observation_causes_no_reaction(self) -> None:
         world = Upstream()
         await world.said("Healthy", recovery("r1", onset=NOW - 60, verified=NOW - 50))
         assert world.dependencies.due(active(), NOW) is None
         assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
 
-    async def test_a_new_recovery_does_and_once(self) -> None:
+    async def test_a_new_recovery_causes_one_reaction(self) -> None:
         world = Upstream()
         await world.said("Healthy")
         await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 1))
@@ -39,19 +39,19 @@ class TestAfterARecovery:
         assert done.dependencies.due(active(), NOW) is None
         assert left.dependencies.due(active(), NOW) is not None
 
-    async def test_a_recovery_that_a_new_monitor_finishes_first_is_not_done_again(self) -> None:
+    async def test_a_reaction_that_a_new_monitor_finishes_is_not_repeated(self) -> None:
         world = Upstream(adopted="r0")
         fresh = Dependencies(world.objects.view, world.notices, world.objects.wakeups)
         fresh.note([DependencyRecovery(name="localization", recovery="r1")])
         assert world.notices.status.followed == (DependencyRecovery(name="localization", recovery="r1"),)
 
-    async def test_an_instance_that_began_after_it_needs_nothing(self) -> None:
+    async def test_an_instance_that_started_after_the_recovery_needs_no_reaction(self) -> None:
         world = Upstream(adopted="r0")
         await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(created=NOW - 1), NOW) is None
         assert world.notices.status.followed[0].recovery == "r1"
 
-    async def test_where_nothing_is_to_be_done_that_is_done_at_once(self) -> None:
+    async def test_without_an_action_the_recovery_counts_as_handled_at_once(self) -> None:
         world = Upstream({"name": "localization"}, adopted="r0")
         await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(), NOW) is None
@@ -64,7 +64,7 @@ class TestAfterARecovery:
         (event,) = world.notices.events
         assert event[1] == "NoAgent"
 
-    async def test_a_pod_without_an_agent_is_restarted_all_the_same(self) -> None:
+    async def test_a_pod_without_an_agent_can_still_be_restarted(self) -> None:
         world = Upstream({"name": "localization", "onRecovery": "Restart"}, adopted="r0")
         await world.said("Healthy", recovery("r1", onset=NOW - 5, verified=NOW - 3))
         assert world.dependencies.due(active(agent=False), NOW) is not None
@@ -82,22 +82,22 @@ def carried_out(*depends_on: Object) -> list[tuple[str, float]]:
 
 
 class TestWhatIsCarriedOut:
-    def test_bring_up_or_a_procedure_and_then_the_policy_s_strategies(self) -> None:
+    def test_a_procedure_is_followed_by_the_strategies_of_the_policy(self) -> None:
         assert carried_out({"name": "a", "onRecovery": "Reinitialize"}) == [("Reinitialize", 30.0), ("Restart", 45.0)]
         own = {"name": "a", "onRecovery": "Procedure", "procedure": COSTMAP}
         assert carried_out(own) == [("Procedure", 15.0), ("Restart", 45.0)]
 
-    def test_a_restart_as_the_policy_has_it(self) -> None:
+    def test_a_restart_has_the_time_limit_of_the_policy(self) -> None:
         assert carried_out({"name": "a", "onRecovery": "Restart"}) == [("Restart", 45.0), ("Restart", 45.0)]
 
-    def test_for_several_each_procedure_once_and_a_restart_makes_them_needless(self) -> None:
+    def test_procedures_of_several_dependencies_run_once_and_a_restart_replaces_them(self) -> None:
         again = {"name": "a", "onRecovery": "Reinitialize"}
         same = {"name": "b", "onRecovery": "Reinitialize"}
         own = {"name": "c", "onRecovery": "Procedure", "procedure": COSTMAP}
         assert carried_out(again, same, own)[0] == ("Procedure", 35.0)
         assert carried_out(again, own, {"name": "d", "onRecovery": "Restart"})[0] == ("Restart", 45.0)
 
-    def test_a_pod_that_is_restarted_counts_as_the_one_that_failed(self) -> None:
+    def test_a_restarted_pod_counts_as_failed(self) -> None:
         spec = parsed_spec(bringUp=BRING_UP, dependsOn=[{"name": "localization", "onRecovery": "Restart"}])
         found = [DependencyRecovery(name="localization", recovery="r1")]
         pod = PodIdentity(name="planning-1", uid="uid-1")

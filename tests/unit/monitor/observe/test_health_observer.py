@@ -35,14 +35,14 @@ def observer(monkeypatch: pytest.MonkeyPatch) -> Iterator[HealthObserver]:
     yield from observing(monkeypatch)
 
 
-def test_an_output_of_a_task_is_expected_only_while_that_is_active(observer: HealthObserver) -> None:
+def test_an_output_of_a_task_is_expected_only_while_the_task_is_active(observer: HealthObserver) -> None:
     assert observer.gated == ["/beat", "/cmd_vel"]
     assert observer.expected == ["/beat"]
     begin_task(observer)
     assert observer.expected == ["/beat", "/cmd_vel"]
 
 
-def test_a_tree_in_xml_takes_the_place_of_one_in_yaml_and_stays_when_the_next_is_broken(
+def test_a_tree_in_xml_replaces_one_in_yaml_and_stays_if_the_next_is_invalid(
     observer: HealthObserver,
 ) -> None:
     def follow(text: str) -> None:
@@ -60,7 +60,7 @@ def test_a_tree_in_xml_takes_the_place_of_one_in_yaml_and_stays_when_the_next_is
     assert not any("health tree" in problem for problem in observer.problems)
 
 
-def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(observer: HealthObserver) -> None:
+def test_a_tree_in_openscenario_replaces_one_in_yaml(observer: HealthObserver) -> None:
     tree = 'import osc.understudy\nscenario healthy:\n    do topic("/beat", gap: 1s)\n'
     spec = {"monitoring": {"osc": tree}, "strategies": [{"type": "Restart"}]}
     observer.follow(FailurePolicySpec.model_validate(spec), None)
@@ -68,7 +68,7 @@ def test_a_tree_in_openscenario_takes_the_place_of_one_in_yaml(observer: HealthO
     assert not any("health tree" in problem for problem in observer.problems)
 
 
-def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(observer: HealthObserver) -> None:
+def test_an_output_of_an_earlier_task_is_not_the_last_healthy_output(observer: HealthObserver) -> None:
     beat, command = publisher(observer, "/beat", String), publisher(observer, "/cmd_vel", Twist)
     active = Instance("w-1", "uid-1", ip=own_address(observer))
     until(observer, lambda: observer.last_from("w-1"), each=lambda: command.publish(Twist()), instances=[active])
@@ -82,7 +82,7 @@ def test_the_last_output_of_an_earlier_task_is_not_when_all_was_well_last(observ
     assert well == observer.last_from("w-1")
 
 
-async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_output(observer: HealthObserver) -> None:
+async def test_the_wait_for_the_first_output_ends_with_the_task(observer: HealthObserver) -> None:
     driving = {"while": {"task_active": {"action": "/go"}}, "do": {"topic": {"name": "/cmd_vel", "gap": "500ms"}}}
     observer.follow(_policy(driving), None)
     objects, standby = ClusterObjects(), Instance("standby", "u", running=True)
@@ -98,7 +98,7 @@ async def test_nothing_more_is_waited_for_when_the_task_ends_before_the_first_ou
         assert await waiting is None
 
 
-def test_an_output_of_which_only_the_publishers_are_looked_at_is_not_expected(observer: HealthObserver) -> None:
+def test_an_output_with_only_a_publisher_leaf_is_not_expected(observer: HealthObserver) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     observer.follow(_policy({"parallel": [gap, {"publisher": {"topic": "/cmd_vel"}}]}), None)
     assert observer.gated == observer.expected == ["/beat"]
@@ -107,7 +107,7 @@ def test_an_output_of_which_only_the_publishers_are_looked_at_is_not_expected(ob
     assert observer.observations.publishers("/cmd_vel").nodes == ()
 
 
-def test_a_node_of_the_name_of_an_output_is_looked_for_and_nothing_is_expected_of_it(observer: HealthObserver) -> None:
+def test_a_node_with_the_name_of_an_output_is_watched_and_not_expected_as_a_topic(observer: HealthObserver) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     observer.follow(_policy({"parallel": [gap, {"node": {"name": "/cmd_vel"}}]}), None)
     assert observer.gated == observer.expected == ["/beat"]
@@ -116,7 +116,7 @@ def test_a_node_of_the_name_of_an_output_is_looked_for_and_nothing_is_expected_o
     assert observer.summary == "Watching /beat, /cmd_vel."
 
 
-def test_an_output_that_is_compared_with_what_is_seen_is_received_but_not_expected(observer: HealthObserver) -> None:
+def test_an_output_of_a_motion_leaf_is_received_but_not_expected(observer: HealthObserver) -> None:
     motion = {"motion": {"topic": "/seen", "commands": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}}
     observer.follow(_policy(motion), None)
     assert observer.observations.in_control
@@ -125,7 +125,7 @@ def test_an_output_that_is_compared_with_what_is_seen_is_received_but_not_expect
     assert observer.expected == [], "a robot that is told nothing stands, and is well"
 
 
-def test_for_a_reflex_the_messages_of_such_an_output_are_received_too(observer: HealthObserver) -> None:
+def test_with_a_reflex_an_output_with_only_a_publisher_leaf_is_received(observer: HealthObserver) -> None:
     spec = {
         "template": {"spec": {}},
         "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],
@@ -137,7 +137,7 @@ def test_for_a_reflex_the_messages_of_such_an_output_are_received_too(observer: 
     assert observer.expected == []
 
 
-def test_a_condition_over_a_field_that_is_not_there_leaves_the_last_tree_in_force(observer: HealthObserver) -> None:
+def test_a_condition_with_an_unknown_field_leaves_the_last_tree_in_force(observer: HealthObserver) -> None:
     leaf = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percent > 0.15"}
     observer.follow(_policy({"value": leaf}), None)
     (problem,) = observer.problems
@@ -145,7 +145,7 @@ def test_a_condition_over_a_field_that_is_not_there_leaves_the_last_tree_in_forc
     assert observer.gated == ["/beat", "/cmd_vel"]
 
 
-def test_what_a_new_tree_names_has_the_grace_to_come(observer: HealthObserver) -> None:
+def test_the_topics_of_a_new_tree_have_the_startup_grace(observer: HealthObserver) -> None:
     now = time.time()
     assert observer.verdict(now=now, since=now - 3600).state == "Starting"
     leaf = {"topic": "/battery", "type": "sensor_msgs/msg/BatteryState", "holds": "percentage > 0.15"}
@@ -155,7 +155,7 @@ def test_what_a_new_tree_names_has_the_grace_to_come(observer: HealthObserver) -
     assert observer.verdict(now=now + 60, since=now - 3600).reason == "no /battery within 30 s of the start"
 
 
-def test_a_type_that_is_not_installed_leaves_its_conditions_out(observer: HealthObserver) -> None:
+def test_a_condition_with_a_missing_type_is_left_out(observer: HealthObserver) -> None:
     leaf = {"topic": "/battery", "type": "nobodys_msgs/msg/Battery", "holds": "charge > 0.15"}
     tree = {"parallel": [{"value": leaf}, {"topic": {"name": "/beat", "gap": "1s"}}]}
     observer.follow(_policy(tree), None)
@@ -176,7 +176,7 @@ def received(observer: HealthObserver, *topics: str) -> set[str]:
     return {topic for topic in topics if observer.observations.topic(topic) is not None}
 
 
-def test_a_topic_of_both_trees_is_received_once_and_by_what_both_need(observer: HealthObserver) -> None:
+def test_a_topic_of_both_trees_is_received_once_with_the_needs_of_both(observer: HealthObserver) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     well = {"parallel": [{"topic": {"name": "/beat", "rate": "> 9 Hz"}}, {"topic": {"name": "/scan", "gap": "1s"}}]}
     beat = publisher(observer, "/beat", String)
@@ -208,9 +208,7 @@ GRACE = 30.0
 """Seconds that a tree gives what it names to come, from its begin on."""
 
 
-def test_a_change_of_what_well_means_does_not_begin_the_health_tree_again(
-    observer: HealthObserver, clock: Clock
-) -> None:
+def test_a_change_of_the_degraded_tree_does_not_restart_the_health_tree(observer: HealthObserver, clock: Clock) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     observer.follow(_degraded(gap, None), None)
     begun, clock.now = clock.now, clock.now + 20
@@ -219,7 +217,7 @@ def test_a_change_of_what_well_means_does_not_begin_the_health_tree_again(
     assert observer.verdict(now=begun + GRACE + 1, since=begun).state == "Failed"
 
 
-def test_a_type_that_only_well_needs_and_that_is_not_installed_leaves_the_health_tree_whole(
+def test_a_missing_type_of_the_degraded_tree_does_not_affect_the_health_tree(
     observer: HealthObserver,
 ) -> None:
     health = {"parallel": [{"topic": {"name": "/beat", "gap": "1s"}}, {"publisher": {"topic": "/battery"}}]}
@@ -232,9 +230,7 @@ def test_a_type_that_only_well_needs_and_that_is_not_installed_leaves_the_health
     assert observer.wellness(now=now, since=now).state == "Starting"
 
 
-def test_a_tree_of_what_well_means_that_does_not_load_is_reported_and_the_last_one_stays(
-    observer: HealthObserver, clock: Clock
-) -> None:
+def test_an_invalid_degraded_tree_is_reported_and_the_last_one_stays(observer: HealthObserver, clock: Clock) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     good = {"topic": {"name": "/beat", "rate": "> 9 Hz"}}
     observer.follow(_degraded(gap, good), None)
@@ -247,9 +243,7 @@ def test_a_tree_of_what_well_means_that_does_not_load_is_reported_and_the_last_o
     assert observer.problems == []
 
 
-def test_the_situation_is_seen_by_what_is_watched_for_it_alone_and_the_health_tree_is_left_as_it_is(
-    observer: HealthObserver, clock: Clock
-) -> None:
+def test_topics_of_situations_do_not_affect_the_health_tree(observer: HealthObserver, clock: Clock) -> None:
     gap = {"topic": {"name": "/beat", "type": "std_msgs/msg/String", "gap": "1s"}}
     strategies = [{"type": "Restart"}]
     carrying = {"name": "carrying", "when": {"task": {"action": "/go"}}, "strategies": strategies}

@@ -18,7 +18,7 @@ from understudy.failover.strategies.restart import Restart
 from understudy.monitor.observe.instance_roles import Role, managed, role_of
 
 
-def test_without_procedures_the_health_tree_alone_counts() -> None:
+def test_without_procedures_only_the_health_tree_counts() -> None:
     for instance in (ACTIVE, SOURCE, replace(STANDBY, pool="hot")):
         assert role_of(instance, parsed_spec(), settings(HOT), active_uid="uid-1") == Role()
 
@@ -31,7 +31,7 @@ def test_a_standby_of_an_initialized_pool_is_initialized_and_checked() -> None:
     assert found.standby == {"brought": found.brought, "tree": False, "check": CHECK.yaml, "period": 2.0}
 
 
-def test_a_container_that_was_started_again_is_to_be_initialized_again() -> None:
+def test_a_restarted_container_is_initialized_again() -> None:
     first, again = (
         role_of(replace(STANDBY, restarts=restarts), parsed_spec(), settings(WARM), active_uid="uid-1").brought
         for restarts in (0, 1)
@@ -39,7 +39,7 @@ def test_a_container_that_was_started_again_is_to_be_initialized_again() -> None
     assert first != again
 
 
-def test_what_the_controller_makes_beside_the_one_in_control_waits_as_the_first_pools() -> None:
+def test_an_own_pod_beside_the_active_instance_has_the_role_of_the_first_pool() -> None:
     pools = settings(PoolChoice(name="spare", readiness="Uninitialized"), WARM, HOT)
     assert role_of(SOURCE, parsed_spec(bringUp=UP), pools, active_uid="uid-1").procedure.name == "initialization"
 
@@ -61,7 +61,7 @@ def test_an_executing_standby_is_initialized_by_the_bring_up_and_judged_by_its_h
     assert found.standby == {"brought": found.brought, "tree": True}
 
 
-def test_the_one_in_control_is_brought_up_where_that_was_not_done() -> None:
+def test_an_active_instance_that_was_not_brought_up_is_brought_up() -> None:
     spec = parsed_spec(bringUp=UP)
     assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1").procedure is not None
     assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1", brought="up:x:0").procedure is None
@@ -72,20 +72,20 @@ def test_the_one_in_control_is_brought_up_where_that_was_not_done() -> None:
     assert role_of(ACTIVE, spec, settings(WARM), active_uid="uid-1").standby is None
 
 
-def test_a_claimed_pod_is_left_to_the_strategy_that_claimed_it() -> None:
+def test_a_claimed_pod_has_no_role_besides_its_strategy() -> None:
     claimed = Instance("s-1", "uid-4", pool="spare", claim="u/1", running=True)
     pools = settings(PoolChoice(name="spare", readiness="Uninitialized"))
     assert role_of(claimed, parsed_spec(bringUp=UP), pools, active_uid="") == Role()
 
 
-def test_procedures_make_a_workload_managed() -> None:
+def test_a_workload_with_a_procedure_is_managed() -> None:
     assert not managed(parsed_spec(), settings(HOT), policy_of())
     assert managed(parsed_spec(bringUp=UP), settings(), policy_of())
     assert managed(parsed_spec(), settings(WARM), policy_of())
     assert managed(parsed_spec(), settings(), policy_of({"type": "Restart", "recovery": UP}))
 
 
-def test_strategies_bring_up_what_is_not_driving_yet() -> None:
+def test_strategies_bring_up_instances_that_do_not_execute_yet() -> None:
     fallback = {"type": "Fallback", "poolRef": {"name": "warm"}}
     hot = {"type": "Fallback", "poolRef": {"name": "hot"}}
     restart = {"type": "Restart", "recovery": {"yaml": {"resend_goals": {}}}}
@@ -101,7 +101,7 @@ def test_strategies_bring_up_what_is_not_driving_yet() -> None:
 
 
 @pytest.mark.parametrize("before", ["init:other:0", ""])
-def test_a_standby_that_is_ready_as_it_is_waits_so(before: str) -> None:
+def test_a_ready_standby_with_an_outdated_procedure_stays_as_it_is(before: str) -> None:
     found = role_of(STANDBY, parsed_spec(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
     assert (found.brought, found.outdated) == (before, True)
     assert found.standby is not None
@@ -110,13 +110,13 @@ def test_a_standby_that_is_ready_as_it_is_waits_so(before: str) -> None:
 
 
 @pytest.mark.parametrize("before", ["up:other:0", "init:other:1"])
-def test_what_was_brought_elsewhere_or_was_started_again_since_is_initialized(before: str) -> None:
+def test_a_standby_brought_up_otherwise_or_restarted_is_initialized(before: str) -> None:
     found = role_of(STANDBY, parsed_spec(), settings(WARM), active_uid="uid-1", brought=before, ready=True)
     assert found.brought.startswith("init:")
     assert (found.brought == before, found.outdated) == (False, False)
 
 
-def test_agents_receive_a_check_in_the_short_form_whatever_its_language() -> None:
+def test_agents_receive_a_check_in_the_short_form_in_any_language() -> None:
     pool = WARM.model_copy(update={"readiness_check": Check(xml=XML_CHECK, period="2s")})
     found = role_of(STANDBY, parsed_spec(), settings(pool), active_uid="uid-1")
     assert found.standby == {
@@ -128,7 +128,7 @@ def test_agents_receive_a_check_in_the_short_form_whatever_its_language() -> Non
     }
 
 
-def test_a_check_that_can_not_be_read_is_left_to_the_agent_to_refuse() -> None:
+def test_an_unreadable_check_is_passed_to_the_agent() -> None:
     pool = WARM.model_copy(update={"readiness_check": Check(xml="<root/>")})
     found = role_of(STANDBY, parsed_spec(), settings(pool), active_uid="uid-1")
     assert found.standby is not None

@@ -52,7 +52,7 @@ def left(tmp_path: Path) -> Left:
     return Left(tmp_path)
 
 
-def test_a_recovery_that_was_not_recorded_continues_as_the_journal_has_it(left: Left) -> None:
+def test_an_unrecorded_recovery_continues_from_the_journal(left: Left) -> None:
     committed = begun(100.0)
     saved = committed.model_copy(update={"index": 1})
     for journal, index in ((saved, 1), (None, 0)):
@@ -62,7 +62,7 @@ def test_a_recovery_that_was_not_recorded_continues_as_the_journal_has_it(left: 
         assert not committed.resumed, "it is a copy"
 
 
-def test_where_the_journal_is_of_an_older_one_the_gate_knows_better(left: Left) -> None:
+def test_the_newer_recovery_of_journal_and_gate_continues(left: Left) -> None:
     older, newer = begun(100.0), begun(200.0)
     progress = left.found(older, newer)
     assert progress is not None
@@ -72,14 +72,14 @@ def test_where_the_journal_is_of_an_older_one_the_gate_knows_better(left: Left) 
     assert progress.id == newer.id, "it hadn't come to the gate yet"
 
 
-def test_an_abandoned_recovery_does_not_continue_after_another_is_over(left: Left) -> None:
+def test_an_abandoned_recovery_does_not_continue_after_a_later_one_ended(left: Left) -> None:
     given_up, done = begun(100.0), begun(200.0)
     assert left.found(given_up, done, recorded=[done]) is None
     ended = given_up.model_copy(update={"result": "Failed"})
     assert left.found(given_up, ended) is None, "somebody was put in control since"
 
 
-def test_an_abandoned_recovery_in_the_gate_does_not_continue_and_a_later_one_does(
+def test_an_abandoned_recovery_at_the_gate_does_not_continue_and_a_later_one_does(
     left: Left,
 ) -> None:
     stopped, later = begun(100.0), begun(200.0)

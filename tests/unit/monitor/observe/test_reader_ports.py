@@ -27,20 +27,20 @@ def judged(
     return judge("robot-17", topics, readings, unreported, robots)
 
 
-def test_a_robot_that_reads_at_gated_ports_is_as_it_should_be() -> None:
+def test_a_robot_that_reads_at_gate_ports_has_no_problem() -> None:
     status, reason, message = judged(reading("10.1.0.7"))
     assert (status, reason) == ("True", "AtGatedPorts")
     assert_golden("monitor", message, "/cmd_vel", "/base", "10.1.0.7:7950")
 
 
-def test_a_robot_that_was_started_without_the_profile_is_told_with_the_cure() -> None:
+def test_a_robot_without_the_profile_is_reported_with_a_cure() -> None:
     status, reason, message = judged(reading("10.1.0.7", DEFAULT))
     assert (status, reason) == ("False", "ReaderWithoutProfile")
     assert "/cmd_vel by /base at 10.1.0.7:7411" in message
     assert "understudy robot-profile robot-17" in message
 
 
-def test_each_output_is_judged_by_itself() -> None:
+def test_each_output_is_judged_separately() -> None:
     topics = (CMD_VEL, ARM)
     both = judged(reading("10.1.0.7"), reading("10.1.0.7", DEFAULT, node="/arm", topic=ARM), topics=topics)
     assert both[:2] == ("False", "ReaderWithoutProfile")
@@ -49,7 +49,7 @@ def test_each_output_is_judged_by_itself() -> None:
     assert judged(reading("10.1.0.7"), topics=topics)[:2] == ("Unknown", "NobodyReads")
 
 
-def test_an_output_that_nobody_reads_is_told() -> None:
+def test_an_output_without_readers_is_reported() -> None:
     status, reason, message = judged()
     assert (status, reason) == ("Unknown", "NobodyReads")
     assert message.startswith("No process of the robot reads /cmd_vel.")
@@ -58,7 +58,7 @@ def test_an_output_that_nobody_reads_is_told() -> None:
 @pytest.mark.parametrize(
     "node", ["/_ros2cli_4711", "/rosbag2_recorder", "/fleet/rosbag2_recorder", "/understudy_watch_12"]
 )
-def test_a_tool_is_no_robot(node: str) -> None:
+def test_readers_of_tools_do_not_count_as_the_robot(node: str) -> None:
     alone = judged(reading("10.1.0.9", DEFAULT, node=node))
     assert alone[:2] == ("Unknown", "NobodyReads")
     assert node in alone[2]
@@ -66,13 +66,13 @@ def test_a_tool_is_no_robot(node: str) -> None:
     assert beside[:2] == ("True", "ReadPastTheGate")
 
 
-def test_where_the_robot_is_behind_the_gate_another_reader_is_told_as_a_fact() -> None:
+def test_another_reader_beside_a_gated_robot_is_only_mentioned() -> None:
     status, reason, message = judged(reading("10.1.0.7"), reading("10.1.0.9", DEFAULT, node="/display"))
     assert (status, reason) == ("True", "ReadPastTheGate")
     assert "/cmd_vel by /display at 10.1.0.9:7411" in message
 
 
-def test_on_a_robot_outside_the_cluster_only_a_gated_reader_of_the_same_host_makes_another_one_harmless() -> None:
+def test_outside_the_cluster_an_ungated_reader_is_harmless_beside_a_gated_one_of_its_host() -> None:
     robots = ("10.20.17.4/32", "10.20.17.5/32")
     display = reading("10.20.17.4", DEFAULT, node="/display")
     assert judged(reading("10.20.17.4"), display, robots=robots)[1] == "ReadPastTheGate"
@@ -80,17 +80,17 @@ def test_on_a_robot_outside_the_cluster_only_a_gated_reader_of_the_same_host_mak
     assert judged(reading("10.20.17.5"), display)[1] == "ReadPastTheGate", "where nobody said whose address it is"
 
 
-def test_one_port_among_several_that_no_gate_closes_is_enough() -> None:
+def test_one_ungated_port_of_several_is_a_problem() -> None:
     group = Reading(CMD_VEL, "/base", (Locator("10.1.0.7", GATED), Locator("239.255.0.1", 7401)))
     assert judged(group)[:2] == ("False", "ReaderWithoutProfile")
 
 
-def test_what_dds_did_not_tell_is_said_and_nothing_concluded_from_it() -> None:
+def test_readers_that_discovery_does_not_report_are_unknown() -> None:
     assert judged(unreported=(CMD_VEL,))[:2] == ("Unknown", "ReadersUnknown")
     assert judged(reading("10.1.0.7"), unreported=(CMD_VEL,))[:2] == ("Unknown", "ReadersUnknown")
     assert judged(reading("10.1.0.7", DEFAULT), unreported=(CMD_VEL,))[:2] == ("False", "ReaderWithoutProfile")
     assert judged(topics=(CMD_VEL, ARM), unreported=(CMD_VEL,))[:2] == ("Unknown", "NobodyReads")
 
 
-def test_a_node_that_has_not_told_its_name_is_told_of_by_its_address() -> None:
+def test_a_node_without_a_known_name_is_reported_by_its_address() -> None:
     assert "/cmd_vel by an unnamed node at 10.1.0.7:7411" in judged(reading("10.1.0.7", DEFAULT, node=""))[2]

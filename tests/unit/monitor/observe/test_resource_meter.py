@@ -78,7 +78,7 @@ async def until(holds: Callable[[], object]) -> None:
             await asyncio.sleep(0.01)
 
 
-async def test_it_is_what_the_containers_take_together_without_the_agent(api: Any, meter: ResourceMeter) -> None:
+async def test_the_usage_is_the_sum_of_the_containers_without_the_agent(api: Any, meter: ResourceMeter) -> None:
     served, _ = api
     served.has("w-1", 1, drive=("250m", "100Mi"), arm=("50000000n", "20480Ki"), understudy_agent=("9", "9Gi"))
     served.has("w-2", 1, drive=("7", "7Gi"))
@@ -97,7 +97,7 @@ async def test_it_is_what_the_containers_take_together_without_the_agent(api: An
     assert meter.problems == []
 
 
-async def test_nothing_is_asked_while_nobody_wants_it(api: Any, meter: ResourceMeter) -> None:
+async def test_nothing_is_requested_while_no_leaf_needs_it(api: Any, meter: ResourceMeter) -> None:
     served, _ = api
     await asyncio.sleep(0.1)
     assert served.requests == []
@@ -118,7 +118,7 @@ async def test_nothing_is_asked_while_nobody_wants_it(api: Any, meter: ResourceM
         ((503, "the server is currently unable to handle the request"), "is currently unable to handle"),
     ],
 )
-async def test_why_there_are_none_is_said(
+async def test_the_reason_for_missing_usage_is_reported(
     api: Any, meter: ResourceMeter, refusal: tuple[int, str], expected: str
 ) -> None:
     served, _ = api
@@ -138,7 +138,7 @@ async def test_why_there_are_none_is_said(
     assert meter.problems == []
 
 
-async def test_figures_that_are_never_made_anew_become_worthless(
+async def test_usage_that_is_not_updated_becomes_unknown(
     api: Any, meter: ResourceMeter, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     served, _ = api
@@ -155,7 +155,9 @@ async def test_figures_that_are_never_made_anew_become_worthless(
 
 
 @pytest.mark.parametrize("items", [None, [7], [{"metadata": {"name": "w-1"}}]])
-async def test_an_answer_of_another_form_ends_nothing(api: Any, meter: ResourceMeter, items: Any) -> None:
+async def test_an_unexpected_answer_is_reported_and_the_requests_continue(
+    api: Any, meter: ResourceMeter, items: Any
+) -> None:
     served, _ = api
     served.items = items
     meter.want("w-1")

@@ -96,7 +96,7 @@ def test_a_finding_is_reported_only_after_it_has_lasted(server: Server, monkeypa
     assert told.conditions == {}
 
 
-def test_the_finding_of_an_earlier_monitor_stands_until_there_is_a_new_one(server: Server) -> None:
+def test_the_finding_of_an_earlier_monitor_is_kept_until_there_is_a_new_one(server: Server) -> None:
     said = condition("OutputsRead", False, "ReaderWithoutProfile", "The gate doesn't reach it.")
     told = RecordedNotices(PublishedStatus(by_type={said.type: said}))
     one = looking(server, told, [CMD_VEL])
@@ -105,14 +105,14 @@ def test_the_finding_of_an_earlier_monitor_stands_until_there_is_a_new_one(serve
     assert one.ungated == ""
 
 
-def test_a_workload_without_topics_says_nothing_of_them(server: Server) -> None:
+def test_a_workload_without_topics_has_no_condition_about_readers(server: Server) -> None:
     told = RecordedNotices()
     told.condition("OutputsRead", "Unknown", "NobodyReads")
     looks(looking(server, told, [Output(service="/snap", type="std_srvs/srv/Trigger")]), 2)
     assert told.conditions == {}
 
 
-def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unavailable_discovery_server_makes_readers_unknown(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DISCOVERY_SERVER", "not a port:eleven")
     told = RecordedNotices()
     server.readers["/cmd_vel"] = [READER]
@@ -120,7 +120,7 @@ def test_a_discovery_server_that_cannot_be_asked_is_no_failure(server: Server, m
     assert told.conditions["OutputsRead"][:2] == ("Unknown", "ReadersUnknown")
 
 
-def test_an_error_does_not_end_it(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_does_not_end_the_observation(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robot_readers, "AGAIN", 0.01)
     monkeypatch.setattr(robot_readers, "PERIOD", 0.01)
 

@@ -42,14 +42,14 @@ async def ends(waiting: asyncio.Task[None]) -> None:
     await asyncio.wait_for(waiting, 20)
 
 
-async def test_it_waits_until_the_moment(arrivals) -> None:
+async def test_the_monitor_waits_until_the_deadline(arrivals) -> None:
     looks = LookSchedule(Wakeups(), arrivals)
     moment = looks.begin() + 0.05
     await looks.until(moment)
     assert time.time() >= moment
 
 
-async def test_a_message_is_looked_at_before_the_moment(arrivals) -> None:
+async def test_a_message_ends_the_wait_before_the_deadline(arrivals) -> None:
     looks = LookSchedule(Wakeups(), arrivals)
     waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
     await asyncio.sleep(0.02)
@@ -58,7 +58,7 @@ async def test_a_message_is_looked_at_before_the_moment(arrivals) -> None:
     await ends(waiting)
 
 
-async def test_messages_that_come_all_the_time_leave_some_time_between_two_looks(arrivals) -> None:
+async def test_frequent_messages_leave_a_minimum_time_between_evaluations(arrivals) -> None:
     looks = LookSchedule(Wakeups(), arrivals)
     begun = [looks.begin()]
     for _ in range(10):
@@ -68,7 +68,7 @@ async def test_messages_that_come_all_the_time_leave_some_time_between_two_looks
     assert min(later - earlier for earlier, later in pairwise(begun)) >= APART - 0.001
 
 
-async def test_what_a_look_has_seen_calls_for_no_other(arrivals) -> None:
+async def test_a_message_that_was_already_evaluated_causes_no_evaluation(arrivals) -> None:
     looks = LookSchedule(Wakeups(), arrivals)
     arrivals.come()
     waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
@@ -77,7 +77,7 @@ async def test_what_a_look_has_seen_calls_for_no_other(arrivals) -> None:
     waiting.cancel()
 
 
-async def test_a_wait_that_ended_otherwise_leaves_nothing_behind(arrivals) -> None:
+async def test_a_wait_that_ended_by_its_deadline_leaves_no_wakeup_behind(arrivals) -> None:
     looks = LookSchedule(Wakeups(), arrivals)
     begun = looks.begin()
     arrivals.come()
@@ -89,7 +89,7 @@ async def test_a_wait_that_ended_otherwise_leaves_nothing_behind(arrivals) -> No
 
 
 @pytest.mark.parametrize("arrivals", [None, Told(asked=False)])
-async def test_without_such_topics_messages_wait(arrivals) -> None:
+async def test_without_topics_that_need_wakeups_messages_do_not_end_the_wait(arrivals) -> None:
     wakeups = Wakeups()
     looks = LookSchedule(wakeups, arrivals)
     waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
@@ -101,7 +101,7 @@ async def test_without_such_topics_messages_wait(arrivals) -> None:
     await ends(waiting)
 
 
-async def test_silence_tells_nothing_after_a_stall(monkeypatch) -> None:
+async def test_silence_is_not_trusted_after_a_stall(monkeypatch) -> None:
     now = 1000.0
     monkeypatch.setattr(
         "understudy.monitor.observe.wakeups.time", type("Clock", (), {"time": staticmethod(lambda: now)})
@@ -118,7 +118,7 @@ async def test_silence_tells_nothing_after_a_stall(monkeypatch) -> None:
         assert looks.trusted_from == (pytest.approx(found + trusted) if trusted else 0.0)
 
 
-async def test_what_was_done_in_between_is_no_stall() -> None:
+async def test_planned_work_between_evaluations_is_no_stall() -> None:
     looks = LookSchedule(Wakeups(), None)
     looks.begin()
     await looks.until(time.time() - 1.0)

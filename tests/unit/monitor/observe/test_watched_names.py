@@ -150,7 +150,7 @@ async def settled() -> None:
         await asyncio.sleep(0)
 
 
-async def test_of_policies_only_the_one_is_watched_that_the_workload_refers_to(server: Server) -> None:
+async def test_only_the_policy_of_the_workload_is_watched(server: Server) -> None:
     async with viewed(server) as view:
         assert policies_watched(server) == {"metadata.name=p"}
         assert gap(view) == "500ms"
@@ -159,7 +159,7 @@ async def test_of_policies_only_the_one_is_watched_that_the_workload_refers_to(s
         assert gap(view) == "700ms"
 
 
-async def test_another_policy_is_followed_as_soon_as_the_workload_refers_to_it(server: Server) -> None:
+async def test_a_changed_reference_to_a_policy_is_followed_at_once(server: Server) -> None:
     async with viewed(server) as view:
         refer(server, "q")
         await settled()
@@ -167,7 +167,7 @@ async def test_another_policy_is_followed_as_soon_as_the_workload_refers_to_it(s
         assert gap(view) == "2s"
 
 
-async def test_the_former_policy_stays_in_force_while_the_right_to_read_the_next_one_is_awaited(
+async def test_the_former_policy_stays_in_force_until_the_next_one_may_be_read(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("understudy.kube.watched_collection.RETRY_FIRST", 0.01)
@@ -182,7 +182,7 @@ async def test_the_former_policy_stays_in_force_while_the_right_to_read_the_next
         assert gap(view) == "2s"
 
 
-async def test_a_monitor_begins_without_a_policy_that_it_may_not_read_and_follows_it_once_it_may(
+async def test_a_monitor_starts_without_an_unreadable_policy_and_uses_it_later(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("understudy.kube.watched_collection.RETRY_FIRST", 0.01)
@@ -196,7 +196,7 @@ async def test_a_monitor_begins_without_a_policy_that_it_may_not_read_and_follow
         assert gap(view) == "500ms"
 
 
-async def test_a_monitor_that_begins_waits_for_its_policy(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_starting_monitor_waits_for_its_policy(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("understudy.kube.watched_collection.RETRY_FIRST", 0.01)
     server.refused.add("metadata.name=p")
     asyncio.get_running_loop().call_later(0.1, server.refused.clear)
@@ -204,7 +204,7 @@ async def test_a_monitor_that_begins_waits_for_its_policy(server: Server, monkey
         assert gap(view) == "500ms"
 
 
-async def test_who_waits_is_watched_only_while_there_is_a_pool_to_claim_from(server: Server) -> None:
+async def test_waiting_workloads_are_watched_only_if_there_is_a_pool_to_claim_from(server: Server) -> None:
     async with viewed(server):
         assert WHO_WAITS not in server.watched
         give_pools(server, "Executing", "Uninitialized")

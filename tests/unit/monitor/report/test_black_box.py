@@ -44,7 +44,7 @@ async def monitored(made: Monitored) -> AsyncIterator[Monitored]:
         await running
 
 
-async def test_what_was_received_before_and_after_a_failure_is_kept(monitored: Monitored) -> None:
+async def test_messages_before_and_after_a_failure_are_recorded(monitored: Monitored) -> None:
     await monitored.driven()
     progress = monitored.fail()
     await monitored.look(0.1)
@@ -67,7 +67,7 @@ async def test_what_was_received_before_and_after_a_failure_is_kept(monitored: M
     }  # fmt: skip
 
 
-async def test_without_being_asked_for_it_keeps_nothing(monitored: Monitored) -> None:
+async def test_without_the_black_box_nothing_is_recorded(monitored: Monitored) -> None:
     monitored.objects.put_policy(policy(None))
     await monitored.look(0.2)
     await monitored.driven(5)
@@ -77,13 +77,13 @@ async def test_without_being_asked_for_it_keeps_nothing(monitored: Monitored) ->
     assert not monitored.cluster.asked
 
 
-async def test_what_is_planned_is_no_failure(monitored: Monitored) -> None:
+async def test_a_planned_recovery_is_not_recorded(monitored: Monitored) -> None:
     monitored.recovered(monitored.fail(planned=True))
     await monitored.look(0.6)
     assert not monitored.archive.recordings
 
 
-async def test_a_failure_that_comes_again_and_again_is_kept_as_it_began(monitored: Monitored) -> None:
+async def test_a_repeated_failure_is_recorded_once(monitored: Monitored) -> None:
     first = monitored.fail()
     first.result = "Failed"
     monitored.box.end(first)
@@ -97,7 +97,7 @@ async def test_a_failure_that_comes_again_and_again_is_kept_as_it_began(monitore
     assert [one.id for one in monitored.archive.recordings] == [first.id]
 
 
-async def test_two_failures_one_after_the_other_are_two_recordings(monitored: Monitored) -> None:
+async def test_two_consecutive_failures_have_two_recordings(monitored: Monitored) -> None:
     await monitored.driven()
     first = monitored.fail()
     monitored.recovered(first)
@@ -110,7 +110,7 @@ async def test_two_failures_one_after_the_other_are_two_recordings(monitored: Mo
         assert monitored.sent[-1] in monitored.messages("/cmd_vel", recording)
 
 
-async def test_what_was_given_up_is_not_held_for_ever(monitored: Monitored) -> None:
+async def test_an_abandoned_recovery_does_not_hold_the_ring(monitored: Monitored) -> None:
     progress = monitored.fail()
     monitored.box.end(progress)  # superseded
     ring = monitored.observer.ring
@@ -119,7 +119,7 @@ async def test_what_was_given_up_is_not_held_for_ever(monitored: Monitored) -> N
     assert not monitored.archive.recordings
 
 
-async def test_a_disk_that_refuses_writes_is_reported_once_and_harms_nothing(
+async def test_an_unwritable_disk_is_reported_once_and_the_next_recording_succeeds(
     monitored: Monitored, tmp_path: Path
 ) -> None:
     (tmp_path / "recordings").write_text("a file where the folder should be")
@@ -134,7 +134,7 @@ async def test_a_disk_that_refuses_writes_is_reported_once_and_harms_nothing(
     assert [one.number for one in monitored.archive.recordings] == [3]
 
 
-async def test_without_the_events_the_rest_is_kept(monitored: Monitored) -> None:
+async def test_a_recording_without_events_is_complete_otherwise(monitored: Monitored) -> None:
     monitored.cluster.refuses = True
     monitored.recovered(monitored.fail())
     await monitored.recorded()
@@ -143,7 +143,7 @@ async def test_without_the_events_the_rest_is_kept(monitored: Monitored) -> None
     assert "events is forbidden" in metadata.metadata["events"]
 
 
-async def test_a_topic_that_is_too_much_is_named(monitored: Monitored) -> None:
+async def test_an_omitted_topic_is_named(monitored: Monitored) -> None:
     ring = monitored.observer.ring
     assert ring is not None
     ring.limit = 1000
@@ -154,7 +154,7 @@ async def test_a_topic_that_is_too_much_is_named(monitored: Monitored) -> None:
     assert "/cmd_vel" in told.left_out
 
 
-async def test_a_failover_waits_for_none_of_it(monitored: Monitored) -> None:
+async def test_the_black_box_does_not_delay_a_failover(monitored: Monitored) -> None:
     await monitored.driven()
     times = []
     for _ in range(20):
@@ -166,7 +166,7 @@ async def test_a_failover_waits_for_none_of_it(monitored: Monitored) -> None:
     assert sorted(times)[10] < 0.001
 
 
-async def test_they_are_offered_to_who_asks(monitored: Monitored, get: Callable[[str], Any]) -> None:
+async def test_recordings_can_be_downloaded(monitored: Monitored, get: Callable[[str], Any]) -> None:
     monitored.recovered(monitored.fail())
     await monitored.recorded()
     (recording,) = monitored.archive.recordings

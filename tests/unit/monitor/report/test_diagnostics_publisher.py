@@ -79,7 +79,7 @@ async def line(processes: Processes, node: Any) -> Any:
     return json.loads(await asyncio.to_thread(processes.line, node, 25))
 
 
-async def test_a_failover_is_read_from_ok_over_error_with_its_reason_to_ok(graph: Any, processes: Processes) -> None:
+async def test_diagnostics_show_a_failover_from_ok_to_error_to_ok(graph: Any, processes: Processes) -> None:
     monitor, reader = Monitor(graph), processes.node("diagnoses", script="viewing.py")
     monitor.ask(diagnostics=True)
     say = monitor.notices
@@ -114,7 +114,7 @@ async def test_a_failover_is_read_from_ok_over_error_with_its_reason_to_ok(graph
         assert after["at"] >= failed["at"]
 
 
-async def test_diagnostics_are_published_only_where_the_spec_asks_for_them(graph: Any) -> None:
+async def test_diagnostics_are_published_only_if_the_spec_enables_them(graph: Any) -> None:
     monitor = Monitor(graph)
     monitor.notices.set(active="w-1", health="Healthy")
     async with monitor.running():
@@ -129,7 +129,7 @@ async def test_diagnostics_are_published_only_where_the_spec_asks_for_them(graph
         await until(lambda: not graph.publishers("/diagnostics"))
 
 
-async def test_the_tree_is_drawn_by_a_tool_that_finds_it_by_itself(graph: Any, processes: Processes) -> None:
+async def test_a_viewer_finds_and_draws_the_tree(graph: Any, processes: Processes) -> None:
     monitor = Monitor(graph)
     monitor.ask(snapshots=True)
     async with monitor.running():
@@ -140,7 +140,7 @@ async def test_the_tree_is_drawn_by_a_tool_that_finds_it_by_itself(graph: Any, p
         assert drawn[2].endswith("-- no /cmd_vel for 500 ms")
 
 
-async def test_what_cannot_be_published_is_reported_and_the_rest_is_published(
+async def test_an_unpublishable_topic_is_reported_and_the_others_are_published(
     graph: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(snapshot_streams, "PACKAGE", "nobodys_interfaces")
@@ -160,5 +160,5 @@ async def test_what_cannot_be_published_is_reported_and_the_rest_is_published(
     ("workload", "namespace"),
     [("robot-17.nav", "/understudy/robot_17_nav"), ("17-drive", "/understudy/_17_drive")],
 )
-def test_a_workload_s_topics_have_names_that_ros_allows(workload: str, namespace: str) -> None:
+def test_the_namespace_of_the_topics_is_a_valid_ros_name(workload: str, namespace: str) -> None:
     assert namespace_of(workload) == namespace

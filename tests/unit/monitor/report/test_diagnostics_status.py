@@ -33,7 +33,7 @@ def test_every_health_has_a_level() -> None:
     assert set(get_args(Health)) <= LEVELS.keys()
 
 
-def test_a_healthy_workload_says_who_is_in_control_and_what_stands_by(notices: Notices) -> None:
+def test_a_healthy_workload_reports_its_active_instance_and_standby(notices: Notices) -> None:
     found = told(notices)
     assert (found.level, found.name, found.hardware) == (0, "understudy: robot-1-drive", "fleet/robot-1-drive")
     assert found.message == "w-1 is in control"
@@ -67,7 +67,7 @@ def test_a_healthy_workload_says_who_is_in_control_and_what_stands_by(notices: N
          "the health is unknown: no policy is in effect, or no instance is running"),
     ],
 )  # fmt: skip
-def test_the_message_is_the_reason(
+def test_the_message_is_the_reason_for_the_health(
     notices: Notices, health: Any, level: int, condition: tuple[str, str, str, str] | None, message: str
 ) -> None:
     if condition is not None:
@@ -77,13 +77,13 @@ def test_the_message_is_the_reason(
     assert (found.level, found.message) == (level, message)
 
 
-def test_what_was_said_of_an_instance_that_is_gone_is_not_repeated(notices: Notices) -> None:
+def test_the_reason_for_an_earlier_instance_is_not_repeated(notices: Notices) -> None:
     notices.condition("Healthy", "False", "Failed", "no /scan for 1 s")
     notices.set(active="", health="Starting")
     assert told(notices).message == "no instance has been healthy yet"
 
 
-def test_the_last_recovery_is_told_with_its_times() -> None:
+def test_the_last_recovery_is_reported_with_its_times() -> None:
     last = Recovery(
             id="r", number=3, reason="no /cmd_vel for 500 ms", result="Recovered", strategy="Fallback/Executing",
             recovery_seconds=0.5814, parts=Parts(detection=0.5, cluster=0.006, startup=0, reinitialization=0.0754),
@@ -104,7 +104,7 @@ def test_the_last_recovery_is_told_with_its_times() -> None:
     }
 
 
-def test_long_texts_fit_into_a_table(notices: Notices) -> None:
+def test_long_texts_are_cut(notices: Notices) -> None:
     notices.condition("Recovering", "False", "NothingVerified", "tried\nin vain " * 200)
     notices.set(health="Failed")
     found = told(notices)

@@ -56,7 +56,7 @@ def showing(now: float, **more: Any) -> LiveTreePages:
     return LiveTreePages(objects.view, observer, Notices(replace(published, **more)))
 
 
-def test_the_state_as_json_has_all_of_it() -> None:
+def test_the_state_in_json_is_complete() -> None:
     status, text, kind = showing(2.0).tree()  # type: ignore[misc]
     assert (status, kind) == (200, "application/json")
     found = json.loads(text)
@@ -123,7 +123,7 @@ async def test_a_browser_draws_the_tree_with_its_states_and_reasons(tmp_path: Pa
     assert document.count("<svg") == 3
 
 
-async def test_the_page_says_that_the_monitor_is_gone(tmp_path: Path) -> None:
+async def test_the_page_reports_that_the_monitor_does_not_answer(tmp_path: Path) -> None:
     shown = showing(2.0)
     document = await seen({"/": shown.page, "/tree": lambda: (503, "no")}, tmp_path)
     assert_golden("monitor", re.findall(r"the monitor can't be reached: [^<]*", document), "can't be reached")

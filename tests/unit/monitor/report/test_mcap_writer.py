@@ -92,7 +92,7 @@ def file(ring: SampleRing, tmp_path: Path) -> Path:
     return path
 
 
-def test_every_message_is_read_back_as_it_came(file: Path, ring: SampleRing) -> None:
+def test_every_message_is_recorded_unchanged(file: Path, ring: SampleRing) -> None:
     with file.open("rb") as opened:
         reader = make_reader(opened, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
@@ -108,7 +108,7 @@ def test_every_message_is_read_back_as_it_came(file: Path, ring: SampleRing) -> 
     assert times == sorted(times)
 
 
-def test_it_opens_as_a_bag_of_rosbag2(file: Path) -> None:
+def test_the_file_opens_as_a_rosbag2_bag(file: Path) -> None:
     with Bag.open(str(file)) as bag:
         assert {topic.name: topic.types for topic in bag.topics.values()} == {
             "/cmd_vel": ("geometry_msgs/msg/Twist",),
@@ -121,7 +121,7 @@ def test_it_opens_as_a_bag_of_rosbag2(file: Path) -> None:
         assert (len(commands), read.linear.x) == (50, 0.7)
 
 
-def test_each_topic_says_what_its_publishers_offered(file: Path) -> None:
+def test_each_topic_has_the_qos_that_its_publishers_offered(file: Path) -> None:
     with file.open("rb") as opened:
         summary = make_reader(opened).get_summary()
     assert summary is not None
@@ -139,7 +139,7 @@ def logged(file: Path) -> list[tuple[float, int, str, str]]:
     return [(at / 1e9 - FAILED, log.level, log.name, log.msg) for at, log in read]
 
 
-def test_what_happened_is_told_in_order(file: Path) -> None:
+def test_events_and_moments_are_recorded_in_order(file: Path) -> None:
     told = logged(file)
     assert [(level, name, text) for _, level, name, text in told] == [
         (30, "RobotWorkload/robot-1-drive", "FailureDetected: so"),
@@ -150,7 +150,7 @@ def test_what_happened_is_told_in_order(file: Path) -> None:
     assert [at for at, *_ in told] == pytest.approx([-0.25, 0.0, 0.01, 0.75], abs=1e-5)
 
 
-def test_the_tree_is_told_by_its_schema(file: Path) -> None:
+def test_the_tree_is_recorded_according_to_its_schema(file: Path) -> None:
     with file.open("rb") as opened:
         (message,) = [m for _, _, m in make_reader(opened).iter_messages(topics=[mcap_writer.TREE])]
     with file.open("rb") as opened:
@@ -163,7 +163,7 @@ def test_the_tree_is_told_by_its_schema(file: Path) -> None:
     assert [one["reason"] for one in attachments["events.json"]] == ["FailureDetected", "Old", "Recovered"]
 
 
-def test_it_says_what_it_is_of_and_what_is_missing(file: Path) -> None:
+def test_the_metadata_contains_the_recovery_and_the_omitted_topics(file: Path) -> None:
     with file.open("rb") as opened:
         (metadata,) = make_reader(opened).iter_metadata()
     assert metadata.name == "understudy"

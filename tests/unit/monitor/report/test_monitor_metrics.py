@@ -8,7 +8,7 @@ from understudy.monitor.report.monitor_metrics import ObservationMetrics
 from understudy.trees.core.observations import TopicRecord
 
 
-def test_messages_and_the_last_one_are_told_by_topic() -> None:
+def test_messages_and_their_last_time_are_exported_by_topic() -> None:
     heard, silent = TopicRecord(), TopicRecord()
     for received in (10.0, 10.1, 10.2):
         heard.add(received)

@@ -33,7 +33,7 @@ def done(at: float, *, planned: bool) -> Progress:
     return progress
 
 
-async def test_the_last_planned_hand_over_is_known_by_the_record() -> None:
+async def test_the_last_planned_recovery_is_known_from_its_record() -> None:
     found = Notices()
     assert found.status.planned is None
     found.record(done(1000.0, planned=False))
@@ -57,7 +57,7 @@ def counted(kind: str, result: str) -> float:
     return REGISTRY.get_sample_value("understudy_switchovers_total", {"kind": kind, "result": result}) or 0.0
 
 
-async def test_a_switchover_is_no_recovery_of_the_metrics_and_no_hand_over_of_a_degraded_instance() -> None:
+async def test_a_switchover_counts_neither_as_a_recovery_nor_as_a_planned_one_for_degradation() -> None:
     found, before = RecordedNotices(), counted("Drain", "Recovered")
     recoveries = {"strategy": "Fallback/Executing", "result": "Recovered"}
     failures = REGISTRY.get_sample_value("understudy_recoveries_total", recoveries)
@@ -70,7 +70,7 @@ async def test_a_switchover_is_no_recovery_of_the_metrics_and_no_hand_over_of_a_
     assert_golden("monitor", describe_switchover(recovery), "w-2", "w-1", "Fallback/Executing", "epoch 0", "0.052 s")
 
 
-async def test_one_that_is_given_back_again_and_again_is_one_record_and_no_failure_s() -> None:
+async def test_repeated_failed_switchovers_are_one_record() -> None:
     found = Notices()
     failure = done(1000.0, planned=False)
     failure.result, failure.failed = "Failed", [PodIdentity(name="w-1", uid="uid-1")]
@@ -82,7 +82,7 @@ async def test_one_that_is_given_back_again_and_again_is_one_record_and_no_failu
     assert describe_switchover(found.status.last).startswith("slow. w-1 can reach the robot again: ")
 
 
-async def test_what_was_handled_is_known_to_the_next_monitor() -> None:
+async def test_a_handled_switchover_is_known_to_the_next_monitor() -> None:
     before = Notices()
     said = SwitchoverStatus(kind="Failover", request="r", handled="r", phase="Done", since="2026-11-22T14:02:11Z")
     before.set_switchover(said)
@@ -90,7 +90,7 @@ async def test_what_was_handled_is_known_to_the_next_monitor() -> None:
     assert after.switchover == said
 
 
-async def test_a_new_monitor_knows_it_and_what_was_said_of_whom() -> None:
+async def test_a_new_monitor_knows_the_last_planned_recovery_and_the_conditions_of_the_instance() -> None:
     before = Notices()
     before.record(done(2000.5, planned=True))
     before.set(active="w-1")
@@ -104,7 +104,7 @@ async def test_a_new_monitor_knows_it_and_what_was_said_of_whom() -> None:
     assert after.find("Recovering") is None
 
 
-async def test_goals_are_those_that_the_proxy_has_worked_on_or_not() -> None:
+async def test_tasks_with_active_goals_are_reported() -> None:
     found = Notices()
     found.set_tasks([TaskStatus(action="/go", active=0), TaskStatus(action="/dock", active=2)])
     assert found.status.goals == ["/dock"]
@@ -176,7 +176,7 @@ async def looked(found: Monitor, item: Object) -> None:
     await found.writer.flush()
 
 
-async def test_what_is_still_so_is_said_of_the_present_spec_and_since_when_stays() -> None:
+async def test_an_unchanged_condition_gets_the_present_generation_and_keeps_its_time() -> None:
     """kubectl wait takes no condition whose observedGeneration is below the object's: after a pause it would wait for ever."""
     api = Applied()
     found = monitor_of(api)
@@ -197,7 +197,7 @@ async def test_what_is_still_so_is_said_of_the_present_spec_and_since_when_stays
     assert api.writes == writes
 
 
-async def test_what_a_dead_monitor_wrote_late_is_written_over() -> None:
+async def test_a_late_status_of_a_dead_monitor_is_overwritten() -> None:
     api = Applied()
     dead, living = monitor_of(api), monitor_of(api)
     await recovered(living)
@@ -214,7 +214,7 @@ async def test_what_a_dead_monitor_wrote_late_is_written_over() -> None:
     assert api.writes == writes
 
 
-async def test_a_status_as_it_was_said_costs_no_writes() -> None:
+async def test_an_unchanged_status_is_not_written_again() -> None:
     api = Applied()
     living = monitor_of(api)
     await looked(living, api.item)
@@ -236,7 +236,7 @@ async def test_a_status_as_it_was_said_costs_no_writes() -> None:
     assert api.writes == 2
 
 
-async def test_what_the_api_server_wrote_differently_is_not_repaired_for_ever() -> None:
+async def test_a_status_that_the_api_server_pruned_is_not_repaired_for_ever() -> None:
     api = Applied()
     living = monitor_of(api)
     request = api.server.request
@@ -252,7 +252,7 @@ async def test_what_the_api_server_wrote_differently_is_not_repaired_for_ever() 
     assert api.writes == 1
 
 
-async def test_a_definition_that_is_older_than_the_monitor_takes_what_it_knows_and_somebody_is_told_once(
+async def test_an_older_definition_receives_known_fields_and_the_others_are_logged_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     api = Applied()
@@ -292,7 +292,7 @@ async def test_a_status_that_is_refused_for_another_reason_is_an_error() -> None
     assert api.writes == 1
 
 
-async def test_two_monitors_do_not_keep_each_other_writing(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_two_monitors_do_not_overwrite_each_other_continuously(monkeypatch: pytest.MonkeyPatch) -> None:
     api, now = Applied(), [1000.0]
     monkeypatch.setattr(status_writer.time, "monotonic", lambda: now[0])
     one, other = monitor_of(api), monitor_of(api)
@@ -306,7 +306,7 @@ async def test_two_monitors_do_not_keep_each_other_writing(monkeypatch: pytest.M
     assert api.writes - writes == 2 * 60 / status_writer.AGAIN
 
 
-async def test_what_was_said_before_a_write_without_an_answer_is_said_again() -> None:
+async def test_a_status_is_written_again_after_an_unanswered_write() -> None:
     api = Applied()
     living = monitor_of(api)
     await living.writer.flush()
@@ -358,7 +358,7 @@ def health(api: Applied) -> str:
     return found
 
 
-async def test_a_recovery_is_told_in_one_write_once_it_is_over(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_short_recovery_is_reported_in_one_write_after_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """The record beside the gate reports it meanwhile: in a burst, in which each takes longer, that would be a write for each robot."""
     async with running(monkeypatch) as (api, found):
         with recovering(found):
@@ -370,7 +370,7 @@ async def test_a_recovery_is_told_in_one_write_once_it_is_over(monkeypatch: pyte
     assert len(api.item["status"]["recoveries"]) == 1
 
 
-async def test_one_that_takes_longer_is_told_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_long_recovery_is_reported_while_it_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     async with running(monkeypatch) as (api, found):
         with recovering(found):
             await until(lambda: api.writes > 0)
@@ -379,7 +379,7 @@ async def test_one_that_takes_longer_is_told_meanwhile(monkeypatch: pytest.Monke
     assert api.writes == 2
 
 
-async def test_what_others_wait_for_is_told_at_once_in_a_recovery_too(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_requested_write_happens_at_once_during_a_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
     async with running(monkeypatch, under_way=60.0) as (api, found):
         with recovering(found):
             await asyncio.sleep(0.02)
@@ -387,7 +387,7 @@ async def test_what_others_wait_for_is_told_at_once_in_a_recovery_too(monkeypatc
             await until(lambda: health(api) == "Recovering")
 
 
-async def test_what_was_to_be_said_when_a_recovery_began_waits_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_pending_write_waits_for_the_end_of_a_recovery(monkeypatch: pytest.MonkeyPatch) -> None:
     async with running(monkeypatch, quiet=0.05) as (api, found):
         found.set(strategy="Restart")
         await asyncio.sleep(0.01)

@@ -41,7 +41,7 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_recording_is_told_of_with_its_size_and_checksum(tmp_path: Path) -> None:
+def test_a_recording_is_listed_with_its_size_and_checksum(tmp_path: Path) -> None:
     archive = RecordingArchive(tmp_path / "recordings")
     assert not archive.recordings
     assert not (tmp_path / "recordings").exists(), "nothing is made before something fails"
@@ -51,7 +51,7 @@ def test_a_recording_is_told_of_with_its_size_and_checksum(tmp_path: Path) -> No
     assert RecordingArchive(tmp_path / "recordings").recordings == archive.recordings == [kept]
 
 
-def test_the_oldest_goes_first_by_number(tmp_path: Path) -> None:
+def test_the_oldest_recordings_beyond_the_number_are_deleted(tmp_path: Path) -> None:
     archive = RecordingArchive(tmp_path)
     for number in range(1, 6):
         keep(archive, number, most=3)
@@ -60,14 +60,14 @@ def test_the_oldest_goes_first_by_number(tmp_path: Path) -> None:
     assert [one.number for one in RecordingArchive(tmp_path).recordings] == [5, 4, 3]
 
 
-def test_the_oldest_goes_first_by_size(tmp_path: Path) -> None:
+def test_the_oldest_recordings_beyond_the_size_are_deleted(tmp_path: Path) -> None:
     archive = RecordingArchive(tmp_path)
     for number, size in enumerate((4000, 3000, 2000, 5000), 1):
         keep(archive, number, size, most_bytes=9000)
     assert [one.number for one in archive.recordings] == [4, 3]
 
 
-def test_one_that_is_more_than_all_may_be_costs_no_other(tmp_path: Path) -> None:
+def test_a_recording_that_is_too_large_removes_no_other(tmp_path: Path) -> None:
     archive = RecordingArchive(tmp_path)
     keep(archive, 1)
     with pytest.raises(TooBig, match=r"it has 9000 bytes, and blackBox.maxSize is 5000"):
@@ -76,7 +76,7 @@ def test_one_that_is_more_than_all_may_be_costs_no_other(tmp_path: Path) -> None
     assert names(tmp_path) == ["id1.json", "id1.mcap"]
 
 
-def test_a_full_disk_leaves_nothing_behind_and_the_others_as_they_were(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_no_partial_file_and_keeps_the_other_recordings(tmp_path: Path) -> None:
     archive = RecordingArchive(tmp_path)
     keep(archive, 1, most=1)
 
@@ -92,7 +92,7 @@ def test_a_full_disk_leaves_nothing_behind_and_the_others_as_they_were(tmp_path:
     assert [one.number for one in archive.recordings] == [3]
 
 
-def test_a_folder_that_cant_be_made(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     archive = RecordingArchive(tmp_path / "file" / "recordings")
     assert not archive.recordings
@@ -100,7 +100,7 @@ def test_a_folder_that_cant_be_made(tmp_path: Path) -> None:
         keep(archive, 1)
 
 
-def test_what_a_killed_monitor_had_begun_is_removed(tmp_path: Path) -> None:
+def test_files_of_a_killed_monitor_are_removed(tmp_path: Path) -> None:
     keep(RecordingArchive(tmp_path), 1)
     (tmp_path / "id2.mcap.new").write_bytes(b"half")
     (tmp_path / "id3.json").write_text(recording(3).model_dump_json())  # it was killed between the two
@@ -110,7 +110,7 @@ def test_what_a_killed_monitor_had_begun_is_removed(tmp_path: Path) -> None:
     assert names(tmp_path) == ["id1.json", "id1.mcap"]
 
 
-def test_no_recording_lies_elsewhere_whatever_its_id(tmp_path: Path) -> None:
+def test_a_recording_stays_in_its_folder_for_any_id(tmp_path: Path) -> None:
     archive = RecordingArchive(tmp_path / "recordings")
     evil = recording(1).model_copy(update={"id": "../../evil"})
     archive.keep(evil, of(100), most=1, most_bytes=1000)

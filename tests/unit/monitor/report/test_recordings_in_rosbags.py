@@ -76,7 +76,7 @@ def ext(connection: Connection) -> ConnectionExtRosbag2:
     return connection.ext
 
 
-def test_its_topics_are_told_with_their_types_and_counts(bag: Reader) -> None:
+def test_topics_have_their_types_and_counts(bag: Reader) -> None:
     assert {one.topic: one.msgtype for one in bag.connections} == TYPES
     assert {ext(one).serialization_format for one in bag.connections} == {"cdr"}
     counts = {one.topic: one.msgcount for one in bag.connections}
@@ -87,20 +87,20 @@ def test_its_topics_are_told_with_their_types_and_counts(bag: Reader) -> None:
     assert abs(bag.end_time - time.time_ns()) < 60e9
 
 
-def test_its_times_go_on(bag: Reader) -> None:
+def test_times_are_ascending(bag: Reader) -> None:
     times = [at for _, at, _ in bag.messages()]
     assert times == sorted(times)
     assert (times[0], times[-1]) == (bag.start_time, bag.end_time - 1)
 
 
-def test_what_its_publishers_offered_is_told(bag: Reader) -> None:
+def test_topics_have_the_offered_qos(bag: Reader) -> None:
     offered = {one.topic: ext(one).offered_qos_profiles for one in bag.connections}
     (profile,) = offered.pop("/cmd_vel")
     assert (profile.reliability.name, profile.durability.name) == ("RELIABLE", "TRANSIENT_LOCAL")
     assert not any(offered.values()), "what Understudy adds is offered as usual"
 
 
-def test_its_own_definitions_are_enough_to_read_every_message(bag: Reader) -> None:
+def test_the_recorded_definitions_are_sufficient_to_read_every_message(bag: Reader) -> None:
     store = get_typestore(Stores.EMPTY)
     for one in bag.connections:
         assert one.msgdef.format == MessageDefinitionFormat.MSG
@@ -120,7 +120,7 @@ def said(message: Any) -> Any:
     return message
 
 
-def test_it_has_what_rosbag2_insists_on(recorded: Path) -> None:
+def test_the_file_has_what_rosbag2_requires(recorded: Path) -> None:
     with recorded.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
@@ -139,7 +139,7 @@ def _ordered(chunk: ChunkIndex) -> bool:
     return chunk.message_index_length > 0 and chunk.compression in ("", "zstd", "lz4")
 
 
-async def test_it_is_played_as_it_was_offered(bag: Reader) -> None:
+async def test_recorded_topics_are_played_with_the_offered_qos(bag: Reader) -> None:
     context = rclpy.Context()
     rclpy.init(context=context)
     node = rclpy.create_node("plays", context=context)

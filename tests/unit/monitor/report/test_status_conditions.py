@@ -43,7 +43,7 @@ def monitor(tmp_path: Path) -> GivenMonitor:
         ),
     ],
 )
-def test_whether_everything_is_received_is_in_the_condition_monitored(
+def test_the_condition_monitored_reports_whether_everything_is_received(
     monitor: GivenMonitor, seen: dict[str, Any], condition: tuple[str, str, str], events: list[str]
 ) -> None:
     monitor.observer.troubles = list(seen.get("problems", ()))
@@ -67,7 +67,7 @@ def test_whether_everything_is_received_is_in_the_condition_monitored(
         ("Starting", False, "Starting", "Unknown"),
     ],
 )
-def test_an_instance_that_is_degraded_is_still_healthy(
+def test_a_degraded_instance_is_still_healthy(
     monitor: GivenMonitor, state: State, degraded: bool, health: str, status: str
 ) -> None:
     verdict = Verdict(state, "why", "leaf", None)
