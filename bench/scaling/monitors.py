@@ -169,13 +169,13 @@ class Monitor:
         begun = time.time()
         strategy = UninitializedFallback(POOL)
         progress = Progress.begin("claim", last_healthy=begun, detected=begun)
-        means = self.monitor_loop.decide.options.means()
+        context = self.monitor_loop.decide.options.context()
         found: Instance | None = None
         error = "no pod was free"
         while found is None and time.time() < begun + CLAIM_WITHIN:
             try:
-                await strategy.look(means, progress)
-                found = await strategy._claim(progress, means)
+                await strategy.look(context, progress)
+                found = await strategy._claim(progress, context)
             except _UNREACHABLE as reason:
                 error = repr(reason)
                 break

@@ -13,7 +13,7 @@ from typing import Literal
 from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import ClaimsLost, Instance, NotAvailable, NotVerified, Superseded
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Choice, Means
+from understudy.failover.strategies.base import Choice, StrategyContext
 
 _logger = logging.getLogger(__name__)
 
@@ -30,23 +30,23 @@ QUIET = 0.200
 """Seconds without a sample of any other instance before a leak counts as closed."""
 
 
-async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -> Progress:
+async def recover(progress: Progress, choices: Sequence[Choice], context: StrategyContext) -> Progress:
     """Activate a healthy instance with the first strategy that is verified.
 
     Returns the progress with its result, Recovered or Failed.
     Raises Superseded when another monitor commits to the gate.
     """
     if progress.result == "Recovered":
-        await retire(progress, means)
+        await retire(progress, context)
         return progress
     for index in range(min(progress.index, len(choices)), len(choices)):
         choice = choices[index]
         progress.index, progress.strategy = index, choice.strategy.name
         # A run that continues an interrupted one was decided by that one.
-        progress.charge("cluster", progress.moments.setdefault("decided", means.clock()))
+        progress.charge("cluster", progress.moments.setdefault("decided", context.clock()))
         if progress.attempts:
-            means.save(progress)  # otherwise nothing was done yet, and the first commit must not wait
-        result, message = await _attempt(progress, choice, means, last=index == len(choices) - 1)
+            context.save(progress)  # otherwise nothing was done yet, and the first commit must not wait
+        result, message = await _attempt(progress, choice, context, last=index == len(choices) - 1)
         pod = progress.target.name if progress.target else ""
         progress.attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=message))
         _logger.info("strategy %s with %s: %s %s", choice.strategy.name, pod or "no pod", result, message)
@@ -57,49 +57,49 @@ async def recover(progress: Progress, choices: Sequence[Choice], means: Means) -
         progress.forget_attempt()
     else:
         progress.result, progress.strategy = "Failed", ""
-    means.save(progress)
+    context.save(progress)
     if progress.result == "Recovered":
-        await retire(progress, means)
+        await retire(progress, context)
     return progress
 
 
 async def _attempt(
-    progress: Progress, choice: Choice, means: Means, *, last: bool
+    progress: Progress, choice: Choice, context: StrategyContext, *, last: bool
 ) -> tuple[Literal["Verified", "NotVerified", "NotAvailable"], str]:
     begun = progress.target is not None or progress.waiting is not None  # by an earlier monitor
-    if not begun and (reason := means.holds(choice.strategy)) is not None:
+    if not begun and (reason := context.holds(choice.strategy)) is not None:
         return "NotAvailable", reason
     try:
-        await _in_its_time(progress, choice, means, last=last)
+        await _in_its_time(progress, choice, context, last=last)
     except NotAvailable as reason:
         return "NotAvailable", str(reason)
     except NotVerified as reason:
         return "NotVerified", str(reason)
     except TimeoutError:
         return "NotVerified", f"the strategy was not verified within {choice.verify_within:g} s: {_missing(progress)}"
-    progress.epoch = means.gate.state.epoch
+    progress.epoch = context.gate.state.epoch
     return "Verified", ""
 
 
-async def _in_its_time(progress: Progress, choice: Choice, means: Means, *, last: bool) -> None:
+async def _in_its_time(progress: Progress, choice: Choice, context: StrategyContext, *, last: bool) -> None:
     """Wait for the resources of the strategy, then carry it out within its time."""
     while True:
-        await choice.strategy.wait(progress, means)
+        await choice.strategy.wait(progress, context)
         try:
             async with asyncio.timeout(choice.verify_within):
-                await unless_lost(_carry_out(progress, choice, means), progress, means, crashing_counts=not last)
+                await unless_lost(_carry_out(progress, choice, context), progress, context, crashing_counts=not last)
             return
         except ClaimsLost as reason:
             _logger.info("%s", reason)
 
 
-async def _carry_out(progress: Progress, choice: Choice, means: Means) -> None:
-    target = await choice.strategy.prepare(progress, means, within=choice.verify_within)
-    await _verify(target, progress, means)
+async def _carry_out(progress: Progress, choice: Choice, context: StrategyContext) -> None:
+    target = await choice.strategy.prepare(progress, context, within=choice.verify_within)
+    await _verify(target, progress, context)
 
 
 async def unless_lost(
-    work: Coroutine[None, None, None], progress: Progress, means: Means, *, crashing_counts: bool
+    work: Coroutine[None, None, None], progress: Progress, context: StrategyContext, *, crashing_counts: bool
 ) -> None:
     """Do the work, and stop if its instance is lost, so that the next strategy is tried.
 
@@ -107,7 +107,7 @@ async def unless_lost(
     Raises NotVerified.
     """
     working = asyncio.create_task(work)
-    watching = asyncio.create_task(_loss(progress, means, crashing_counts=crashing_counts))
+    watching = asyncio.create_task(_loss(progress, context, crashing_counts=crashing_counts))
     try:
         await asyncio.wait((working, watching), return_when=asyncio.FIRST_COMPLETED)
         if not working.done():
@@ -119,7 +119,7 @@ async def unless_lost(
         await asyncio.gather(working, watching, return_exceptions=True)
 
 
-async def _loss(progress: Progress, means: Means, *, crashing_counts: bool) -> str:
+async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts: bool) -> str:
     """Wait until the instance that is brought up is lost; return how."""
     missing: float | None = None
     while True:
@@ -127,16 +127,16 @@ async def _loss(progress: Progress, means: Means, *, crashing_counts: bool) -> s
         if progress.target is None:
             continue
         uid, name = progress.target.uid, progress.target.name
-        found = next((i for i in means.instances.of_workload() if i.uid == uid), None)
+        found = next((i for i in context.instances.of_workload() if i.uid == uid), None)
         if found is not None and found.terminating:
             return f"pod {name} is being deleted"
         if found is not None and found.running:
-            if crashing_counts and found.crashing and not means.agents.is_ready(found)[0]:
+            if crashing_counts and found.crashing and not context.agents.is_ready(found)[0]:
                 return f"a container of pod {name} is crash-looping"
             missing = None
             continue
-        missing = missing if missing is not None else means.clock()
-        if means.clock() - missing >= LOST:
+        missing = missing if missing is not None else context.clock()
+        if context.clock() - missing >= LOST:
             return f"pod {name} {'is gone' if found is None else 'has stopped running'}"
 
 
@@ -153,23 +153,23 @@ def _missing(progress: Progress) -> str:
     return "no instance was running" if progress.target is None else "the processes of the new instance did not start"
 
 
-async def _verify(target: Instance, progress: Progress, means: Means) -> None:
+async def _verify(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Wait until outputs arrive from the new instance and from no other one."""
     since = progress.moments.get("committing", progress.cursor)
-    first = await means.outputs.first_from(target, since=since)
+    first = await context.outputs.first_from(target, since=since)
     if first is not None:
         progress.note_first_output(first)
-    await alone(target, progress, means)
+    await alone(target, progress, context)
 
 
-async def alone(target: Instance, progress: Progress, means: Means) -> None:
+async def alone(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Wait until only one instance drives the robot: outputs of a failed pod end when the pod is deleted.
 
     Raises Superseded.
     """
     since = progress.moments.get("committing", progress.cursor)
     fenced = progress.moments.get("fenced", since)
-    last, pod = means.outputs.last_from_others(target)
+    last, pod = context.outputs.last_from_others(target)
     if last > fenced + IN_FLIGHT:
         _logger.warning(
             "outputs of %s still arrived %.0f ms after the gate was closed to it: waiting until they end",
@@ -177,18 +177,18 @@ async def alone(target: Instance, progress: Progress, means: Means) -> None:
             (last - fenced) * 1000,
         )
         progress.moments["fenced"] = last
-        await retire(progress, means)
-        while means.clock() - last < QUIET:
+        await retire(progress, context)
+        while context.clock() - last < QUIET:
             await asyncio.sleep(QUIET / 4)
-            last, pod = means.outputs.last_from_others(target)
+            last, pod = context.outputs.last_from_others(target)
             progress.moments["fenced"] = max(progress.moments["fenced"], last)
-    if means.gate.state.active_uid != target.uid:
-        raise Superseded(f"the gate admits {means.gate.state.active or 'no pod'}, not {target.name}")
-    progress.moments["verified"] = means.clock()
+    if context.gate.state.active_uid != target.uid:
+        raise Superseded(f"the gate admits {context.gate.state.active or 'no pod'}, not {target.name}")
+    progress.moments["verified"] = context.clock()
 
 
-async def retire(progress: Progress, means: Means) -> None:
+async def retire(progress: Progress, context: StrategyContext) -> None:
     """Delete the pods that failed: the gate routes packets, it does not end processes."""
-    for instance in means.instances.of_workload():
+    for instance in context.instances.of_workload():
         if progress.has_failed(instance.uid) and not instance.terminating:
-            await means.instances.retire(instance)
+            await context.instances.retire(instance)

@@ -15,7 +15,7 @@ from itertools import pairwise
 from understudy.failover.availability import INSTANCE_GONE, Availability
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.base import StrategyContext, Strategy
 from understudy.failover.strategies.steps import PROBE_SECONDS
 
 FENCE_QUIET = 0.03
@@ -99,26 +99,26 @@ def begin(taken: ReflexSwitch, active: PodIdentity, deadline: float) -> Progress
     return progress
 
 
-async def commit(progress: Progress, means: Means) -> None:
+async def commit(progress: Progress, context: StrategyContext) -> None:
     """Have the gate name the standby that took over, however long the API server is away. Raises Superseded.
 
     Nothing is committed where that standby is gone, or where it was done before: recover() finds out.
     """
     taken = progress.taken_over
-    target = _standing(progress, means)
-    if taken is None or target is None or means.gate.state.active_uid == taken.uid:
+    target = _standing(progress, context)
+    if taken is None or target is None or context.gate.state.active_uid == taken.uid:
         return
     progress.target = taken
-    progress.moments.setdefault("decided", means.clock())
-    progress.moments["committing"] = means.clock()
-    means.save(progress)
-    for instance in means.instances.of_workload():
+    progress.moments.setdefault("decided", context.clock())
+    progress.moments["committing"] = context.clock()
+    context.save(progress)
+    for instance in context.instances.of_workload():
         if progress.has_failed(instance.uid):
             # No API server is needed for this, and a crashed container is back in a second.
-            await means.agents.give_way(instance)
-            await means.agents.probe(instance, PROBE_SECONDS)
-    await means.gate.commit(target, progress)
-    progress.moments["committed"] = means.clock()
+            await context.agents.give_way(instance)
+            await context.agents.probe(instance, PROBE_SECONDS)
+    await context.gate.commit(target, progress)
+    progress.moments["committed"] = context.clock()
 
 
 class ReflexFallback(Strategy):
@@ -126,47 +126,47 @@ class ReflexFallback(Strategy):
 
     name = "Fallback/Executing (reflex)"
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
         """Return whether the recovery can continue with the standby that took over."""
         if progress is None or progress.taken_over is None:
             return Availability(False, INSTANCE_GONE, "no standby has taken over")
-        if _standing(progress, means) is None:
+        if _standing(progress, context) is None:
             return Availability(False, INSTANCE_GONE, f"{progress.taken_over.name}, which took over, is gone")
-        if means.gate.state.active_uid != progress.taken_over.uid:
-            words = f"the gate admits {means.gate.state.active or 'no pod'}, not {progress.taken_over.name}"
+        if context.gate.state.active_uid != progress.taken_over.uid:
+            words = f"the gate admits {context.gate.state.active or 'no pod'}, not {progress.taken_over.name}"
             return Availability(False, INSTANCE_GONE, words)
         return Availability(True)
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
         """Wait until the loser is fenced. Raises NotAvailable."""
-        target = _standing(progress, means)
-        if target is None or (reason := self.available(means, progress)) is not None:
-            reason = self.available(means, progress) or ""
+        target = _standing(progress, context)
+        if target is None or (reason := self.available(context, progress)) is not None:
+            reason = self.available(context, progress) or ""
             if progress.taken_over is not None and not progress.has_failed(progress.taken_over.uid):
                 progress.failed.append(progress.taken_over)  # from here on, time is lost again
             raise NotAvailable(reason)
         progress.target = PodIdentity(name=target.name, uid=target.uid)
-        await _fenced(progress, means)
+        await _fenced(progress, context)
         for part in ("cluster", "startup", "reinitialization"):
             progress.parts.setdefault(part, 0.0)
         return target
 
 
-def _standing(progress: Progress, means: Means) -> Instance | None:
+def _standing(progress: Progress, context: StrategyContext) -> Instance | None:
     taken = progress.taken_over
     if taken is None:
         return None
-    return next((i for i in means.instances.of_workload() if i.uid == taken.uid and i.usable), None)
+    return next((i for i in context.instances.of_workload() if i.uid == taken.uid and i.usable), None)
 
 
-async def _fenced(progress: Progress, means: Means) -> None:
+async def _fenced(progress: Progress, context: StrategyContext) -> None:
     """Note when the loser was: at the commit, or with its last packet that got through after it."""
-    committed = progress.moments.get("committed", means.clock())
-    begun = means.clock()
+    committed = progress.moments.get("committed", context.clock())
+    begun = context.clock()
     while True:
-        last = max((means.gate.last_packet(pod.uid) or 0.0 for pod in progress.failed), default=0.0)
+        last = max((context.gate.last_packet(pod.uid) or 0.0 for pod in progress.failed), default=0.0)
         fenced = max(committed, last)
-        now = means.clock()
+        now = context.clock()
         if now - fenced >= FENCE_QUIET or now - begun >= FENCE_WITHIN:
             break
         await asyncio.sleep(FENCE_QUIET / 6)

@@ -18,7 +18,7 @@ from understudy.api.kinds.robot_workload import Attempt
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified, Superseded
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import alone, retire, unless_lost
-from understudy.failover.strategies.base import Choice, Means, Unfit
+from understudy.failover.strategies.base import Choice, StrategyContext, Unfit
 from understudy.failover.strategies.steps import open_for, wait_enforced
 
 _logger = logging.getLogger(__name__)
@@ -54,12 +54,12 @@ class Preparation:
         return all(attempt.result == "NotAvailable" for attempt in self.attempts)
 
 
-async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, unfit: Unfit) -> Preparation:
+async def prepare(progress: Progress, choices: Sequence[Choice], context: StrategyContext, unfit: Unfit) -> Preparation:
     """Bring an understudy to where it can drive, by the first of the strategies that gets there in its time.
 
     The gate stays as it is, and nothing is persisted that a new monitor would continue: a new monitor begins again.
     """
-    aside = replace(means, save=lambda progress: None)
+    aside = replace(context, save=lambda progress: None)
     attempts: list[Attempt] = []
     for index, choice in enumerate(choices):
         progress.index, progress.strategy = index, choice.strategy.name
@@ -72,7 +72,7 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
         result: Literal["NotVerified", "NotAvailable"] = "NotVerified"
         try:
             async with asyncio.timeout(choice.verify_within):
-                await unless_lost(work(), progress, means, crashing_counts=True)
+                await unless_lost(work(), progress, context, crashing_counts=True)
             return Preparation(progress, found[0], attempts)
         except NotAvailable as error:
             result, reason = "NotAvailable", str(error)
@@ -85,88 +85,88 @@ async def prepare(progress: Progress, choices: Sequence[Choice], means: Means, u
         _logger.info("%s prepares nothing: %s", choice.strategy.name, reason)
         if progress.target is not None:  # what was begun with it nobody else would make an end of
             progress.fail_target()
-            await retire(progress, means)
+            await retire(progress, context)
         progress.forget_attempt()
     return Preparation(progress, None, attempts)
 
 
-async def switch(prepared: Preparation, means: Means) -> Progress:
+async def switch(prepared: Preparation, context: StrategyContext) -> Progress:
     """Have a prepared understudy drive, and the instance that drives now no longer.
 
     Returns the progress with its result; with Failed the former instance drives. Raises NotAvailable where the understudy is gone
     meanwhile, Superseded, and TimeoutError where the API server didn't answer: whether the gate was switched will be seen.
     """
-    progress, target, state = prepared.progress, prepared.target, means.gate.state
+    progress, target, state = prepared.progress, prepared.target, context.gate.state
     assert target is not None, "it was prepared"
-    if not any(i.uid == target.uid and i.usable for i in means.instances.of_workload()):
+    if not any(i.uid == target.uid and i.usable for i in context.instances.of_workload()):
         raise NotAvailable(f"{target.name}, which was ready, is gone")
     progress.former = PodIdentity(name=state.active, uid=state.active_uid)
     progress.attempts = list(prepared.attempts)
-    now = means.clock()
+    now = context.clock()
     # What went before cost the robot nothing: its time counts from here.
     progress.parts, progress.cursor = {}, now
     progress.moments |= {"last_healthy": now, "detected": now, "decided": now}
     progress.charge("detection", now)
     async with asyncio.timeout(COMMIT_WITHIN):
-        await open_for(target, progress, means)
-    return await settle(progress, means)
+        await open_for(target, progress, context)
+    return await settle(progress, context)
 
 
-def committed(progress: Progress, means: Means) -> bool:
+def committed(progress: Progress, context: StrategyContext) -> bool:
     """Whether a switchover is the last thing that was done to the gate."""
-    state = means.gate.state
+    state = context.gate.state
     target = progress.target.uid if progress.target is not None else ""
     return state.recovery is not None and state.recovery.id == progress.id and state.active_uid == target
 
 
-async def settle(progress: Progress, means: Means) -> Progress:
+async def settle(progress: Progress, context: StrategyContext) -> Progress:
     """See who drives after the gate was switched, and retire the former instance or give the gate back to it.
 
     It may be entered with what another monitor has begun. Raises Superseded.
     """
     if progress.result == "Running":
-        _still_ours(progress, means)
+        _still_ours(progress, context)
         uid = progress.target.uid if progress.target is not None else ""
-        target = next((i for i in means.instances.of_workload() if i.uid == uid), None)
-        if target is None or not await _seen(target, progress, means):
-            return await _give_back(target, progress, means)
-        progress.epoch, progress.result = means.gate.state.epoch, "Recovered"
+        target = next((i for i in context.instances.of_workload() if i.uid == uid), None)
+        if target is None or not await _seen(target, progress, context):
+            return await _give_back(target, progress, context)
+        progress.epoch, progress.result = context.gate.state.epoch, "Recovered"
         pod, strategy = target.name, progress.strategy
         progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="Verified"))
         if progress.former is not None:
             progress.fail(progress.former)  # from here on it is treated as what has failed is
-        means.save(progress)
+        context.save(progress)
         try:
             async with asyncio.timeout(SILENT_WITHIN):
-                await alone(target, progress, means)
+                await alone(target, progress, context)
         except TimeoutError:
             _logger.warning("outputs of another instance than %s still arrive", target.name)
-    await retire(progress, means)
+    await retire(progress, context)
     return progress
 
 
-async def _seen(target: Instance, progress: Progress, means: Means) -> bool:
+async def _seen(target: Instance, progress: Progress, context: StrategyContext) -> bool:
     """Whether the robot is seen to be driven by an instance."""
     try:
         async with asyncio.timeout(SEEN_WITHIN):
-            await wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, context)
             since = progress.moments.get("committing", progress.cursor)
-            first = await means.outputs.first_from(target, since=since)
+            first = await context.outputs.first_from(target, since=since)
     except TimeoutError:
         return False
     if first is not None:
         progress.note_first_output(first)
-    last, _ = means.outputs.last_from_others(target)
+    last, _ = context.outputs.last_from_others(target)
     if last:
         progress.moments["last_output"] = last
     return True
 
 
-async def _give_back(target: Instance | None, progress: Progress, means: Means) -> Progress:
+async def _give_back(target: Instance | None, progress: Progress, context: StrategyContext) -> Progress:
     """Let the former instance drive again, and retire the one that wasn't seen to drive."""
-    _still_ours(progress, means)
+    _still_ours(progress, context)
     uid = progress.former.uid if progress.former is not None else ""
-    former = next((i for i in means.instances.of_workload() if i.uid == uid), None)
+    former = next((i for i in context.instances.of_workload() if i.uid == uid), None)
     pod = progress.target.name if progress.target is not None else ""
     words = f"{pod} is gone" if target is None else f"no output of {pod} arrived within {SEEN_WITHIN:g} s"
     strategy, progress.strategy, progress.result = progress.strategy, "", "Failed"
@@ -174,20 +174,20 @@ async def _give_back(target: Instance | None, progress: Progress, means: Means) 
     message = f"{words}{', and the former instance is gone' if gone else ''}"
     progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="NotVerified", message=message))
     if former is None or gone:  # whoever watches sees a failure of the next one
-        means.save(progress)
+        context.save(progress)
         return progress
     progress.fail_target()
-    await means.gate.commit(former, progress)
-    progress.epoch = means.gate.state.epoch
-    means.save(progress)
-    await retire(progress, means)
+    await context.gate.commit(former, progress)
+    progress.epoch = context.gate.state.epoch
+    context.save(progress)
+    await retire(progress, context)
     return progress
 
 
-def _still_ours(progress: Progress, means: Means) -> None:
+def _still_ours(progress: Progress, context: StrategyContext) -> None:
     """Raise Superseded where somebody else has committed to the gate since."""
-    if not committed(progress, means):
-        state = means.gate.state
+    if not committed(progress, context):
+        state = context.gate.state
         raise Superseded(
             f"another process changed the gate, which now admits {state.active or 'no pod'} (epoch {state.epoch})"
         )

@@ -16,7 +16,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.failover import switchover
 from understudy.failover.decide import Activate, Decision, Hold, Recover, SwitchOver, Wait
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.switchover import Preparation
 from understudy.monitor.act.instances.state_keeping import StateKeeping
 from understudy.monitor.act.objects.cluster import Cluster
@@ -65,7 +65,7 @@ class MonitorLoop:
         self._view, self._pods, self._gate = cluster.view, cluster.pods, cluster.gate
         self._senses, self._observer, self._journal = senses, senses.observer, parts.journal
         self._notices, self._black_box = notices, parts.black_box
-        means = Means(
+        context = StrategyContext(
             gate=cluster.gate,
             instances=cluster.pods,
             agents=senses.agents,
@@ -78,7 +78,7 @@ class MonitorLoop:
         )
         self.observe = ObserveStage(cluster.view, senses, notices)
         self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, notices)
-        self.decide = DecideStage(cluster.view, senses.agents, means, self.judge, self.observe.dependencies, notices)
+        self.decide = DecideStage(cluster.view, senses.agents, context, self.judge, self.observe.dependencies, notices)
         self.act = ActStage(cluster, senses, parts.keeping, parts.journal, self.decide, notices)
         self.report = ReportStage(cluster.view, cluster.gate, senses.observer, self.decide, self.act, notices)
         self._next_slow = 0.0
@@ -176,7 +176,7 @@ class MonitorLoop:
             await self._senses.agents.settle(self._pods.of_workload(), SETTLE)
             if interrupted.switchover is None:
                 await self.carry_out(interrupted)
-            elif interrupted.result != "Running" or switchover.committed(interrupted, self.decide.options.means()):
+            elif interrupted.result != "Running" or switchover.committed(interrupted, self.decide.options.context()):
                 self.conclude(await self.act.switchovers.carry_out(Preparation(interrupted)))
         elif (done := interrupted_recovery.concluded(gate, self._notices.status)) is not None:
             self.decide.limits.retries.note(done)

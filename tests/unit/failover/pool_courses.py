@@ -26,7 +26,7 @@ async def fails(store: Store, wait_for: float, *, verify_within: float = 0.3) ->
         Choice(UninitializedFallback(POOL, wait_for=wait_for), verify_within),
         Choice(Restart(), verify_within),
     ]
-    return await recover(failure(world, f"{store.workload}-1"), ladder, world.means())
+    return await recover(failure(world, f"{store.workload}-1"), ladder, world.context())
 
 
 async def until(predicate: object) -> None:

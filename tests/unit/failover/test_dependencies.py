@@ -298,7 +298,7 @@ class TestReaction:
     async def test_the_procedures_run_behind_a_closed_gate_and_the_same_instance_continues(self) -> None:
         store = driving()
         world = World(store)
-        done = await recover(following(world), choices(BOTH, Restart()), world.means())
+        done = await recover(following(world), choices(BOTH, Restart()), world.context())
         assert (done.result, done.strategy) == ("Recovered", "Procedure")
         assert store.commits == ["", "w-1"]
         assert store.brought_up == [("w-1", "bringUp"), ("w-1", "dependsOn[1].procedure")]
@@ -312,7 +312,7 @@ class TestReaction:
         store = driving()
         store.unwilling.add("w-1")
         world = World(store)
-        done = await recover(following(world), choices(AGAIN, Restart()), world.means())
+        done = await recover(following(world), choices(AGAIN, Restart()), world.context())
         assert (done.result, done.strategy) == ("Recovered", "Restart")
         assert store.deleted == ["w-1"], "what could not be brought up again has failed"
 
@@ -321,7 +321,7 @@ class TestReaction:
         world = World(store)
         progress = following(world)
         del store.pods["w-1"]
-        done = await recover(progress, choices(AGAIN, Restart()), world.means())
+        done = await recover(progress, choices(AGAIN, Restart()), world.context())
         assert (done.result, done.strategy) == ("Recovered", "Restart")
 
     async def test_a_reaction_is_finished_once_although_the_monitor_is_killed_at_any_step(self) -> None:
@@ -330,12 +330,12 @@ class TestReaction:
             first = World(store, dies_after=step)
             progress = following(first)
             try:
-                await recover(progress, choices(AGAIN, Restart()), first.means())
+                await recover(progress, choices(AGAIN, Restart()), first.context())
             except Killed:
                 second = World(store)
                 kept = store.journal or store.gate.recovery
                 left = (kept or following(second)).model_copy(update={"resumed": True}, deep=True)
-                done = await recover(left, choices(AGAIN, Restart()), second.means())
+                done = await recover(left, choices(AGAIN, Restart()), second.context())
                 assert (done.result, done.strategy) == ("Recovered", "Reinitialize")
                 assert store.gate.active == "w-1"
                 assert store.deleted == []

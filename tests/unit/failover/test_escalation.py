@@ -76,7 +76,7 @@ async def test_a_crash_looping_standby_is_abandoned_early() -> None:
     asyncio.get_running_loop().call_later(0.2, crash_looping, "w-2", store)
     begun = world.clock()
     strategies = [Choice(UninitializedFallback("spare"), LONG), Choice(Restart(), VERIFY_WITHIN)]
-    done = await recover(failure(world), strategies, world.means())
+    done = await recover(failure(world), strategies, world.context())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert done.attempts[0].message == "a container of pod w-2 is crash-looping"
     assert world.clock() - begun < LONG / 3
@@ -87,7 +87,7 @@ async def test_the_last_strategy_has_its_full_timeout() -> None:
     store.broken.add("w-2")
     world = World(store)
     asyncio.get_running_loop().call_later(0.1, crash_looping, "w-2", store)
-    done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 0.5)], world.means())
+    done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 0.5)], world.context())
     assert done.result == "Failed"
     assert "not verified within 0.5 s" in done.attempts[0].message
 
@@ -97,7 +97,7 @@ async def test_a_restart_replaces_a_crash_looping_pod() -> None:
     store.add("w-2", crashing=True, ready=False)
     store.broken.add("w-2")
     world = World(store)
-    done = await recover(failure(world), [Choice(Restart(), VERIFY_WITHIN)], world.means())
+    done = await recover(failure(world), [Choice(Restart(), VERIFY_WITHIN)], world.context())
     assert done.result == "Recovered"
     assert set(store.deleted) == {"w-1", "w-2"}
     assert done.target is not None

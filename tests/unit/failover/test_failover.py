@@ -23,7 +23,7 @@ from understudy.failover.strategies.uninitialized import UninitializedFallback
 async def test_an_executing_standby_takes_over_in_one_commit() -> None:
     store = protected(pool="hot")
     world = World(store)
-    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing")
     assert store.commits == ["w-2"], "the gate was committed once, straight from the failed pod to the standby"
     assert store.deleted == ["w-1"], "a policy patch routes, it does not kill"
@@ -32,7 +32,7 @@ async def test_an_executing_standby_takes_over_in_one_commit() -> None:
 
 async def test_the_parts_of_a_recovery_add_up_from_last_healthy_to_routed() -> None:
     world = World(protected(pool="hot"))
-    done = await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
+    done = await recover(failure(world), choices(ExecutingFallback("hot")), world.context())
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"], abs=1e-6)
     assert done.parts["detection"] == pytest.approx(0.5, abs=0.01)
     assert done.parts.get("startup", 0.0) == 0.0, (
@@ -43,7 +43,7 @@ async def test_the_parts_of_a_recovery_add_up_from_last_healthy_to_routed() -> N
 async def test_a_claimed_pod_is_started_behind_a_closed_gate() -> None:
     store = protected(pool="spare", held=True)
     world = World(store)
-    done = await recover(failure(world), choices(UninitializedFallback("spare")), world.means())
+    done = await recover(failure(world), choices(UninitializedFallback("spare")), world.context())
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Uninitialized")
     assert store.commits == ["", "w-2"]
     assert store.claims == {"w-2": f"uid-w/{done.id}"}
@@ -55,7 +55,7 @@ async def test_a_workload_that_loses_a_claim_claims_another_pod() -> None:
     store.add("w-3", pool="spare", held=True)
     store.others_claim.add("w-2")
     world = World(store)
-    done = await recover(failure(world), choices(UninitializedFallback("spare")), world.means())
+    done = await recover(failure(world), choices(UninitializedFallback("spare")), world.context())
     assert done.result == "Recovered"
     assert done.target == PodIdentity(name="w-3", uid="uid-w-3")
 
@@ -63,7 +63,7 @@ async def test_a_workload_that_loses_a_claim_claims_another_pod() -> None:
 async def test_an_empty_pool_leaves_the_gate_unchanged_and_the_next_strategy_is_tried() -> None:
     store = protected()
     world = World(store)
-    done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.means())
+    done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), world.context())
     assert [(a.strategy, a.result) for a in done.attempts] == [
         ("Fallback/Uninitialized", "NotAvailable"),
         ("Restart", "Verified"),
@@ -75,7 +75,7 @@ async def test_an_empty_pool_leaves_the_gate_unchanged_and_the_next_strategy_is_
 async def test_a_restart_never_opens_the_gate_for_the_failed_pod() -> None:
     store = protected()
     world = World(store)
-    done = await recover(failure(world), choices(Restart()), world.means())
+    done = await recover(failure(world), choices(Restart()), world.context())
     assert store.deleted == ["w-1"]
     assert done.target is not None
     assert done.target.name == "w-new1"
@@ -86,7 +86,7 @@ async def test_a_standby_that_is_not_verified_is_deleted_and_the_next_strategy_i
     store = protected(pool="hot")
     store.broken.add("w-2")
     world = World(store)
-    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert done.attempts[0].result == "NotVerified"
     assert_golden("failover", done.attempts[0].message, "through the gate")
@@ -97,15 +97,15 @@ async def test_the_gate_records_the_strategy_that_is_being_tried(monkeypatch: py
     store = protected(pool="hot")
     store.broken.add("w-2")
     world = World(store)
-    means, told = world.means(), list[str]()
-    commit = means.gate.commit
+    context, told = world.context(), list[str]()
+    commit = context.gate.commit
 
     async def noted(target: Instance | None, progress: Progress | None) -> GateState:
         told.append(progress.strategy if progress is not None else "")
         return await commit(target, progress)
 
-    monkeypatch.setattr(means.gate, "commit", noted)
-    await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), means)
+    monkeypatch.setattr(context.gate, "commit", noted)
+    await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), context)
     assert list(dict.fromkeys(told)) == ["Fallback/Executing", "Restart"]
 
 
@@ -123,7 +123,7 @@ async def test_a_lost_standby_is_abandoned_at_once(loss: str) -> None:
     asyncio.get_running_loop().call_later(0.2, lose)
     slow = [Choice(UninitializedFallback("spare"), 60.0), Choice(Restart(), VERIFY_WITHIN)]
     begun = world.clock()
-    done = await recover(failure(world), slow, world.means())
+    done = await recover(failure(world), slow, world.context())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert "w-2 is" in done.attempts[0].message
     assert world.clock() - begun < 20.0, "the time of the first strategy was waited for"
@@ -133,7 +133,7 @@ async def test_a_recovery_without_a_verified_instance_fails_with_the_reason() ->
     store = protected()
     store.source_makes_broken = True
     world = World(store)
-    done = await recover(failure(world), choices(Restart()), world.means())
+    done = await recover(failure(world), choices(Restart()), world.context())
     assert (done.result, done.strategy) == ("Failed", "")
     assert "within 0.3 s" in done.attempts[0].message
 
@@ -141,7 +141,7 @@ async def test_a_recovery_without_a_verified_instance_fails_with_the_reason() ->
 async def test_a_standby_that_is_not_ready_is_not_used() -> None:
     store = protected(pool="hot", ready=False)
     world = World(store)
-    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.means())
+    done = await recover(failure(world), choices(ExecutingFallback("hot"), Restart()), world.context())
     assert done.attempts[0].result == "NotAvailable"
     assert done.attempts[0].message == "w-2: no /cmd_vel for 500 ms"
     assert done.strategy == "Restart"
@@ -150,10 +150,10 @@ async def test_a_standby_that_is_not_ready_is_not_used() -> None:
 async def test_a_stale_monitor_does_not_undo_a_newer_epoch() -> None:
     store = protected(pool="hot")
     world = World(store)
-    means = world.means()
+    context = world.context()
     store.gate = GateState(epoch=7, active="w-9", active_uid="uid-w-9")
     with pytest.raises(Superseded):
-        await recover(failure(world), choices(ExecutingFallback("hot")), means)
+        await recover(failure(world), choices(ExecutingFallback("hot")), context)
     assert store.gate.active == "w-9"
 
 
@@ -162,7 +162,7 @@ async def test_without_a_failed_pod_any_ready_instance_takes_over() -> None:
     store.add("w-2", pool="hot")
     store.gate = GateState(epoch=3, active="w-1", active_uid="uid-w-1")
     world = World(store)
-    done = await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
+    done = await recover(failure(world), choices(ExecutingFallback("hot")), world.context())
     assert done.result == "Recovered"
 
 
@@ -180,17 +180,17 @@ async def test_a_recovery_interrupted_at_any_step_is_finished_by_the_next_monito
     make: Callable[[], Store], strategies: list[object]
 ) -> None:
     whole = World(make())
-    await recover(failure(whole), choices(*strategies), whole.means())
+    await recover(failure(whole), choices(*strategies), whole.context())
     for step in range(whole.effects):
         store = make()
         first = World(store, dies_after=step)
         progress = failure(first)
         with pytest.raises(Killed):
-            await recover(progress.model_copy(deep=True), choices(*strategies), first.means())
+            await recover(progress.model_copy(deep=True), choices(*strategies), first.context())
         kept = store.gate.recovery or store.journal
         second = World(store)
         again = (kept or progress).model_copy(deep=True, update={"resumed": True})
-        done = await recover(again, choices(*strategies), second.means())
+        done = await recover(again, choices(*strategies), second.context())
         assert done.result == "Recovered", f"killed at step {step}"
         assert done.target is not None
         assert store.drives(done.target.name), f"killed at step {step}: the robot is driven by the recorded instance"
@@ -202,8 +202,8 @@ async def test_a_recovery_interrupted_at_any_step_is_finished_by_the_next_monito
 async def test_a_held_strategy_is_skipped_and_claims_nothing() -> None:
     store = protected(pool="spare", held=True)
     world = World(store)
-    means = replace(world.means(), holds=lambda strategy: "others fail too" if not strategy.standing else None)
-    done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), means)
+    context = replace(world.context(), holds=lambda strategy: "others fail too" if not strategy.standing else None)
+    done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), context)
     assert done.result == "Failed"
     assert [(a.result, a.message) for a in done.attempts] == [("NotAvailable", "others fail too")] * 2
     assert (store.commits, store.deleted) == ([], []), "nothing was claimed, fenced or deleted"
@@ -214,7 +214,7 @@ async def test_a_recovery_that_a_previous_monitor_started_is_not_held() -> None:
     world = World(store)
     progress = failure(world)
     progress.target = PodIdentity(name="w-2", uid="uid-w-2")
-    done = await recover(progress, choices(ExecutingFallback("hot")), replace(world.means(), holds=lambda _: "held"))
+    done = await recover(progress, choices(ExecutingFallback("hot")), replace(world.context(), holds=lambda _: "held"))
     assert done.result == "Recovered"
 
 
@@ -222,15 +222,15 @@ async def test_a_refused_claim_leaves_no_pending_commit(monkeypatch: pytest.Monk
     # A commit that is carried out after the recovery was given up would look to the next one like another writer's.
     store = protected(pool="spare", held=True)
     world = World(store)
-    means, store.away = world.means(), True
+    context, store.away = world.context(), True
 
     async def refuse(instance: Instance, claim: str) -> Instance:
         asyncio.get_running_loop().call_later(0.05, setattr, store, "away", False)
         raise PermissionError("401: the API server doesn't know the roles again yet")
 
-    monkeypatch.setattr(means.instances, "claim", refuse)
+    monkeypatch.setattr(context.instances, "claim", refuse)
     with pytest.raises(PermissionError):
-        await recover(failure(world), choices(UninitializedFallback("spare")), means)
+        await recover(failure(world), choices(UninitializedFallback("spare")), context)
     given_up = list(store.commits)
     await asyncio.sleep(0.2)
     assert store.commits == given_up == [""]

@@ -88,7 +88,7 @@ async def test_each_pool_is_awaited_in_order() -> None:
     store = robot("a", fleet)
     world = World(store)
     ladder = choices(UninitializedFallback("first", wait_for=0.1), UninitializedFallback(POOL, wait_for=5.0), Restart())
-    running = asyncio.create_task(recover(failure(world, "a-1"), ladder, world.means()))
+    running = asyncio.create_task(recover(failure(world, "a-1"), ladder, world.context()))
     await until(lambda: len(store.told) == 3)
     assert store.gate.recovery is not None
     assert store.gate.recovery.waiting is not None
@@ -171,15 +171,15 @@ async def test_a_planned_switchover_takes_no_pod_that_others_wait_for() -> None:
     refill(fleet, "p1")
     world = World(degraded)
     strategy = UninitializedFallback(POOL, wait_for=10.0)
-    await strategy.look(world.means())
-    assert strategy.availability(world.means()).reason == "PodsAwaited"
-    assert "other" in strategy.availability(world.means()).message
+    await strategy.look(world.context())
+    assert strategy.availability(world.context()).reason == "PodsAwaited"
+    assert "other" in strategy.availability(world.context()).message
     planned = failure(world, "degraded-1").model_copy(update={"planned": True})
-    done = await recover(planned, choices(strategy), world.means())
+    done = await recover(planned, choices(strategy), world.context())
     assert (done.result, done.attempts[0].result) == ("Failed", "NotAvailable")
     refill(fleet, "p2")
-    await strategy.look(world.means())
-    assert strategy.available(world.means()) is None
+    await strategy.look(world.context())
+    assert strategy.available(world.context()) is None
 
 
 @pytest.mark.parametrize(("pods", "taken"), [(1, []), (2, ["p1"])])
@@ -190,9 +190,9 @@ async def test_the_reserved_pods_of_a_pool_are_kept_for_critical_workloads(pods:
         refill(fleet, f"p{number + 1}")
     world = World(store)
     strategy = UninitializedFallback(POOL, reserved=1)
-    await strategy.look(world.means())
-    assert strategy.availability(world.means()).reason == ("" if taken else "PodsReserved")
-    done = await recover(failure(world, "a-1"), choices(strategy, Restart()), world.means())
+    await strategy.look(world.context())
+    assert strategy.availability(world.context()).reason == ("" if taken else "PodsReserved")
+    done = await recover(failure(world, "a-1"), choices(strategy, Restart()), world.context())
     assert list(store.claims) == taken
     assert done.strategy == ("Fallback/Uninitialized" if taken else "Restart")
 
@@ -203,7 +203,7 @@ async def test_a_waiting_workload_takes_only_pods_beyond_the_reserve() -> None:
     refill(fleet, "p1")
     world = World(store)
     ladder = choices(UninitializedFallback(POOL, wait_for=5.0, reserved=1))
-    running = asyncio.create_task(recover(failure(world, "a-1"), ladder, world.means()))
+    running = asyncio.create_task(recover(failure(world, "a-1"), ladder, world.context()))
     await until(lambda: store.told)
     assert (await fails(critical, 0.0)).result == "Recovered"
     assert list(critical.claims) == ["p1"]
@@ -234,7 +234,7 @@ async def test_a_wait_interrupted_at_any_step_is_finished_by_the_next_monitor() 
         coming = asyncio.get_running_loop().call_later(0.03, lambda: there or refill(store.fleet, "p1"))
         try:
             ladder = choices(UninitializedFallback(POOL, wait_for=10.0), Restart())
-            return await recover(progress, ladder, world.means())
+            return await recover(progress, ladder, world.context())
         finally:
             coming.cancel()
 
@@ -298,7 +298,7 @@ async def test_a_workload_lists_only_its_part_of_a_full_pool_and_watches_nothing
         refill(fleet, f"p{number}")
     store.other_parts = {"p0", "p1", "p3"}
     done = await recover(
-        failure(World(store), "a-1"), choices(UninitializedFallback(POOL, wait_for=5.0)), World(store).means()
+        failure(World(store), "a-1"), choices(UninitializedFallback(POOL, wait_for=5.0)), World(store).context()
     )
     assert done.result == "Recovered"
     assert (list(store.claims), store.looks) == (["p2"], ["part"])
@@ -320,7 +320,7 @@ async def test_a_workload_lists_all_pods_of_a_pool_with_a_reserve() -> None:
     for number in range(2):
         refill(fleet, f"p{number}")
     world = World(store)
-    await recover(failure(world, "a-1"), choices(UninitializedFallback(POOL, reserved=1)), world.means())
+    await recover(failure(world, "a-1"), choices(UninitializedFallback(POOL, reserved=1)), world.context())
     assert store.looks == ["all"]
 
 
@@ -339,7 +339,7 @@ async def test_before_a_failure_the_status_of_the_operator_tells_whether_the_poo
     fleet: list[Store] = []
     store = robot("a", fleet)
     strategy = UninitializedFallback(POOL)
-    assert strategy.outlook(World(store).means()) == f"pool {POOL} has no pod that it could claim"
+    assert strategy.outlook(World(store).context()) == f"pool {POOL} has no pod that it could claim"
     store.stocked = {POOL}
-    assert strategy.outlook(World(store).means()) is None
+    assert strategy.outlook(World(store).context()) is None
     assert store.looks == []

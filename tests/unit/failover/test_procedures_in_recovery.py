@@ -48,7 +48,7 @@ def test_equal_procedures_in_two_languages_have_the_same_digest() -> None:
 async def test_an_initialized_standby_is_brought_up_behind_a_closed_gate() -> None:
     store = protected(pool="warm")
     world = World(store)
-    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up())), world.means())
+    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up())), world.context())
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Initialized")
     assert store.commits == ["", "w-2"]
     assert store.brought_up == [("w-2", "bringUp")]
@@ -58,7 +58,7 @@ async def test_an_initialized_standby_is_brought_up_behind_a_closed_gate() -> No
 async def test_an_initialized_standby_has_no_startup_time() -> None:
     """The paper: t_startup ends when processes are up, and those were; what is left is re-initialization."""
     world = World(protected(pool="warm"))
-    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up())), world.means())
+    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up())), world.context())
     assert done.parts.get("startup", 0.0) == 0.0
     assert done.parts["reinitialization"] > 0.0
     assert sum(done.parts.values()) == pytest.approx(done.moments["routed"] - done.moments["last_healthy"], abs=1e-6)
@@ -67,7 +67,7 @@ async def test_an_initialized_standby_has_no_startup_time() -> None:
 async def test_an_initialized_standby_can_take_over_without_a_procedure() -> None:
     store = protected(pool="warm")
     world = World(store)
-    done = await recover(failure(world), choices(InitializedFallback("warm")), world.means())
+    done = await recover(failure(world), choices(InitializedFallback("warm")), world.context())
     assert done.result == "Recovered"
     assert store.commits == ["", "w-2"], "a standby that was not driving is never routed straight away"
     assert store.brought_up == []
@@ -80,7 +80,7 @@ async def test_a_started_instance_is_brought_up_and_the_time_counts_as_reinitial
     ):
         store = protected(pool="spare", held=True)
         world = World(store)
-        done = await recover(failure(world), choices(strategy), world.means())
+        done = await recover(failure(world), choices(strategy), world.context())
         assert done.result == "Recovered"
         assert store.brought_up == [(pod, "bringUp")]
         assert done.parts["startup"] > 0.0
@@ -90,11 +90,11 @@ async def test_a_started_instance_is_brought_up_and_the_time_counts_as_reinitial
 async def test_an_executing_standby_runs_a_procedure_only_if_the_policy_has_one() -> None:
     store = protected(pool="hot")
     world = World(store)
-    await recover(failure(world), choices(ExecutingFallback("hot")), world.means())
+    await recover(failure(world), choices(ExecutingFallback("hot")), world.context())
     assert store.commits == ["w-2"]
     store = protected(pool="hot")
     world = World(store)
-    await recover(failure(world), choices(ExecutingFallback("hot", recovery=bring_up("recovery"))), world.means())
+    await recover(failure(world), choices(ExecutingFallback("hot", recovery=bring_up("recovery"))), world.context())
     assert store.commits == ["", "w-2"]
     assert store.brought_up == [("w-2", "recovery")]
 
@@ -104,7 +104,7 @@ async def test_a_failed_procedure_is_reported_with_its_leaf_and_the_next_strateg
     store.unwilling.add("w-2")
     world = World(store)
     tried = choices(InitializedFallback("warm", recovery=bring_up()), Restart())
-    done = await recover(failure(world), tried, world.means())
+    done = await recover(failure(world), tried, world.context())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert done.attempts[0].result == "NotVerified"
     assert_golden("failover", done.attempts[0].message, "w-2", "bringUp.set_lifecycle", "/amcl")
@@ -119,7 +119,7 @@ async def test_a_procedure_that_never_ends_is_stopped_in_time_to_report_its_leaf
     assert endless is not None
     assert endless.within == 60.0, "the bound where the policy gives none"
     tried = [Choice(InitializedFallback("warm", recovery=endless), 2.0), *choices(Restart())]
-    done = await recover(failure(world), tried, world.means())
+    done = await recover(failure(world), tried, world.context())
     assert (done.result, done.strategy) == ("Recovered", "Restart")
     assert done.attempts[0].message == "bringUp.wait_for: node /nobody is not there"
 
@@ -129,12 +129,12 @@ async def test_standbys_of_another_readiness_are_not_used() -> None:
     store.add("w-3", pool="warm")
     world = World(store)
     warm = InitializedFallback("warm", recovery=bring_up(), others=["hot"])
-    done = await recover(failure(world), choices(warm), world.means())
+    done = await recover(failure(world), choices(warm), world.context())
     assert done.target is not None
     assert done.target.name == "w-3"
     store = protected(pool="hot")
     world = World(store)
-    done = await recover(failure(world), choices(InitializedFallback("warm", others=["hot"])), world.means())
+    done = await recover(failure(world), choices(InitializedFallback("warm", others=["hot"])), world.context())
     assert done.attempts[0].message == "pool warm has no standby for this workload"
 
 
@@ -142,8 +142,8 @@ async def test_a_pod_of_the_workload_controller_is_a_standby_only_of_the_first_p
     store = protected()
     store.add("w-2")
     world = World(store)
-    assert InitializedFallback("warm").available(world.means()) is None
-    assert InitializedFallback("warm", with_source=False).available(world.means()) is not None
+    assert InitializedFallback("warm").available(world.context()) is None
+    assert InitializedFallback("warm", with_source=False).available(world.context()) is not None
 
 
 @pytest.mark.parametrize("procedure", [ACTIVATE, RESTORING])
@@ -151,8 +151,8 @@ async def test_state_is_restored_before_the_procedure_unless_the_procedure_resto
     store = protected(pool="warm")
     world = World(store)
     kept = KeptState(samples=(KeptSample("/amcl_pose", "a/msg/B", 0.0, b"x", to="/initialpose"),))
-    means = replace(world.means(), kept=lambda onset: kept)
-    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up("r", procedure))), means)
+    context = replace(world.context(), kept=lambda onset: kept)
+    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up("r", procedure))), context)
     assert done.result == "Recovered"
     told = [(entry.name, entry.message) for entry in done.state]
     if procedure is RESTORING:
@@ -169,12 +169,12 @@ async def test_a_bring_up_interrupted_at_any_step_is_finished_by_the_next_monito
     strategies = [Choice(s, 20.0) for s in (InitializedFallback("warm", recovery=bring_up()), Restart())]
     progress = failure(world)
     try:
-        await recover(progress, strategies, world.means())
+        await recover(progress, strategies, world.context())
     except Killed:
         again = World(store)
         committed = store.gate.recovery
         kept = store.journal or (committed.model_copy(deep=True) if committed else failure(again))
-        await recover(kept, strategies, again.means())
+        await recover(kept, strategies, again.context())
     assert store.gate.active == "w-2"
     assert "w-1" in store.deleted
     assert {name for name, _ in store.brought_up} == {"w-2"}

@@ -85,9 +85,9 @@ def begun(world: World) -> Progress:
 
 
 async def carried_out(progress: Progress, world: World) -> Progress:
-    await reflex.commit(progress, world.means())
+    await reflex.commit(progress, world.context())
     choices = [Choice(ReflexFallback(), 0.3), Choice(ExecutingFallback("hot"), 0.3), Choice(Restart(), 0.3)]
-    return await recover(progress, choices, world.means())
+    return await recover(progress, choices, world.context())
 
 
 async def test_a_takeover_is_committed_once_and_only_the_detection_counts() -> None:
@@ -109,17 +109,17 @@ async def test_a_takeover_is_committed_once_and_only_the_detection_counts() -> N
 
 async def test_a_slow_api_server_delays_only_the_commit() -> None:
     world = World(fallen_over())
-    means = world.means()
-    commit = means.gate.commit
+    context = world.context()
+    commit = context.gate.commit
 
     async def late(*arguments: object) -> GateState:
         await asyncio.sleep(0.7)  # longer than any strategy may take
         return await commit(*arguments)  # type: ignore[arg-type]
 
-    means.gate.commit = late  # type: ignore[method-assign]
+    context.gate.commit = late  # type: ignore[method-assign]
     progress = begun(world)
-    await reflex.commit(progress, means)
-    done = await recover(progress, [Choice(ReflexFallback(), 0.3), Choice(Restart(), 0.3)], means)
+    await reflex.commit(progress, context)
+    done = await recover(progress, [Choice(ReflexFallback(), 0.3), Choice(Restart(), 0.3)], context)
     assert (done.result, done.strategy) == ("Recovered", "Fallback/Executing (reflex)")
     assert sum(done.parts.values()) == pytest.approx(0.125)
 
@@ -158,5 +158,5 @@ async def test_an_ordinary_fallback_uses_the_admitted_standby() -> None:
     world = World(store)
     now = world.clock()
     progress = Progress.begin("no /scan", last_healthy=now - 1, detected=now, failed=[W1])
-    done = await recover(progress, [Choice(ExecutingFallback("hot"), 0.3)], world.means())
+    done = await recover(progress, [Choice(ExecutingFallback("hot"), 0.3)], world.context())
     assert done.target == W2

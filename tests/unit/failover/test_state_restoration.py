@@ -59,7 +59,7 @@ EXPECTED = [
 
 async def test_a_claimed_pod_receives_the_state_behind_the_closed_gate() -> None:
     made = store(pool="spare", held=True)
-    done = await recover(failure(world := World(made)), [Choice(UninitializedFallback("spare"), 0.5)], world.means())
+    done = await recover(failure(world := World(made)), [Choice(UninitializedFallback("spare"), 0.5)], world.context())
     assert done.result == "Recovered"
     assert made.given == {"w-2": made.kept}
     assert recorded(done) == EXPECTED
@@ -67,14 +67,14 @@ async def test_a_claimed_pod_receives_the_state_behind_the_closed_gate() -> None
 
 async def test_a_restarted_pod_receives_the_state() -> None:
     made = store()
-    done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.means())
+    done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.context())
     assert (done.result, list(made.given)) == ("Recovered", ["w-new1"])
     assert recorded(done) == EXPECTED
 
 
 async def test_an_executing_standby_receives_no_state() -> None:
     made = store(pool="hot")
-    done = await recover(failure(world := World(made)), [Choice(ExecutingFallback("hot"), 0.5)], world.means())
+    done = await recover(failure(world := World(made)), [Choice(ExecutingFallback("hot"), 0.5)], world.context())
     assert (done.result, made.given, done.state) == ("Recovered", {}, [])
 
 
@@ -82,11 +82,11 @@ async def test_a_pod_without_an_agent_takes_over_and_is_recorded_without_restore
     made = store()
     made.broken.discard("w-1")
     world = World(made)
-    means = world.means()
+    context = world.context()
     progress = failure(world)
     made.add("w-9", has_agent=False, created="9")
     made.pods.pop("w-1")
-    done = await recover(progress, [Choice(Restart(), 0.5)], means)
+    done = await recover(progress, [Choice(Restart(), 0.5)], context)
     assert (done.result, made.given) == ("Recovered", {})
     assert [(entry.name, entry.restored) for entry in done.state] == [
         ("/plan", False),
@@ -99,7 +99,7 @@ async def test_a_pod_without_an_agent_takes_over_and_is_recorded_without_restore
 async def test_a_failed_restoration_is_recorded_and_does_not_prevent_the_recovery() -> None:
     made = store()
     made.refusal = "nobody subscribes to /initialpose within 5 s"
-    done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.means())
+    done = await recover(failure(world := World(made)), [Choice(Restart(), 0.5)], world.context())
     assert done.result == "Recovered"
     assert [(entry.name, entry.restored) for entry in done.to_recovery(1).state] == [
         ("/plan", False),
@@ -113,7 +113,7 @@ async def test_a_second_attempt_records_the_state_of_its_own_instance() -> None:
     made = store(pool="spare", held=True)
     made.broken.add("w-2")
     choices = [Choice(UninitializedFallback("spare"), 0.3), Choice(Restart(), 0.5)]
-    done = await recover(failure(world := World(made)), choices, world.means())
+    done = await recover(failure(world := World(made)), choices, world.context())
     assert (done.result, list(made.given)) == ("Recovered", ["w-2", "w-new1"])
     assert recorded(done) == EXPECTED
 
@@ -123,12 +123,12 @@ async def test_state_is_restored_although_the_monitor_is_killed_at_any_step() ->
         made = store(pool="spare", held=True)
         world = World(made, dies_after=step)
         try:
-            done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 1.0)], world.means())
+            done = await recover(failure(world), [Choice(UninitializedFallback("spare"), 1.0)], world.context())
         except Killed:
             begun = made.journal or made.gate.recovery
             progress = begun.model_copy(deep=True) if begun is not None else failure(World(made))
             world = World(made)
-            done = await recover(progress, [Choice(UninitializedFallback("spare"), 1.0)], world.means())
+            done = await recover(progress, [Choice(UninitializedFallback("spare"), 1.0)], world.context())
             assert (done.result, made.given) == ("Recovered", {"w-2": made.kept}), f"killed at step {step}"
             assert recorded(done) == EXPECTED, f"killed at step {step}"
         else:

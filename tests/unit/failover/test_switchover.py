@@ -52,11 +52,11 @@ def planned(world: World) -> Progress:
 
 async def prepared_by(world: World, *strategies: Strategy, unfit: switchover.Unfit = anything) -> Preparation:
     choices = [Choice(strategy, WITHIN) for strategy in strategies]
-    return await prepare(planned(world), choices, world.means(), unfit)
+    return await prepare(planned(world), choices, world.context(), unfit)
 
 
 async def switched(world: World, *strategies: Strategy) -> Progress:
-    return await switch(await prepared_by(world, *strategies), world.means())
+    return await switch(await prepared_by(world, *strategies), world.context())
 
 
 STRATEGIES: Sequence[tuple[Strategy, dict[str, object]]] = (
@@ -183,7 +183,7 @@ async def test_the_gate_stays_if_the_former_instance_is_missing_too(
     world = World(store)
     found = await prepared_by(world, ExecutingFallback("hot"))
     store.pods.pop("w-1")
-    done = await switch(found, world.means())
+    done = await switch(found, world.context())
     assert (done.result, store.gate.active, store.deleted) == ("Failed", "w-2", [])
 
 
@@ -194,17 +194,17 @@ async def test_a_switchover_does_not_wait_for_a_silent_api_server(monkeypatch: p
     found = await prepared_by(world, ExecutingFallback("hot"))
     store.away = True
     with pytest.raises(TimeoutError):
-        await switch(found, world.means())
+        await switch(found, world.context())
     assert (store.gate.active, store.deleted) == ("w-1", [])
 
 
 async def test_a_commit_of_another_monitor_takes_precedence() -> None:
     store = driven(pool="hot")
     world = World(store)
-    found, means = await prepared_by(world, ExecutingFallback("hot")), world.means()
+    found, context = await prepared_by(world, ExecutingFallback("hot")), world.context()
     store.gate = replace(store.gate, epoch=2)
     with pytest.raises(Superseded):
-        await switch(found, means)
+        await switch(found, context)
     assert store.deleted == []
 
 
@@ -214,7 +214,7 @@ async def test_a_superseded_switchover_changes_nothing() -> None:
     progress = planned(world)
     progress.target = progress.former = None
     with pytest.raises(Superseded):
-        await settle(progress, world.means())
+        await settle(progress, world.context())
 
 
 async def test_a_failback_starts_a_pod_of_the_workload_controller_and_switches_to_it() -> None:
@@ -230,7 +230,7 @@ async def test_a_failback_starts_a_pod_of_the_workload_controller_and_switches_t
     assert found.target.from_source
     assert (store.gate.active, store.commits) == ("s-1", [])
     assert store.brought_up == [(found.target.name, "bringUp")]
-    done = await switch(found, world.means())
+    done = await switch(found, world.context())
     assert (done.result, store.gate.active, store.deleted) == ("Recovered", found.target.name, ["s-1"])
 
 
@@ -248,10 +248,10 @@ async def test_a_switchover_interrupted_at_any_step_leaves_one_active_instance_a
             assert store.gate.active in ("w-1", "w-2", "w-9"), f"killed at step {step}"
             assert store.gate.active in store.pods, f"killed at step {step}: who is let through runs"
             # As the next monitor does: it settles what was committed, and starts everything else again.
-            means = World(store).means()
+            context = World(store).context()
             begun = store.journal if store.journal is not None else store.gate.recovery
-            if begun is not None and (begun.result != "Running" or switchover.committed(begun, means)):
-                done = await settle(begun.model_copy(deep=True), means)
+            if begun is not None and (begun.result != "Running" or switchover.committed(begun, context)):
+                done = await settle(begun.model_copy(deep=True), context)
             else:
                 done = await switched(World(store), strategy)
         assert done.result == "Recovered", f"killed at step {step}"
@@ -282,5 +282,5 @@ async def test_a_standby_that_disappears_before_the_switch_changes_nothing() -> 
     found = await prepared_by(world, ExecutingFallback("hot"))
     store.pods.pop("w-2")
     with pytest.raises(NotAvailable, match="w-2, which was ready, is gone"):
-        await switch(found, world.means())
+        await switch(found, world.context())
     assert (store.gate.active, store.commits) == ("w-1", [])

@@ -13,7 +13,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import ClaimLost, GateState, Instance, NotVerified, Superseded
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.base import StrategyContext
 
 PERIOD = 0.005  # seconds between commands of a live instance
 
@@ -83,7 +83,7 @@ class Store:
 
 
 class World:
-    """The means of one monitor process over a store; ``dies_after`` kills it after so many effects."""
+    """One monitor process over a store, with the context of its strategies; ``dies_after`` kills it after so many effects."""
 
     def __init__(self, store: Store, *, dies_after: int | None = None) -> None:
         self.store = store
@@ -103,8 +103,8 @@ class World:
         if self.dies_after is not None and self.effects > self.dies_after:
             raise Killed
 
-    def means(self) -> Means:
-        return Means(
+    def context(self) -> StrategyContext:
+        return StrategyContext(
             gate=_Gate(self),
             instances=_Instances(self),
             agents=_Agents(self),

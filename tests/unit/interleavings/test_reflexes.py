@@ -205,7 +205,7 @@ def test_a_restarted_container_of_a_replaced_instance_that_is_heard_is_detected(
 
 
 def test_a_reflex_that_is_not_committed_is_detected() -> None:
-    async def careless(progress: Any, means: Any) -> None:
+    async def careless(progress: Any, context: Any) -> None:
         return
 
     with mock.patch.object(reflex, "commit", careless):

@@ -17,7 +17,7 @@ from understudy.failover.dependency import UpstreamState
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress, beside
-from understudy.failover.strategies.base import Choice, Means, Strategy
+from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
 from understudy.kube.client import ApiError, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.act.recovery.abandonment import Abandonment
@@ -45,22 +45,22 @@ class Does(Strategy):
     def __init__(self, steps: Steps) -> None:
         self._steps = steps
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
         return Availability(True)
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
         for step in self._steps:
             if isinstance(step, Exception):
                 raise step
-            await means.gate.commit(step, progress)
+            await context.gate.commit(step, progress)
         raise AssertionError("it ends by an error")
 
 
 class Options(StrategyOptions):
     """One strategy that is always the same."""
 
-    def __init__(self, objects: ClusterObjects, means: Means, strategy: Strategy) -> None:
-        super().__init__(objects.view, StormCondition(objects.view), means)
+    def __init__(self, objects: ClusterObjects, context: StrategyContext, strategy: Strategy) -> None:
+        super().__init__(objects.view, StormCondition(objects.view), context)
         self._only = strategy
 
     def choices(self) -> Sequence[Choice]:
@@ -86,14 +86,14 @@ class Monitor:
     async def recover(self, *steps: Instance | Exception | None, progress: Progress | None = None) -> Progress:
         """Carry a recovery out, which an error ends."""
         recovery = progress or begun()
-        options = Options(self.objects, self._means(), Does(steps))
+        options = Options(self.objects, self._context(), Does(steps))
         keeping, current = self.senses.keeping, self.senses.current
         recoveries = RecoveryRunner(self.view, options, keeping, current, self.abandonment, self.notices)
         self.ended.append((await recoveries.carry_out(recovery, policy_of())).kind)
         return recovery
 
-    def _means(self) -> Means:
-        return Means(
+    def _context(self) -> StrategyContext:
+        return StrategyContext(
             gate=self.gate,
             instances=self.objects.pods,
             agents=self.senses.agents,

@@ -57,7 +57,7 @@ async def test_a_failure_is_recovered_with_the_chosen_strategies_in_their_order(
     failure = Progress.begin(
         "gone", last_healthy=now - 0.5, detected=now, failed=[PodIdentity(name="w-1", uid="uid-w-1")]
     )
-    done = await recover(failure, followed(auto(verify_within="300ms", taskCriticality="High")), world.means())
+    done = await recover(failure, followed(auto(verify_within="300ms", taskCriticality="High")), world.context())
     assert [(one.strategy, one.result) for one in done.attempts] == [
         ("Fallback/Executing", "NotVerified"),
         ("Fallback/Initialized", "NotAvailable"),

@@ -21,8 +21,8 @@ Unfit = Callable[[Instance], str | None]
 
 
 @dataclass(frozen=True)
-class Means:
-    """What a strategy works with."""
+class StrategyContext:
+    """What a strategy works with: interfaces to the gate, to pods and their agents, a clock, and limits of the workload."""
 
     gate: Gate
     instances: Instances
@@ -49,34 +49,34 @@ class Strategy(ABC):
     """Whether the instance runs for this robot already, so that trying it takes no pod from other robots."""
 
     @abstractmethod
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
         """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
 
-    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
         """Bring an understudy to where it can drive while another instance drives, and leave the gate alone.
 
         It becomes the target of the progress before anything is done to it. Raises NotAvailable, NotVerified.
         """
         raise NotAvailable(f"strategy {self.name} cannot prepare a new instance while another one is active")
 
-    async def wait(self, progress: Progress, means: Means) -> None:
+    async def wait(self, progress: Progress, context: StrategyContext) -> None:
         """Wait for the resources that it needs, for as long as the policy allows. Raises NotAvailable."""
         return
 
-    def available(self, means: Means, progress: Progress | None = None) -> str | None:
+    def available(self, context: StrategyContext, progress: Progress | None = None) -> str | None:
         """Return why it cannot run now; None if it can."""
-        found = self.availability(means, progress)
+        found = self.availability(context, progress)
         return None if found.available else found.message
 
     @abstractmethod
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
         """Return whether it could run now, by the rules that the operator uses too."""
 
-    def outlook(self, means: Means) -> str | None:
+    def outlook(self, context: StrategyContext) -> str | None:
         """Return the same by what is known without a request to the API server, while nothing has failed."""
-        return self.available(means)
+        return self.available(context)
 
-    async def look(self, means: Means, progress: Progress | None = None) -> None:
+    async def look(self, context: StrategyContext, progress: Progress | None = None) -> None:
         """Request what ``available`` needs, if that is not known yet."""
         return
 

@@ -8,7 +8,7 @@ from understudy.failover.availability import STANDBY_NOT_READY, Availability, Po
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import Means, Strategy, Unfit
+from understudy.failover.strategies.base import StrategyContext, Strategy, Unfit
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
@@ -39,79 +39,79 @@ class ExecutingFallback(Strategy):
     def _is_standby(self, instance: Instance) -> bool:
         return instance.pool not in self._others and (self.with_source or not instance.from_source)
 
-    def _candidates(self, means: Means, progress: Progress | None) -> list[Instance]:
-        active = means.gate.state.active_uid
+    def _candidates(self, context: StrategyContext, progress: Progress | None) -> list[Instance]:
+        active = context.gate.state.active_uid
         return [
             i
-            for i in means.instances.of_workload()
+            for i in context.instances.of_workload()
             if i.usable
             and i.has_agent
             and not i.held
             and i.uid != active
             and not (progress and progress.has_failed(i.uid))
             and self._is_standby(i)
-            and means.agents.is_ready(i)[0]
+            and context.agents.is_ready(i)[0]
         ]
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
-        ready = len(self._candidates(means, progress))
-        pool = Pool(self.readiness, ready=ready, pod_problem=None if ready else self._not_ready(means))
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
+        ready = len(self._candidates(context, progress))
+        pool = Pool(self.readiness, ready=ready, pod_problem=None if ready else self._not_ready(context))
         return fallback(self.pool, Resources({self.pool: pool}))
 
-    def _not_ready(self, means: Means) -> Problem:
+    def _not_ready(self, context: StrategyContext) -> Problem:
         """Return why the standbys are not ready, by their agents."""
-        active = means.gate.state.active_uid
+        active = context.gate.state.active_uid
         others = [
-            i for i in means.instances.of_workload() if i.uid != active and not i.terminating and self._is_standby(i)
+            i for i in context.instances.of_workload() if i.uid != active and not i.terminating and self._is_standby(i)
         ]
-        text = "; ".join(f"{i.name}: {means.agents.is_ready(i)[1] or 'not running'}" for i in others)
+        text = "; ".join(f"{i.name}: {context.agents.is_ready(i)[1] or 'not running'}" for i in others)
         return Problem(STANDBY_NOT_READY, text or f"pool {self.pool} has no standby for this workload")
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
-        target = committed_target(progress, means)
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        target = committed_target(progress, context)
         if target is None:
-            candidates = self._candidates(means, progress)
+            candidates = self._candidates(context, progress)
             if not candidates:
-                raise NotAvailable(self.available(means, progress) or "no standby is ready")
+                raise NotAvailable(self.available(context, progress) or "no standby is ready")
             if self.recovery is not None:
-                return await self._behind_the_gate(candidates, progress, means, within)
+                return await self._behind_the_gate(candidates, progress, context, within)
             # Readers with exclusive ownership may follow the admitted standby already. Otherwise a pod of the pool comes first:
             # the workload's own controller may be about to replace its pod.
-            target = self._best(candidates, means)
-            await open_for(target, progress, means)
-        await wait_enforced(target, progress, means)
+            target = self._best(candidates, context)
+            await open_for(target, progress, context)
+        await wait_enforced(target, progress, context)
         return target
 
-    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
-        target = self._fitting(progress, means, unfit)
+    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
+        target = self._fitting(progress, context, unfit)
         if self.recovery is not None:
-            await make_drivable(target, progress, means, self.recovery, within=within)
+            await make_drivable(target, progress, context, self.recovery, within=within)
         return target
 
-    def _best(self, candidates: Collection[Instance], means: Means) -> Instance:
-        admitted = means.gate.state.admitted_uid
+    def _best(self, candidates: Collection[Instance], context: StrategyContext) -> Instance:
+        admitted = context.gate.state.admitted_uid
         return min(candidates, key=lambda i: (i.uid != admitted, i.pool != self.pool, i.created, i.name))
 
-    def _fitting(self, progress: Progress, means: Means, unfit: Unfit) -> Instance:
+    def _fitting(self, progress: Progress, context: StrategyContext, unfit: Unfit) -> Instance:
         """Return the best standby for a planned switchover. Raises NotAvailable."""
-        candidates = self._candidates(means, progress)
+        candidates = self._candidates(context, progress)
         if not candidates:
-            raise NotAvailable(self.available(means, progress) or "no standby is ready")
+            raise NotAvailable(self.available(context, progress) or "no standby is ready")
         reasons = [(i, unfit(i)) for i in candidates]
         if fitting := [i for i, reason in reasons if reason is None]:
-            return self._best(fitting, means)
+            return self._best(fitting, context)
         raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
 
     async def _behind_the_gate(
-        self, candidates: list[Instance], progress: Progress, means: Means, within: float
+        self, candidates: list[Instance], progress: Progress, context: StrategyContext, within: float
     ) -> Instance:
         """Close the gate, bring a standby up, open the gate for it."""
         end = loop_time() + within
         begun = progress.target.uid if progress.target is not None else ""  # by a monitor that is gone
         target = min(candidates, key=lambda i: (i.uid != begun, i.pool != self.pool, i.created, i.name))
-        await close(progress, means)
+        await close(progress, context)
         progress.target = PodIdentity(name=target.name, uid=target.uid)
-        progress.charge("cluster", means.clock())
-        means.save(progress)
-        await bring_up_and_open(target, progress, means, self.recovery, end=end)
+        progress.charge("cluster", context.clock())
+        context.save(progress)
+        await bring_up_and_open(target, progress, context, self.recovery, end=end)
         return target

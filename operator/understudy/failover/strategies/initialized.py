@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Means, Unfit
+from understudy.failover.strategies.base import StrategyContext, Unfit
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.steps import committed_target, make_drivable, wait_enforced
 
@@ -15,22 +15,22 @@ class InitializedFallback(ExecutingFallback):
     name = "Fallback/Initialized"
     readiness = "Initialized"
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
-        target = committed_target(progress, means)
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        target = committed_target(progress, context)
         if target is not None:
-            await wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, context)
             return target
-        candidates = [*self._begun(progress, means), *self._candidates(means, progress)]
+        candidates = [*self._begun(progress, context), *self._candidates(context, progress)]
         if not candidates:
-            raise NotAvailable(self.available(means, progress) or "no standby is ready")
-        return await self._behind_the_gate(candidates, progress, means, within)
+            raise NotAvailable(self.available(context, progress) or "no standby is ready")
+        return await self._behind_the_gate(candidates, progress, context, within)
 
-    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
-        target = self._fitting(progress, means, unfit)
-        await make_drivable(target, progress, means, self.recovery, within=within)
+    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
+        target = self._fitting(progress, context, unfit)
+        await make_drivable(target, progress, context, self.recovery, within=within)
         return target
 
-    def _begun(self, progress: Progress, means: Means) -> list[Instance]:
+    def _begun(self, progress: Progress, context: StrategyContext) -> list[Instance]:
         """Return the standby that an interrupted run of this recovery began to bring up. It is no longer a candidate."""
         uid = progress.target.uid if progress.target is not None else ""
-        return [i for i in means.instances.of_workload() if i.uid == uid and i.usable and not progress.has_failed(uid)]
+        return [i for i in context.instances.of_workload() if i.uid == uid and i.usable and not progress.has_failed(uid)]

@@ -17,7 +17,7 @@ from understudy.failover.availability import NO_POOL, Availability
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Choice, Means, Strategy
+from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.restart import Restart
@@ -32,12 +32,12 @@ class UnknownPool(Strategy):
     def __init__(self, pool: str) -> None:
         self.pool = pool
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
         text = f"FallbackPool {self.pool} does not exist, is not accepted, or its workloadSelector does not select this workload"
         return Availability(False, NO_POOL, text)
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
-        raise NotAvailable(self.available(means) or "")
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        raise NotAvailable(self.available(context) or "")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from understudy.failover.availability import INSTANCE_GONE, Availability
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Means, Strategy
+from understudy.failover.strategies.base import StrategyContext, Strategy
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
@@ -27,30 +27,30 @@ class Reinitialize(Strategy):
         """``procedures`` run one after the other; there is at least one."""
         self.name, self._procedures = name, procedures
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
-        if progress is None or self._standing(progress, means) is None:
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
+        if progress is None or self._standing(progress, context) is None:
             return Availability(False, INSTANCE_GONE, "the instance that was active is gone")
         return Availability(True)
 
-    def _standing(self, progress: Progress, means: Means) -> Instance | None:
+    def _standing(self, progress: Progress, context: StrategyContext) -> Instance | None:
         uid = progress.target.uid if progress.target is not None else ""
-        found = (i for i in means.instances.of_workload() if i.uid == uid and i.usable)
+        found = (i for i in context.instances.of_workload() if i.uid == uid and i.usable)
         return next((i for i in found if not progress.has_failed(i.uid)), None)
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
-        target = committed_target(progress, means)
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        target = committed_target(progress, context)
         if target is not None:
-            await wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, context)
             return target
-        target, end = self._standing(progress, means), loop_time() + within
+        target, end = self._standing(progress, context), loop_time() + within
         if target is None:
-            raise NotAvailable(self.available(means, progress) or "")
-        await close(progress, means)
-        progress.charge("cluster", means.clock())
-        means.save(progress)
+            raise NotAvailable(self.available(context, progress) or "")
+        await close(progress, context)
+        progress.charge("cluster", context.clock())
+        context.save(progress)
         *before, last = self._procedures
         for procedure in before:
-            state = kept(progress, means) if procedure.restores_state else KeptState()
-            await means.agents.bring_up(target, procedure, within=procedure.within, state=state)
-        await bring_up_and_open(target, progress, means, last, end=end)
+            state = kept(progress, context) if procedure.restores_state else KeptState()
+            await context.agents.bring_up(target, procedure, within=procedure.within, state=state)
+        await bring_up_and_open(target, progress, context, last, end=end)
         return target

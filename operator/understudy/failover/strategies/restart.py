@@ -6,7 +6,7 @@ from understudy.failover.availability import Availability, Resources, restart
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import Means, Strategy, Unfit
+from understudy.failover.strategies.base import StrategyContext, Strategy, Unfit
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
@@ -26,34 +26,34 @@ class Restart(Strategy):
     def __init__(self, *, recovery: BringUp | None = None) -> None:
         self.recovery = recovery
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
         # A pod that does not start may start the next time: during a recovery the last resort is tried in any case.
         return restart(Resources())
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
-        target = committed_target(progress, means)
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        target = committed_target(progress, context)
         if target is not None:
-            await wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, context)
             return target
         end = loop_time() + within
-        await close(progress, means)
-        for instance in means.instances.of_workload():
+        await close(progress, context)
+        for instance in context.instances.of_workload():
             # The kubelet restarts a crash-looping container less and less often; a new pod starts at once.
-            if instance.from_source and instance.crashing and not means.agents.is_ready(instance)[0]:
+            if instance.from_source and instance.crashing and not context.agents.is_ready(instance)[0]:
                 progress.fail(PodIdentity(name=instance.name, uid=instance.uid))
-        await means.instances.replace([i for i in means.instances.of_workload() if progress.has_failed(i.uid)])
-        target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
+        await context.instances.replace([i for i in context.instances.of_workload() if progress.has_failed(i.uid)])
+        target = await context.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
         progress.target = PodIdentity(name=target.name, uid=target.uid)
-        progress.charge("cluster", means.clock())
-        means.save(progress)
-        await started(target, progress, means)
-        await bring_up_and_open(target, progress, means, self.recovery, end=end)
+        progress.charge("cluster", context.clock())
+        context.save(progress)
+        await started(target, progress, context)
+        await bring_up_and_open(target, progress, context, self.recovery, end=end)
         return target
 
-    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
         """Possible only while a pod of a pool is active: then the workload's own controller can run a pod beside it."""
-        end, active = loop_time() + within, means.gate.state.active_uid
-        instances = means.instances.of_workload()
+        end, active = loop_time() + within, context.gate.state.active_uid
+        instances = context.instances.of_workload()
         if any(i.from_source for i in instances if i.uid == active):
             raise NotAvailable(
                 "the workload's own controller runs one pod, which is active: it cannot start another one beside it"
@@ -62,14 +62,14 @@ class Restart(Strategy):
         if reasons := [f"{i.name} {reason}" for i in own if (reason := unfit(i)) is not None]:
             raise NotAvailable("; ".join(reasons))
         if not own:
-            await means.instances.replace([])
-        target = await means.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
+            await context.instances.replace([])
+        target = await context.instances.wait(lambda i: i.from_source and i.usable and not progress.has_failed(i.uid))
         progress.target = PodIdentity(name=target.name, uid=target.uid)
         if (reason := unfit(target)) is not None:
             raise NotVerified(f"{target.name} {reason}")
         if not own:
-            await started(target, progress, means)
+            await started(target, progress, context)
         # A pod that has run for a while was brought up already (monitor/act/instances/standby_lifecycle.py).
-        standing = bool(own) and means.agents.is_ready(target)[0]
-        await make_drivable(target, progress, means, None if standing else self.recovery, within=end - loop_time())
+        standing = bool(own) and context.agents.is_ready(target)[0]
+        await make_drivable(target, progress, context, None if standing else self.recovery, within=end - loop_time())
         return target

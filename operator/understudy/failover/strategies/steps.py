@@ -12,7 +12,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance
 from understudy.failover.pool_queue import Waiter
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.base import StrategyContext
 
 _logger = logging.getLogger(__name__)
 
@@ -30,9 +30,9 @@ PROBE_SECONDS = 2.0
 """Seconds for which probes are sent around a commit."""
 
 
-def committed_target(progress: Progress, means: Means) -> Instance | None:
+def committed_target(progress: Progress, context: StrategyContext) -> Instance | None:
     """Return the instance for which an interrupted run of this recovery already opened the gate."""
-    state = means.gate.state
+    state = context.gate.state
     if (
         state.recovery is None
         or state.recovery.id != progress.id
@@ -40,26 +40,26 @@ def committed_target(progress: Progress, means: Means) -> Instance | None:
         or progress.has_failed(state.active_uid)
     ):
         return None
-    target = next((i for i in means.instances.of_workload() if i.uid == state.active_uid and i.usable), None)
+    target = next((i for i in context.instances.of_workload() if i.uid == state.active_uid and i.usable), None)
     if target is not None:
         progress.target = PodIdentity(name=target.name, uid=target.uid)
     return target
 
 
-def claim_of(progress: Progress, means: Means) -> str:
+def claim_of(progress: Progress, context: StrategyContext) -> str:
     """Return the text of a claim: it names the workload and the recovery."""
-    return f"{means.workload_uid}/{progress.id}"
+    return f"{context.workload_uid}/{progress.id}"
 
 
-async def join(me: Waiter, progress: Progress, means: Means) -> None:
+async def join(me: Waiter, progress: Progress, context: StrategyContext) -> None:
     """Record next to the gate that this workload waits for a pod. This closes the gate: a failed instance does not drive meanwhile."""
     progress.moments["queued"] = me.since
     progress.waiting = me
-    means.save(progress)
-    state = means.gate.state
+    context.save(progress)
+    state = context.gate.state
     if not state.closed or state.recovery is None or state.recovery.waiting != me:
-        await means.gate.commit(None, progress)
-    progress.moments.setdefault("fenced", means.clock())
+        await context.gate.commit(None, progress)
+    progress.moments.setdefault("fenced", context.clock())
 
 
 async def both(*work: Coroutine[Any, Any, object]) -> None:
@@ -69,44 +69,44 @@ async def both(*work: Coroutine[Any, Any, object]) -> None:
             raise result
 
 
-async def close(progress: Progress, means: Means) -> None:
+async def close(progress: Progress, context: StrategyContext) -> None:
     """Close the gate, which fences every instance."""
-    if not means.gate.state.closed:
-        await means.gate.commit(None, progress)
-    progress.moments.setdefault("fenced", means.clock())
+    if not context.gate.state.closed:
+        await context.gate.commit(None, progress)
+    progress.moments.setdefault("fenced", context.clock())
 
 
-async def open_for(target: Instance, progress: Progress, means: Means) -> None:
+async def open_for(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Open the gate for one instance and for no other: one write fences the former instance and routes this one."""
     progress.target = PodIdentity(name=target.name, uid=target.uid)
-    progress.moments["committing"] = means.clock()
-    await means.agents.probe(target, PROBE_SECONDS)
-    committing = asyncio.create_task(means.gate.commit(target, progress))
+    progress.moments["committing"] = context.clock()
+    await context.agents.probe(target, PROBE_SECONDS)
+    committing = asyncio.create_task(context.gate.commit(target, progress))
     try:
         # The commit carries the progress, so its request leaves first: it is created in one round of the event loop and
         # written in the next.
         for _ in range(2):
             await asyncio.sleep(0)
-        for instance in means.instances.of_workload():
+        for instance in context.instances.of_workload():
             if any(pod.uid == instance.uid for pod in progress.replaced):
-                await means.agents.probe(instance, PROBE_SECONDS)
-        means.save(progress)
+                await context.agents.probe(instance, PROBE_SECONDS)
+        context.save(progress)
         await committing
     finally:
         committing.cancel()
-    progress.moments["committed"] = means.clock()
+    progress.moments["committed"] = context.clock()
 
 
-async def started(target: Instance, progress: Progress, means: Means) -> None:
+async def started(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Wait until the processes of a new instance are up: the end of the paper's t_startup."""
     if target.has_agent:
-        up = await means.agents.up(target)
+        up = await context.agents.up(target)
         progress.moments["started"] = up
         progress.charge("startup", up)
 
 
 async def make_drivable(
-    target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, within: float
+    target: Instance, progress: Progress, context: StrategyContext, recovery: BringUp | None, *, within: float
 ) -> None:
     """Bring a started instance to where it can drive while another one is active, with the kept state of the active one.
 
@@ -114,51 +114,51 @@ async def make_drivable(
     """
     end = loop_time() + within
     progress.target = PodIdentity(name=target.name, uid=target.uid)
-    await give_state_and_bring_up(target, progress, means, recovery, end=end)
+    await give_state_and_bring_up(target, progress, context, recovery, end=end)
     if target.has_agent:
-        progress.moments["ready"] = await means.agents.ready(target)
+        progress.moments["ready"] = await context.agents.ready(target)
         return
-    await means.instances.wait(lambda i: i.uid == target.uid and i.ready)
-    progress.moments["ready"] = means.clock()
+    await context.instances.wait(lambda i: i.uid == target.uid and i.ready)
+    progress.moments["ready"] = context.clock()
 
 
 async def bring_up_and_open(
-    target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, end: float
+    target: Instance, progress: Progress, context: StrategyContext, recovery: BringUp | None, *, end: float
 ) -> None:
     """Bring a started instance to where it can drive, and open the gate for it.
 
     State, procedure and the wait for its outputs are the paper's t_re-initialization. ``end`` of the strategy's time is a time of
     the event loop.
     """
-    await give_state_and_bring_up(target, progress, means, recovery, end=end)
+    await give_state_and_bring_up(target, progress, context, recovery, end=end)
     if target.has_agent:
         try:
             # An application may need an answer of the robot before its outputs flow: half the time for the other order.
             async with asyncio.timeout(max(MOMENT, (end - loop_time()) / 2)):
-                ready = await means.agents.ready(target)
+                ready = await context.agents.ready(target)
             progress.moments["ready"] = ready
         except TimeoutError:
-            ready = means.clock()
+            ready = context.clock()
         progress.charge("reinitialization", ready)
-    await open_for(target, progress, means)
-    await wait_enforced(target, progress, means)
+    await open_for(target, progress, context)
+    await wait_enforced(target, progress, context)
 
 
 async def give_state_and_bring_up(
-    target: Instance, progress: Progress, means: Means, recovery: BringUp | None, *, end: float
+    target: Instance, progress: Progress, context: StrategyContext, recovery: BringUp | None, *, end: float
 ) -> None:
     """Give a started instance the kept state, and run the procedure that brings it to where it can drive."""
     if recovery is None or not recovery.restores_state or not target.has_agent:
-        await restore(target, progress, means)
+        await restore(target, progress, context)
     if recovery is not None and target.has_agent:
         rest = end - loop_time()
         within = min(recovery.within, max(MOMENT, rest - min(ANSWER, rest / 4)))
-        state = kept(progress, means) if recovery.restores_state else KeptState()
-        report = await means.agents.bring_up(target, recovery, within=within, state=state)
-        progress.charge("reinitialization", means.clock())  # the outputs of one that ran before were ready long ago
+        state = kept(progress, context) if recovery.restores_state else KeptState()
+        report = await context.agents.bring_up(target, recovery, within=within, state=state)
+        progress.charge("reinitialization", context.clock())  # the outputs of one that ran before were ready long ago
         if recovery.restores_state:
             progress.note_state(report)
-            means.save(progress)
+            context.save(progress)
 
 
 def timeline(moments: dict[str, float], *steps: str) -> str:
@@ -172,44 +172,44 @@ def loop_time() -> float:
     return asyncio.get_running_loop().time()
 
 
-async def restore(target: Instance, progress: Progress, means: Means) -> None:
+async def restore(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Give a started instance the state of the last healthy one, as far as possible.
 
     State that cannot be restored is recorded and does not stop the recovery: a robot without an active instance is worse off than one whose
     application starts without some of its state. A recovery tree can insist on the state (restore_state).
     """
-    state = kept(progress, means)
+    state = kept(progress, context)
     if not state and not state.left_out:
         return
     if target.has_agent:
-        report = await means.agents.restore(target, state, means.restore_within)
+        report = await context.agents.restore(target, state, context.restore_within)
     else:
         report = state.not_given(f"pod {target.name} has no agent because its own controller created it")
     progress.note_state(report)
-    means.save(progress)
+    context.save(progress)
 
 
-def kept(progress: Progress, means: Means) -> KeptState:
+def kept(progress: Progress, context: StrategyContext) -> KeptState:
     """Return the state to restore after this failure; it is the same each time."""
-    return means.kept(progress.moments.get("last_healthy", progress.cursor))
+    return context.kept(progress.moments.get("last_healthy", progress.cursor))
 
 
-async def wait_enforced(target: Instance, progress: Progress, means: Means) -> None:
+async def wait_enforced(target: Instance, progress: Progress, context: StrategyContext) -> None:
     """Record when the gate was enforced: by its probes, or by the commit if the instance has no agent."""
     since = progress.moments.get("committing", progress.cursor)
-    routed = progress.moments.get("committed", means.clock())
+    routed = progress.moments.get("committed", context.clock())
     if target.has_agent:
         try:
             async with asyncio.timeout(ENFORCED_WITHIN):
-                routed = await means.gate.enforced(target, since=since)
+                routed = await context.gate.enforced(target, since=since)
         except TimeoutError:
-            routed = means.clock()
+            routed = context.clock()
     progress.moments["routed"] = routed
     progress.charge("cluster", routed)
     _logger.info("gate for %s: %s", target.name, timeline(progress.moments, "committing", "committed", "routed"))
     # One commit fences the failed pod and routes the understudy. The failed pod's last packet shows if it was fenced later.
     fenced = progress.moments.setdefault("fenced", routed)
     for pod in progress.replaced:
-        last = means.gate.last_packet(pod.uid)
+        last = context.gate.last_packet(pod.uid)
         if last is not None and last > fenced:
             progress.moments["fenced"] = last

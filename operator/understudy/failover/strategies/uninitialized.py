@@ -11,7 +11,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import ClaimLost, ClaimsLost, Instance, NotAvailable
 from understudy.failover.pool_queue import YIELD_MOST, Waiter, at_once, before, in_order, left_by, turn
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import Means, Strategy, Unfit
+from understudy.failover.strategies.base import StrategyContext, Strategy, Unfit
 from understudy.failover.strategies.steps import (
     both,
     bring_up_and_open,
@@ -37,11 +37,11 @@ class UninitializedFallback(Strategy):
         self._lost: set[str] = set()
         """UIDs of pods that other workloads claimed. The watch may not show this yet."""
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
-        waiting = in_order(means.queue.others(self.pool), self.pool, means.clock())
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
+        waiting = in_order(context.queue.others(self.pool), self.pool, context.clock())
         pool = Pool(
             readiness="Uninitialized",
-            ready=len(self._unclaimed(progress, means)),
+            ready=len(self._unclaimed(progress, context)),
             reserved=self.reserved,
             ahead=tuple(waiter.workload for waiter in waiting),
             pod_problem=Problem(PODS_CLAIMED, self._overtaken) if self._lost else None,
@@ -52,140 +52,140 @@ class UninitializedFallback(Strategy):
     def _overtaken(self) -> str:
         return f"every ready pod of FallbackPool {self.pool} was claimed by another workload first"
 
-    def outlook(self, means: Means) -> str | None:
-        return None if means.instances.stocked(self.pool) else f"pool {self.pool} has no pod that it could claim"
+    def outlook(self, context: StrategyContext) -> str | None:
+        return None if context.instances.stocked(self.pool) else f"pool {self.pool} has no pod that it could claim"
 
-    async def look(self, means: Means, progress: Progress | None = None) -> None:
+    async def look(self, context: StrategyContext, progress: Progress | None = None) -> None:
         # If some pods are reserved, or other workloads wait, the number of pods matters.
-        if not self.reserved and not means.queue.others(self.pool):
-            await means.instances.look(self.pool, part=True)
-            if self._free(progress, means):
+        if not self.reserved and not context.queue.others(self.pool):
+            await context.instances.look(self.pool, part=True)
+            if self._free(progress, context):
                 return
-        await means.instances.look(self.pool)
+        await context.instances.look(self.pool)
 
-    def _unclaimed(self, progress: Progress | None, means: Means) -> list[Instance]:
-        found = (i for i in means.instances.unclaimed(self.pool) if i.uid not in self._lost)
+    def _unclaimed(self, progress: Progress | None, context: StrategyContext) -> list[Instance]:
+        found = (i for i in context.instances.unclaimed(self.pool) if i.uid not in self._lost)
         return [i for i in found if not (progress and progress.has_failed(i.uid))]
 
-    def _free(self, progress: Progress | None, means: Means) -> list[Instance]:
+    def _free(self, progress: Progress | None, context: StrategyContext) -> list[Instance]:
         """Return the pods that this workload may take if no other workload is ahead of it."""
-        unclaimed = self._unclaimed(progress, means)
+        unclaimed = self._unclaimed(progress, context)
         return unclaimed[: max(0, len(unclaimed) - self.reserved)]
 
-    async def wait(self, progress: Progress, means: Means) -> None:
-        if committed_target(progress, means) is not None or self._claimed(progress, means) is not None:
+    async def wait(self, progress: Progress, context: StrategyContext) -> None:
+        if committed_target(progress, context) is not None or self._claimed(progress, context) is not None:
             return
-        await self.look(means, progress)
+        await self.look(context, progress)
         if progress.planned:  # nothing failed: it takes no pod that other robots need
-            if (reason := self.available(means, progress)) is not None:
+            if (reason := self.available(context, progress)) is not None:
                 raise NotAvailable(reason)
             return
-        me = self._place(progress, means)
-        free = len(self._free(progress, means))
-        if at_once(me, means.queue.others(self.pool), free, means.clock()):
+        me = self._place(progress, context)
+        free = len(self._free(progress, context))
+        if at_once(me, context.queue.others(self.pool), free, context.clock()):
             return
 
         def needless() -> bool:
-            means.agents.follow(means.instances.of_workload())  # also those that appear while it waits
-            return self._restarted(progress, means) is not None
+            context.agents.follow(context.instances.of_workload())  # also those that appear while it waits
+            return self._restarted(progress, context) is not None
 
         try:
-            within = max(0.0, me.until - means.clock()) + 2 * YIELD_MOST
-            async with asyncio.timeout(within), means.instances.followed(self.pool):
+            within = max(0.0, me.until - context.clock()) + 2 * YIELD_MOST
+            async with asyncio.timeout(within), context.instances.followed(self.pool):
                 served = await turn(
                     me,
-                    means.queue,
-                    free=lambda: [i.uid for i in self._free(progress, means)],
-                    clock=means.clock,
-                    join=lambda: join(me, progress, means),
+                    context.queue,
+                    free=lambda: [i.uid for i in self._free(progress, context)],
+                    clock=context.clock,
+                    join=lambda: join(me, progress, context),
                     needless=needless,
                 )
         except TimeoutError:  # the API server does not answer, so no pod can be claimed
             served = False
         if served:
             return
-        reasons = [self.available(means, progress) or f"the monitor could not claim a pod of FallbackPool {self.pool}"]
-        if (restarted := self._restarted(progress, means)) is not None and self.wait_for:
+        reasons = [self.available(context, progress) or f"the monitor could not claim a pod of FallbackPool {self.pool}"]
+        if (restarted := self._restarted(progress, context)) is not None and self.wait_for:
             reasons.append(f"{restarted.name} is up already")
         elif progress.waiting is not None:
             reasons.append(f"no pod became free within {self.wait_for:g} s")
         if progress.waiting is not None:
-            means.queue.gave_up(me)
+            context.queue.gave_up(me)
         progress.waiting = None
         raise NotAvailable("; ".join(reasons))
 
-    def _restarted(self, progress: Progress, means: Means) -> Instance | None:
+    def _restarted(self, progress: Progress, context: StrategyContext) -> Instance | None:
         """Return an instance that the workload's own controller created meanwhile and that can drive: then no pod is waited for."""
         own = (
-            i for i in means.instances.of_workload() if i.from_source and i.usable and not progress.has_failed(i.uid)
+            i for i in context.instances.of_workload() if i.from_source and i.usable and not progress.has_failed(i.uid)
         )
-        return next((i for i in own if (means.agents.is_ready(i)[0] if i.has_agent else i.ready)), None)
+        return next((i for i in own if (context.agents.is_ready(i)[0] if i.has_agent else i.ready)), None)
 
-    def _place(self, progress: Progress, means: Means) -> Waiter:
+    def _place(self, progress: Progress, context: StrategyContext) -> Waiter:
         """Return its place in the queue, which it keeps if the monitor is replaced."""
-        since = progress.moments.get("queued", means.clock())
+        since = progress.moments.get("queued", context.clock())
         return Waiter(
-            workload=means.queue.workload,
+            workload=context.queue.workload,
             pool=self.pool,
-            priority=means.queue.priority,
+            priority=context.queue.priority,
             since=since,
             until=since + self.wait_for,
         )
 
-    async def prepare(self, progress: Progress, means: Means, *, within: float) -> Instance:
-        target = committed_target(progress, means)
+    async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
+        target = committed_target(progress, context)
         if target is not None:
-            await wait_enforced(target, progress, means)
+            await wait_enforced(target, progress, context)
             return target
         end = loop_time() + within
-        target = await self._claimed_or_claim(progress, means)
-        progress.moments["claimed"] = means.clock()
+        target = await self._claimed_or_claim(progress, context)
+        progress.moments["claimed"] = context.clock()
         progress.target = PodIdentity(name=target.name, uid=target.uid)
-        progress.charge("cluster", means.clock())
+        progress.charge("cluster", context.clock())
         waited, progress.waiting = progress.waiting, None
-        means.save(progress)
+        context.save(progress)
         if waited is None:
-            await means.agents.start(target)
+            await context.agents.start(target)
         else:
-            means.queue.served(waited, target.name)
+            context.queue.served(waited, target.name)
             # Other workloads in the queue learn from the gate that this one no longer waits; meanwhile the processes start.
-            await both(means.agents.start(target), means.gate.commit(None, progress))
-        await started(target, progress, means)
-        await bring_up_and_open(target, progress, means, self.recovery, end=end)
+            await both(context.agents.start(target), context.gate.commit(None, progress))
+        await started(target, progress, context)
+        await bring_up_and_open(target, progress, context, self.recovery, end=end)
         return target
 
-    async def make_ready(self, progress: Progress, means: Means, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
         end = loop_time() + within
-        await means.instances.look(self.pool)
-        if (reason := self.available(means, progress)) is not None:
+        await context.instances.look(self.pool)
+        if (reason := self.available(context, progress)) is not None:
             raise NotAvailable(reason)
-        reasons = [(i, unfit(i)) for i in self._free(progress, means)]
+        reasons = [(i, unfit(i)) for i in self._free(progress, context)]
         if reasons and all(reason is not None for _, reason in reasons):
             raise NotAvailable("; ".join(f"{i.name} {reason}" for i, reason in reasons))
-        target = await self._claim(progress, means, unfit)
+        target = await self._claim(progress, context, unfit)
         if target is None:
             raise NotAvailable(self._overtaken)
         progress.target = PodIdentity(name=target.name, uid=target.uid)
-        progress.moments["claimed"] = means.clock()
-        await means.agents.start(target)
-        await started(target, progress, means)
-        await make_drivable(target, progress, means, self.recovery, within=end - loop_time())
+        progress.moments["claimed"] = context.clock()
+        await context.agents.start(target)
+        await started(target, progress, context)
+        await make_drivable(target, progress, context, self.recovery, within=end - loop_time())
         return target
 
-    def _claimed(self, progress: Progress, means: Means) -> Instance | None:
+    def _claimed(self, progress: Progress, context: StrategyContext) -> Instance | None:
         """Return the pod that an interrupted run of this recovery claimed."""
-        claim = claim_of(progress, means)
-        found = (i for i in means.instances.of_workload() if i.claim == claim and i.usable)
+        claim = claim_of(progress, context)
+        found = (i for i in context.instances.of_workload() if i.claim == claim and i.usable)
         return next((i for i in found if not progress.has_failed(i.uid)), None)
 
-    async def _claimed_or_claim(self, progress: Progress, means: Means) -> Instance:
-        if (claimed := self._claimed(progress, means)) is not None:
-            await close(progress, means)
+    async def _claimed_or_claim(self, progress: Progress, context: StrategyContext) -> Instance:
+        if (claimed := self._claimed(progress, context)) is not None:
+            await close(progress, context)
             return claimed
-        means.save(progress)  # the claim has its id, so that a new monitor finds the pod
+        context.save(progress)  # the claim has its id, so that a new monitor finds the pod
         # Wait for both even if the claim fails: the next commit needs the epoch of this one.
         closing, target = await asyncio.gather(
-            close(progress, means), self._claim(progress, means), return_exceptions=True
+            close(progress, context), self._claim(progress, context), return_exceptions=True
         )
         if isinstance(closing, BaseException):
             raise closing
@@ -195,26 +195,26 @@ class UninitializedFallback(Strategy):
             raise ClaimsLost(self._overtaken)
         return target
 
-    async def _claim(self, progress: Progress, means: Means, unfit: Unfit = lambda instance: None) -> Instance | None:
+    async def _claim(self, progress: Progress, context: StrategyContext, unfit: Unfit = lambda instance: None) -> Instance | None:
         """Claim one of the pods that it may take; return None if other workloads claimed all of them first."""
-        while candidates := [i for i in self._candidates(progress, means) if unfit(i) is None]:
+        while candidates := [i for i in self._candidates(progress, context) if unfit(i) is None]:
             try:
-                return await means.instances.claim(candidates[0], claim_of(progress, means))
+                return await context.instances.claim(candidates[0], claim_of(progress, context))
             except ClaimLost:
                 # Other workloads claim too. A read is cheaper than another claim that is lost.
                 self._lost.add(candidates[0].uid)
-                await self.look(means, progress)
+                await self.look(context, progress)
         return None
 
-    def _candidates(self, progress: Progress, means: Means) -> Sequence[Instance]:
+    def _candidates(self, progress: Progress, context: StrategyContext) -> Sequence[Instance]:
         """Return the pods that it may take, in the order in which it tries to claim them."""
-        others = means.queue.others(self.pool)
-        ahead = before(self._place(progress, means), others, means.clock())
-        candidates = left_by(ahead, self._free(progress, means))
+        others = context.queue.others(self.pool)
+        ahead = before(self._place(progress, context), others, context.clock())
+        candidates = left_by(ahead, self._free(progress, context))
         if progress.waiting is None and not others:
             # If many robots fail at once, each starts with another pod: otherwise all but one would lose the race for the first
             # pod, and again for the second. Workloads that wait have an order instead.
-            return apart(candidates, means.workload_uid)
+            return apart(candidates, context.workload_uid)
         return candidates
 
 

@@ -19,7 +19,7 @@ from understudy.failover.decide import (
     decide,
 )
 from understudy.failover.limits.state import ActiveLimit
-from understudy.failover.strategies.base import Means
+from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.switchover import Preparation
 from understudy.monitor.decide.deferred_failures import DeferredFailures
 from understudy.monitor.decide.initial_activation import Candidates, InitialActivation
@@ -67,19 +67,19 @@ class DecideStage:
         self,
         view: ClusterView,
         agents: AgentConnections,
-        means: Means,
+        context: StrategyContext,
         judge: JudgeStage,
         dependencies: Dependencies,
         notices: Notices,
     ) -> None:
-        """``means`` are what strategies work with, before the workload's settings and policy are known."""
-        self._view, self._gate, self._notices = view, means.gate, notices
+        """``context`` is without the settings and policy of the workload, which are added at each use."""
+        self._view, self._gate, self._notices = view, context.gate, notices
         self._levels, self._dependencies = judge.levels, dependencies
         self.takeover = judge.takeover
         self.limits = Limits(view, notices)
-        self.options = StrategyOptions(view, self.limits.storms, means)
+        self.options = StrategyOptions(view, self.limits.storms, context)
         self._deferred = DeferredFailures(notices)
-        self._activation = InitialActivation(means.instances, agents)
+        self._activation = InitialActivation(context.instances, agents)
 
     def decide(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Resolution:
         """Return what happens now. ``prepared`` is the planned switchover that can be carried out, or is not settled yet."""

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from understudy.api.base import seconds
-from understudy.failover.strategies.base import Choice, Means, Strategy
+from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import ApiError
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -21,16 +21,16 @@ LOOK_WITHIN = 0.5
 class StrategyOptions:
     """The strategies of one workload's policy, and the resources that exist for them."""
 
-    def __init__(self, view: ClusterView, storms: StormCondition, means: Means) -> None:
-        """``means`` are those of every workload; the workload's settings and policy are added when they are asked for."""
-        self._view, self._storms, self._means = view, storms, means
+    def __init__(self, view: ClusterView, storms: StormCondition, context: StrategyContext) -> None:
+        """``context`` is without the settings and policy of the workload, which :meth:`context` adds."""
+        self._view, self._storms, self._context = view, storms, context
 
-    def means(self) -> Means:
-        """Return what strategies work with, by the present settings and policy."""
+    def context(self) -> StrategyContext:
+        """Return what strategies work with now, with the present settings and policy."""
         policy, settings = self._view.policy, self._view.settings
         assert settings is not None, "the cluster view has started, so there are settings"
-        restore_within = seconds(policy.state.within) if policy is not None else self._means.restore_within
-        return replace(self._means, workload_uid=settings.uid, restore_within=restore_within, holds=self.holds)
+        restore_within = seconds(policy.state.within) if policy is not None else self._context.restore_within
+        return replace(self._context, workload_uid=settings.uid, restore_within=restore_within, holds=self.holds)
 
     def choices(self) -> Sequence[Choice]:
         """The strategies in order, each with the time it has; empty while they are not known yet."""
@@ -41,8 +41,8 @@ class StrategyOptions:
 
     def usable(self) -> str:
         """The name of the strategy that would be carried out now."""
-        means = self.means()
-        reasons = [(choice.strategy, choice.strategy.outlook(means)) for choice in self.choices()]
+        context = self.context()
+        reasons = [(choice.strategy, choice.strategy.outlook(context)) for choice in self.choices()]
         return next((strategy.name.split("/")[-1] for strategy, reason in reasons if reason is None), "None")
 
     def standby_ready(self) -> bool:
@@ -50,8 +50,8 @@ class StrategyOptions:
         found = self.choices()
         if not found:
             return False
-        means = self.means()
-        return any(choice.strategy.standing and choice.strategy.available(means) is None for choice in found)
+        context = self.context()
+        return any(choice.strategy.standing and choice.strategy.available(context) is None for choice in found)
 
     def holds(self, strategy: Strategy) -> str | None:
         """Why a strategy is not tried now although it could be."""
@@ -62,7 +62,7 @@ class StrategyOptions:
     def first_missing(self) -> str | None:
         """Why the first strategy cannot be carried out, according to what was reported; None if it can."""
         first = self.choices()[0].strategy
-        return first.outlook(self.means()) or self.holds(first)
+        return first.outlook(self.context()) or self.holds(first)
 
     async def check_first(self) -> str | None:
         """Why the first strategy cannot be carried out, according to the present state of the cluster and not only to
@@ -70,10 +70,10 @@ class StrategyOptions:
 
         Nobody watches the active instance meanwhile, so a slow answer counts as none.
         """
-        first, means = self.choices()[0].strategy, self.means()
+        first, context = self.choices()[0].strategy, self.context()
         try:
             async with asyncio.timeout(LOOK_WITHIN):
-                await first.look(means)
-            return first.available(means)
+                await first.look(context)
+            return first.available(context)
         except (ApiError, TimeoutError) as error:
             return str(error) or "the API server does not answer"

@@ -165,10 +165,10 @@ def test_monitor_and_explain_agree_on_which_strategies_can_run(
                 {"name": "spare", "readiness": "Uninitialized", "reserved": reserved},
             ]
         )
-        means = Cluster(store).means()
+        context = Cluster(store).context()
         listed = choices(FailurePolicySpec.model_validate(policy["spec"]), settings, None)
         for choice in listed:
-            await choice.strategy.look(means)
-        return [choice.strategy.available(means) is None for choice in listed]
+            await choice.strategy.look(context)
+        return [choice.strategy.available(context) is None for choice in listed]
 
     assert [one.availability.available for one in found] == asyncio.run(by_the_monitor())

@@ -20,7 +20,7 @@ from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import Choice, Means, Strategy
+from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Preparation
@@ -75,14 +75,14 @@ class GivenOptions(StrategyOptions):
     """Strategies as a test gives them, in a world."""
 
     def __init__(self, objects: ClusterObjects, world: World, strategies: Sequence[Strategy]) -> None:
-        super().__init__(objects.view, StormCondition(objects.view), world.means())
+        super().__init__(objects.view, StormCondition(objects.view), world.context())
         self.world, self._strategies = world, strategies
 
     def choices(self) -> list[Choice]:
         return [Choice(strategy, 0.3) for strategy in self._strategies]
 
-    def means(self) -> Means:
-        return self.world.means()
+    def context(self) -> StrategyContext:
+        return self.world.context()
 
 
 class Scene:
@@ -362,7 +362,7 @@ async def test_a_switchover_that_took_effect_late_is_settled(monkeypatch: pytest
     found = await scene.looked()
     assert found is not None
 
-    async def unanswered(prepared: Preparation, means: Means) -> Progress:
+    async def unanswered(prepared: Preparation, context: StrategyContext) -> Progress:
         raise TimeoutError
 
     monkeypatch.setattr(switchover, "switch", unanswered)

@@ -22,7 +22,7 @@ from understudy.failover import pool_queue
 from understudy.failover.interfaces import Instance
 from understudy.failover.progress import PodIdentity, Progress
 from understudy.failover.protocol import recover
-from understudy.failover.strategies.base import Choice, Means
+from understudy.failover.strategies.base import Choice, StrategyContext
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, Object, Resource
@@ -204,10 +204,10 @@ class Monitor:
         progress = Progress.begin("it ended", last_healthy=now, detected=now, failed=failed)
         self.notices.condition("Recovering", "True", "FailureDetected", progress.reason)
         ladder = [Choice(UninitializedFallback(POOL, wait_for=wait_for), 2.0)]
-        return await recover(progress, ladder, self.means())
+        return await recover(progress, ladder, self.context())
 
-    def means(self) -> Means:
-        return Means(
+    def context(self) -> StrategyContext:
+        return StrategyContext(
             gate=self.gate,
             instances=self.fleet,
             agents=self,  # type: ignore[arg-type]

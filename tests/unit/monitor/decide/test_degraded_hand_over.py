@@ -18,7 +18,7 @@ from understudy.failover.availability import Availability
 from understudy.failover.decide import Recover, Trigger
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Choice, Means
+from understudy.failover.strategies.base import Choice, StrategyContext
 from understudy.failover.strategies.restart import Restart
 from understudy.monitor.decide import strategy_options
 from understudy.monitor.judge.stage import Judgement
@@ -122,7 +122,7 @@ class TestHandingOver:
         world.observer.well = SLOW
         world.look(10, given=HANDED)
         world.levels.wait(
-            "means", "the first strategy can't be carried out (pool hot has no standby for this workload)"
+            "FirstStrategyUnavailable", "the first strategy can't be carried out (pool hot has no standby for this workload)"
         )
         assert world.levels.due is None
         world.look(0.3, given=HANDED)
@@ -225,10 +225,10 @@ class Looked(Restart):
         super().__init__()
         self._takes, self._lacking = takes, lacking
 
-    async def look(self, means: Means) -> None:
+    async def look(self, context: StrategyContext) -> None:
         await asyncio.sleep(self._takes)
 
-    def availability(self, means: Means, progress: Progress | None = None) -> Availability:
+    def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
         return Availability(not self._lacking, "PoolEmpty" if self._lacking else "", self._lacking)
 
 

@@ -153,16 +153,16 @@ class PlannedSwitchovers:
 
         None if the gate was not switched.
         """
-        progress, means = prepared.progress, self._options.means()
+        progress, context = prepared.progress, self._options.context()
         self._say_switching(progress)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         try:
             with self._current.during(progress):
                 async with self._keeping.recovering():
                     if progress.former is None:
-                        await switchover.switch(prepared, means)
+                        await switchover.switch(prepared, context)
                     else:
-                        await switchover.settle(progress, means)
+                        await switchover.settle(progress, context)
         except (NotAvailable, Superseded, *FAILURES) as error:
             if progress.result == "Running":
                 reason = str(error) or f"the API server did not answer within {switchover.COMMIT_WITHIN:g} s"
@@ -250,7 +250,7 @@ class PlannedSwitchovers:
     # -- preparing --------------------------------------------------------------------------------------------------
 
     def _begin(self, wanted: Wanted) -> None:
-        choices, means = self._options.choices(), self._options.means()
+        choices, context = self._options.choices(), self._options.context()
         begun = time.time()
         progress = Progress.begin(wanted.reason, last_healthy=begun, detected=begun, planned=True)
         progress.switchover, progress.request = wanted.kind, wanted.request
@@ -260,7 +260,7 @@ class PlannedSwitchovers:
         if self._is_new(wanted):
             self._notices.event("Normal", "SwitchoverBegun", f"A switchover is being prepared: {wanted.reason}")
             self._say(progress, "Preparing", "An understudy is being prepared.")
-        self._task = asyncio.create_task(switchover.prepare(progress, choices, means, wanted.unfit))
+        self._task = asyncio.create_task(switchover.prepare(progress, choices, context, wanted.unfit))
 
     def _home(self, choices: Sequence[Choice]) -> Choice:
         """Has the workload's own controller run a pod, where the policy has no such strategy."""

@@ -118,11 +118,11 @@ class RecoveryRunner:
         return Outcome("Superseded" if isinstance(error, Superseded) else "Stopped", progress, error=error)
 
     async def _recovered(self, progress: Progress, choices: Sequence[Choice]) -> Progress:
-        means = self._options.means()
+        context = self._options.context()
         with self._current.during(progress):
             if progress.taken_over is not None:
-                await reflex.commit(progress, means)
+                await reflex.commit(progress, context)
                 choices = [Choice(reflex.ReflexFallback(), REFLEX_WITHIN), *choices]
             elif progress.follows and self._view.spec is not None:
                 choices = following(progress.follows, self._view.spec, choices)
-            return await recover(progress, choices, means)
+            return await recover(progress, choices, context)
