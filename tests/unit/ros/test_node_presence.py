@@ -17,7 +17,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 
 pytestmark = pytest.mark.ros
 
-WANTED = WatchedTopic("/controller", None, 0.0, None, heard=False, node=True)
+WANTED = WatchedTopic("/controller", None, 0.0, None, subscribed=False, node=True)
 
 
 @pytest.fixture

@@ -89,7 +89,7 @@ def test_an_agent_counts_only_publishers_of_its_own_host(graph, others, eventual
     (host,) = {endpoint.gid[HOST] for endpoint in graph.publishers("/chat")}
     for own, expected in ((host, 1), (VENDOR + b"xx", 0)):
         watching = TopicWatch(graph, own)
-        watching.follow([WatchedTopic("/chat", None, 0.0, None, heard=False, publishers=True)])
+        watching.follow([WatchedTopic("/chat", None, 0.0, None, subscribed=False, publishers=True)])
         watching.drain()
         assert len(watching.publishers("/chat").nodes) == expected
         watching.close()
@@ -105,7 +105,7 @@ def test_the_monitor_counts_only_publishers_of_the_active_instance_or_the_robot(
         for address, node in ((active, "/a"), (standby, "/b"), (robot, "/c"))
     ]
     monkeypatch.setattr(graph, "publishers", lambda topic: ends)
-    watching.follow([WatchedTopic("/chat", None, 0.0, None, heard=False, publishers=True)])
+    watching.follow([WatchedTopic("/chat", None, 0.0, None, subscribed=False, publishers=True)])
 
     def counted(instances: dict[str, str], pod: str) -> tuple[str, ...]:
         watching.attribute(instances, pod)

@@ -85,11 +85,11 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
 
 def test_the_leaf_subscribes_to_no_topic_even_if_one_has_the_name_of_the_node():
     (alone,) = load(leaf()).topics
-    assert (alone.name, alone.heard, alone.node) == (CONTROLLER, False, True)
+    assert (alone.name, alone.subscribed, alone.node) == (CONTROLLER, False, True)
     gap = {"topic": {"name": CONTROLLER, "gap": "1s"}}
     for nodes in ([leaf(), gap], [gap, leaf()]):
         (both,) = load({"parallel": nodes}).topics
-        assert (both.heard, both.node, both.publishers) == (True, True, False)
+        assert (both.subscribed, both.node, both.publishers) == (True, True, False)
     world = World({"parallel": [gap, leaf()]}).find(CONTROLLER, 1.0)
     world.tree.leave_out({CONTROLLER})
     assert world.at(1.0).state == "Healthy"

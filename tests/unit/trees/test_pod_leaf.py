@@ -251,7 +251,7 @@ def test_a_standby_is_not_judged_by_the_leaf():
 
 def test_the_leaf_subscribes_to_no_topic_and_a_procedure_cannot_contain_it():
     (topic,) = load({"parallel": [leaf(), leaf(restarts=0, window="1h")]}).topics
-    assert (topic.pod, topic.heard) == (True, False)
+    assert (topic.pod, topic.subscribed) == (True, False)
     assert "pod" not in CONDITIONS
 
 

@@ -112,11 +112,11 @@ def test_a_leaf_of_a_task_is_judged_only_while_the_task_is_active():
 
 def test_the_leaf_does_not_subscribe_to_its_topic():
     (alone,) = load(leaf()).topics
-    assert (alone.heard, alone.publishers) == (False, True)
+    assert (alone.subscribed, alone.publishers) == (False, True)
     gap = {"topic": {"name": CMD, "gap": "1s"}}
     for nodes in ([leaf(), gap], [gap, leaf()]):
         (both,) = load({"parallel": nodes}).topics
-        assert (both.heard, both.publishers, both.type) == (True, True, None)
+        assert (both.subscribed, both.publishers, both.type) == (True, True, None)
 
 
 def test_publishers_are_counted_for_unreadable_topics_and_for_the_status_of_an_action():
@@ -128,7 +128,7 @@ def test_publishers_are_counted_for_unreadable_topics_and_for_the_status_of_an_a
     for nodes in ([status, {**TASK, "do": leaf()}], [{**TASK, "do": leaf()}, status]):
         found = {topic.name: topic for topic in load({"parallel": nodes}).topics}
         topic = found["/go/_action/status"]
-        assert (topic.task, topic.heard, topic.publishers) == (True, True, True)
+        assert (topic.task, topic.subscribed, topic.publishers) == (True, True, True)
         for joined in (found[CMD].joined(topic), topic.joined(found[CMD])):
             assert joined.task
 

@@ -151,7 +151,7 @@ def _outputs_not_watched(workload: Manifest, policy: Manifest) -> Iterator[Findi
     if (tree := _tree(policy)) is None:
         return
     watched = [topic.name for topic in tree.topics]
-    if outputs and all(leaf.hears for leaf in tree.leaves) and not set(outputs) & set(watched):
+    if outputs and all(leaf.uses_messages for leaf in tree.leaves) and not set(outputs) & set(watched):
         message = (
             f"watches {_some(watched)}, but none of the outputs of RobotWorkload {workload.name} ({_some(outputs)}), so the failure of an "
             "output is not detected; watch one of them, or correct the names"

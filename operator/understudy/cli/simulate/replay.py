@@ -55,8 +55,8 @@ def replay(tree: HealthTree, debounce: float, bag: Bag) -> Replay:
         raise CommandError(f"{bag.path}: this bag contains nothing that the policy's tree can evaluate\n{reasons}")
     # Topics that only skipped leaves need are not read.
     out = {path for one in left_out for path in one.leaves}
-    heard = [topic for topic in tree.topics if topic.heard and topic.name in bag.topics]
-    wanted = {topic.name: topic for topic in heard if _without(tree, out, topic.name)}
+    recorded = [topic for topic in tree.topics if topic.subscribed and topic.name in bag.topics]
+    wanted = {topic.name: topic for topic in recorded if _without(tree, out, topic.name)}
     types = {name: _type(topic, bag) for name, topic in wanted.items()}
     received = _Received(wanted, types, bag)
     evaluation = Evaluation(tree, debounce, bag.start)
@@ -118,15 +118,15 @@ def _run(evaluation: Evaluation, received: _Received, bag: Bag, types: Mapping[s
 def _leave_out(tree: HealthTree, bag: Bag) -> list[LeftOut]:
     """Remove the leaves from the evaluation that the bag cannot answer, and return them."""
     leaves = {leaf.name: leaf for leaf in tree.leaves}
-    unheard = {path for path, leaf in leaves.items() if leaf.unrecorded}
-    lacking = [topic for topic in tree.topics if topic.heard and topic.name not in bag.topics]
+    unrecorded = {path for path, leaf in leaves.items() if leaf.unrecorded}
+    lacking = [topic for topic in tree.topics if topic.subscribed and topic.name not in bag.topics]
     found = [LeftOut((path,), f"{leaf.unrecorded} ({leaf.topic})") for path, leaf in leaves.items() if leaf.unrecorded]
     for topic in lacking:
-        gone = tuple(path for path in leaves if path in _without(tree, unheard, topic.name))
+        gone = tuple(path for path in leaves if path in _without(tree, unrecorded, topic.name))
         if gone:
             why = f"the bag does not contain {topic.name}{', which reports whether the task is active' if topic.task else ''}"
             found.append(LeftOut(gone, f"{why}; {_HIDDEN}" if "/_action/" in topic.name else why))
-    tree.leave_out({topic.name for topic in lacking} | unheard)
+    tree.leave_out({topic.name for topic in lacking} | unrecorded)
     return found
 
 

@@ -166,7 +166,7 @@ class TopicWatch:
         self._inhabitants.follow([topic.name for topic in topics if topic.node])
         self._lifecycles.follow([topic.name.removesuffix(EVENTS) for topic in topics if topic.managed])
         self._parameters.follow(parameter for topic in topics for parameter in topic.parameters)
-        wanted = {topic.name: topic for topic in topics if topic.heard}
+        wanted = {topic.name: topic for topic in topics if topic.subscribed}
         for name in [name for name in self._topics if name not in wanted]:
             self._end(self._topics.pop(name))
         for name, want in wanted.items():

@@ -38,8 +38,8 @@ class EvidenceTrack(Generic[EvidenceT]):
     """When that was received, by the clock at that time."""
     held: bool = False
     """Whether the condition has ever held."""
-    heard: float | None = None
-    """When the last message that says anything about the condition was received."""
+    last_finding: float | None = None
+    """When the last message with a finding was received."""
     good: float | None = None
     """When the last message with which it held was received."""
     bad: float | None = None
@@ -47,16 +47,16 @@ class EvidenceTrack(Generic[EvidenceT]):
     why: str = ""
     """Why it does not hold, according to that message. The text stays the same while the failure lasts."""
 
-    def note(self, said: Finding, content: EvidenceT) -> None:
+    def note(self, finding: Finding, content: EvidenceT) -> None:
         """Note the result of a message."""
-        self.heard = content.received
-        if said.holds:
+        self.last_finding = content.received
+        if finding.holds:
             self.held, self.good, self.bad, self.why = True, content.received, None, ""
             return
-        if said.starting:
+        if finding.starting:
             self.held = False
         if self.bad is None:
-            self.bad, self.why = content.received, said.why
+            self.bad, self.why = content.received, finding.why
 
     def shift(self) -> None:
         """Follow a step of the clock, which moved the time of the newest message."""
@@ -64,7 +64,7 @@ class EvidenceTrack(Generic[EvidenceT]):
             return
         step = self.seen.received - self.received
         self.received = self.seen.received
-        self.heard = self.heard + step if self.heard is not None else None
+        self.last_finding = self.last_finding + step if self.last_finding is not None else None
         self.good = self.good + step if self.good is not None else None
         self.bad = self.bad + step if self.bad is not None else None
 
@@ -93,7 +93,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         return [found]
 
     @abstractmethod
-    def said(self, content: EvidenceT, failed: bool) -> Finding | None:
+    def evaluate(self, content: EvidenceT, failed: bool) -> Finding | None:
         """Evaluate one piece of evidence; None if it says nothing about the condition. ``failed`` is whether the
         condition did not hold before."""
 
@@ -119,8 +119,8 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         track.shift()
         for content in self.fresh(track):
             failed = track.held and track.bad is not None and content.received >= track.bad + self.hold_off
-            if (said := self.said(content, failed)) is not None:
-                track.note(said, content)
+            if (finding := self.evaluate(content, failed)) is not None:
+                track.note(finding, content)
             track.seen, track.received = content, content.received
         return track
 
@@ -128,10 +128,10 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
 
     def lost(self, track: EvidenceTrack[EvidenceT]) -> float:
         """Return when the condition has failed if nothing more arrives, in Unix seconds."""
-        return max(track.bad, self.begun()) + self.hold_off if track.bad is not None else math.inf
+        return max(track.bad, self.clocks_start()) + self.hold_off if track.bad is not None else math.inf
 
-    def begun(self) -> float:
-        """The earliest start of its clocks: the start of its task, if the instance was in control by then."""
+    def clocks_start(self) -> float:
+        """Return the earliest start of its clocks: the start of its task, if the instance was in control by then."""
         found = task_timing(self.tasks, self._evaluation) if self.tasks else None
         return found.active if found is not None and found.active >= self._evaluation.since else -math.inf
 
@@ -175,7 +175,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     def _plain_reason(self, state: State) -> str:
         track, condition = self.followed(), self.condition()
         if track.good is None and track.bad is None:
-            return self._unheard(state, self.awaited())
+            return self._nothing_received(state, self.awaited())
         if state == "Healthy":
             return f"{condition} holds" if track.held else f"{condition} is not required yet"
         why = f" ({track.why})" if track.why else ""
@@ -191,13 +191,13 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
 class AnswerLeaf(EvidenceLeaf[AnswerT]):
     """Judges what a node reports about itself. It holds while that cannot be determined, because that is no failure."""
 
-    hears = False
+    uses_messages = False
 
     @abstractmethod
     def wrong(self, content: AnswerT) -> str:
         """Return why an answer is not as expected, in words; empty if it is."""
 
-    def said(self, content: AnswerT, failed: bool) -> Finding | None:
+    def evaluate(self, content: AnswerT, failed: bool) -> Finding | None:
         """Evaluate an answer."""
         if not content.is_known:
             return None

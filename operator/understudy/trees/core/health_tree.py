@@ -44,7 +44,7 @@ class WatchedTopic:
     """How many of the last messages have their contents evaluated."""
     whole: bool = False
     """Whether more than the header at the start of these messages is evaluated."""
-    heard: bool = True
+    subscribed: bool = True
     """Whether its messages are received at all."""
     publishers: bool = False
     """Whether the tree needs to know who publishes it."""
@@ -79,7 +79,7 @@ class WatchedTopic:
             contents=max(self.contents, other.contents),
             task=self.task or other.task,
             whole=self.whole or other.whole,
-            heard=self.heard or other.heard,
+            subscribed=self.subscribed or other.subscribed,
             publishers=self.publishers or other.publishers,
             managed=self.managed or other.managed,
             node=self.node or other.node,
@@ -131,7 +131,7 @@ class HealthTree:
     def begin(self, now: float) -> None:
         """Start to judge by this tree at ``now`` (Unix seconds). Topics that it newly names have the grace to
         arrive, although the instance is not new."""
-        self._evaluation.begun = now
+        self._evaluation.in_use_since = now
         self._forecast = None
 
     def leave_out(self, topics: Collection[str]) -> None:
@@ -160,8 +160,8 @@ class HealthTree:
     def counting(self, observations: Observations, *, now: float, since: float) -> set[str]:
         """Return the topics whose messages count now: all that are judged, except those that are only for a task that
         is not active."""
-        self._look(observations, now, since, real=False)
-        return {leaf.topic for leaf in self._leaves if leaf.hears and leaf.counts()}
+        self._set_evaluation(observations, now, since, real=False)
+        return {leaf.topic for leaf in self._leaves if leaf.uses_messages and leaf.counts()}
 
     @property
     def leaves(self) -> list[Leaf]:
@@ -236,7 +236,7 @@ class HealthTree:
         Unlike :meth:`deadline`, it also works while the tree is failed, and includes times at which the state may
         improve.
         """
-        self._look(observations, now, since, real=False)
+        self._set_evaluation(observations, now, since, real=False)
         return min((moment for leaf in self._leaves for moment in leaf.changes()), default=None)
 
     def _healthy_until(self, observations: Observations, now: float, since: float) -> dict[str, float] | None:
@@ -244,7 +244,7 @@ class HealthTree:
         healthy."""
         if not self._upright:
             return None
-        self._look(observations, now, since, real=True)
+        self._set_evaluation(observations, now, since, real=True)
         found = {}
         for leaf in self._leaves:
             until = leaf.healthy_until()
@@ -253,14 +253,14 @@ class HealthTree:
             found[leaf.name] = until
         return found
 
-    def _look(self, observations: Observations, now: float, since: float, *, real: bool) -> None:
+    def _set_evaluation(self, observations: Observations, now: float, since: float, *, real: bool) -> None:
         evaluation = self._evaluation
         evaluation.observations, evaluation.now, evaluation.since, evaluation.real = observations, now, since, real
-        if real and evaluation.begun > now:  # the clock was set back meanwhile
-            evaluation.begun = now
+        if real and evaluation.in_use_since > now:  # the clock was set back meanwhile
+            evaluation.in_use_since = now
 
     def _tick(self, observations: Observations, now: float, since: float, *, real: bool = True) -> State:
-        self._look(observations, now, since, real=real)
+        self._set_evaluation(observations, now, since, real=real)
         assert self.root is not None, "there is something to judge"
         for _ in self.root.tick():
             pass

@@ -41,7 +41,7 @@ class Leaf(Behaviour, ABC):
     earliest, and what it needs then has some time to start.
     """
 
-    hears = True
+    uses_messages = True
     """Whether it judges by the topic's messages."""
     kind = ""
     """Its key in the short form; the loader sets it."""
@@ -74,7 +74,7 @@ class Leaf(Behaviour, ABC):
     @property
     def unrecorded(self) -> str:
         """Return in words why it cannot be evaluated from recorded messages; empty if it can."""
-        return "" if self.hears else "it needs the live ROS graph, which a bag does not contain"
+        return "" if self.uses_messages else "it needs the live ROS graph, which a bag does not contain"
 
     def reason(self, state: State) -> str:
         """Return in plain words why it is in this state. The text is the same for as long as nothing changes."""
@@ -117,7 +117,7 @@ class Leaf(Behaviour, ABC):
         known = [time for time in (last, found.active) if time is not None and time >= self._evaluation.since]
         return max(known, default=None)
 
-    def _unheard(self, state: State, what: str) -> str:
+    def _nothing_received(self, state: State, what: str) -> str:
         """Return the reason if the instance has not sent what is awaited; ``what`` is for example the topic."""
         if state == "Starting":
             return f"waiting for the first {what}, for up to {duration(self._evaluation.grace)}"

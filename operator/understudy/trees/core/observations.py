@@ -323,7 +323,7 @@ class Evaluation:
     """Unix seconds."""
     since: float = 0.0
     """When the judged instance took control, in Unix seconds. What was received earlier is not from it."""
-    begun: float = -math.inf
+    in_use_since: float = -math.inf
     """Since when this tree is in use, in Unix seconds. Topics that it newly names may not have been watched before."""
     real: bool = True
     """False while a later time is tried, which must leave no trace."""
@@ -331,4 +331,4 @@ class Evaluation:
     @property
     def in_time(self) -> float:
         """Until when the instance may become healthy for the first time, in Unix seconds."""
-        return max(self.since, self.begun) + self.grace
+        return max(self.since, self.in_use_since) + self.grace

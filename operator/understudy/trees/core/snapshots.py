@@ -64,7 +64,7 @@ def _node(node: Behaviour, observations: Observations, now: float) -> Snapshot:
 def _leaf(leaf: Leaf, state: Shown, observations: Observations, now: float) -> Snapshot:
     reason = leaf.feedback_message if state in ("Failed", "Starting") else ""
     found: Snapshot = {"name": leaf.name, "kind": _kind(leaf), "state": state, "reason": reason, "topic": leaf.topic}
-    record = observations.topic(leaf.topic) if leaf.hears else None
+    record = observations.topic(leaf.topic) if leaf.uses_messages else None
     if record is not None:
         found["received"] = record.count
         found["age"] = round(max(0.0, now - record.last), 3) if record.last is not None else None

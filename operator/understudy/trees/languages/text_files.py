@@ -70,8 +70,8 @@ class _Read:
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
             place = self._at(mark.line, mark.column) if mark else self._at(0, 0)
-            said = ", ".join(part for part in (error.context, error.problem) if part)
-            raise TreeError([self._problem_at(place, "", f"this is not YAML: {said}; correct it here")]) from error
+            problem = ", ".join(part for part in (error.context, error.problem) if part)
+            raise TreeError([self._problem_at(place, "", f"this is not YAML: {problem}; correct it here")]) from error
         except yaml.reader.ReaderError as error:
             before = text[: error.position]
             place = self._at(before.count("\n"), len(before) - before.rfind("\n") - 1)

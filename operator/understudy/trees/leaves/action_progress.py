@@ -11,7 +11,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace, State, duration
 from understudy.trees.core.observations import Content, TopicRecord, Unreadable
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, time_key
+from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, time_key
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expression_values import Undefined
 from understudy.trees.source.expressions import ExpressionError, Quantity
@@ -57,7 +57,7 @@ class ProgressLeaf(ContentLeaf):
         self._best.clear()
         self._why = ""
 
-    def said(self, content: Content, failed: bool) -> Finding | None:
+    def evaluate(self, content: Content, failed: bool) -> Finding | None:
         """Evaluate the feedback; None if it is no better than earlier feedback."""
         if self._aim is None:
             return Finding(True, "")
@@ -91,14 +91,14 @@ class ProgressLeaf(ContentLeaf):
             return math.inf
         record = self._record()
         return (
-            max(record.last if record is not None and record.last is not None else -math.inf, self.begun()) + self._gap
+            max(record.last if record is not None and record.last is not None else -math.inf, self.clocks_start()) + self._gap
         )
 
     def _stalled(self, track: EvidenceTrack[Content]) -> float:
         """Return when it has been without progress for too long if nothing more arrives."""
         if self._aim is None:
             return math.inf
-        return max(track.good if track.good is not None else -math.inf, self.begun()) + self._aim.within
+        return max(track.good if track.good is not None else -math.inf, self.clocks_start()) + self._aim.within
 
     def _record(self) -> TopicRecord | None:
         """Return the feedback's record; None without feedback of this instance."""
@@ -123,9 +123,9 @@ class ProgressLeaf(ContentLeaf):
             yet = f" for {duration(self._gap)}" if state == "Failed" else " yet"
             return f"no feedback of {self._action}{yet}"
         assert self._aim is not None, "a gap alone fails by the gap"
-        heard = record is not None and (record.last or -math.inf) >= self.begun()
+        has_feedback = record is not None and (record.last or -math.inf) >= self.clocks_start()
         what = f"{self._aim.quantity.text:.80} of {self._action}"
-        return f"{what} has {self._aim} ({self._why if heard and self._why else 'no feedback has come'})"
+        return f"{what} has {self._aim} ({self._why if has_feedback and self._why else 'no feedback has come'})"
 
 
 def feedback_of(action: str) -> str:
@@ -136,33 +136,33 @@ def feedback_of(action: str) -> str:
 _MEASURES = ("falls", "grows")
 
 
-def _check(given: Given) -> None:
-    measures = [key for key in _MEASURES if key in given]
+def _check(values: LeafValues) -> None:
+    measures = [key for key in _MEASURES if key in values]
     if len(measures) > 1:
-        given.problem("grows", "found falls and grows; give the one that shows progress")
+        values.problem("grows", "found falls and grows; give the one that shows progress")
     if not measures:
-        if "gap" not in given:
-            given.problem(
+        if "gap" not in values:
+            values.problem(
                 "", "none of gap, falls and grows is given; give gap, such as 5s, or falls, such as distance_remaining"
             )
         for key in ("by", "within"):
-            if key in given:
-                given.problem(key, "it is only for falls or grows; give one of these, or remove it")
+            if key in values:
+                values.problem(key, "it is only for falls or grows; give one of these, or remove it")
         return
     for key, right in _OF_MEASURES.items():
-        if key not in given:
-            given.problem(key, f"missing; give {right}")
-    type_ = f"{given['type']}_Feedback" if given["type"] is not None else ""
+        if key not in values:
+            values.problem(key, f"missing; give {right}")
+    type_ = f"{values['type']}_Feedback" if values["type"] is not None else ""
 
     def quantity(found: object) -> Quantity:
         if not isinstance(found, str):
             raise ValueError(f"found {found_text(found)}; write a field of the feedback, such as distance_remaining")
         try:
-            return Quantity.parse(found, type_, given.fields)
+            return Quantity.parse(found, type_, values.fields)
         except ExpressionError as error:
             raise ValueError(f"found {found_text(found)}: {error}") from error
 
-    given.convert(measures[0], quantity)
+    values.convert(measures[0], quantity)
 
 
 _OF_MEASURES = {
@@ -173,16 +173,16 @@ _OF_MEASURES = {
 """The keys that a measure needs, and what to give."""
 
 
-def _plan(given: Given) -> LeafPlan:
-    action, gap, type_ = given["action"], given["gap"], given["type"]
-    quantities = ((given[key], sign) for key, sign in (("falls", -1), ("grows", 1)) if key in given)
-    aim = next((RequiredProgress(one, sign, given["by"], given["within"]) for one, sign in quantities), None)
+def _plan(values: LeafValues) -> LeafPlan:
+    action, gap, type_ = values["action"], values["gap"], values["type"]
+    quantities = ((values[key], sign) for key, sign in (("falls", -1), ("grows", 1)) if key in values)
+    aim = next((RequiredProgress(one, sign, values["by"], values["within"]) for one, sign in quantities), None)
     feedback = f"{type_}_FeedbackMessage" if type_ is not None else None
     return LeafPlan(
         f"{action.lstrip('/')}.progress",
         WatchedTopic(feedback_of(action), feedback, 0.0, None, contents=1, whole=aim is not None),
         lambda place: ProgressLeaf(place, action, gap, aim),
-        TaskActive(action, given["settle"]),
+        TaskActive(action, values["settle"]),
     )
 
 

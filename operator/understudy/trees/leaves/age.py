@@ -9,7 +9,7 @@ from understudy.trees.core.leaf import LeafPlace, duration
 from understudy.trees.core.observations import Content
 from understudy.trees.leaves.leaf_plan import (
     TYPE,
-    Given,
+    LeafValues,
     LeafKind,
     LeafPlan,
     fails_on_arrival,
@@ -43,7 +43,7 @@ class AgeLeaf(ContentLeaf):
             "it needs the time at which messages were sent, which a bag does not contain" if self._by == SOURCE else ""
         )
 
-    def said(self, content: Content, failed: bool) -> Finding:
+    def evaluate(self, content: Content, failed: bool) -> Finding:
         """Evaluate the message by its stamp, or by the time at which it was sent."""
         age = content.under_way() if self._by == SOURCE else content.age()
         if age is None:
@@ -62,21 +62,21 @@ def rounded(seconds: float) -> str:
     return f"{seconds * 1000:.3g} ms" if seconds < 0.9995 else f"{seconds:.3g} s" if seconds < 1e6 else "over 11 days"
 
 
-def _check(given: Given) -> None:
-    type_, by = given["type"], given["by"]
-    known = given.fields(type_) if type_ and given.fields is not None else None
+def _check(values: LeafValues) -> None:
+    type_, by = values["type"], values["by"]
+    known = values.fields(type_) if type_ and values.fields is not None else None
     if by == STAMP and known is not None and next(iter(known.values()), None) != HEADER:
-        given.problem(
+        values.problem(
             "type",
             f"found {type_}, which does not begin with a header; an age needs one with a stamp, or give by: source",
         )
 
 
-def _plan(given: Given) -> LeafPlan:
-    topic, hold_off, most, by = given["topic"], given.hold_off, given["most"], given["by"]
+def _plan(values: LeafValues) -> LeafPlan:
+    topic, hold_off, most, by = values["topic"], values.hold_off, values["most"], values["by"]
     return LeafPlan(
         f"{topic.lstrip('/')}.age",
-        WatchedTopic(topic, given["type"], 0.0, None, contents=1, prompt=fails_on_arrival(hold_off)),
+        WatchedTopic(topic, values["type"], 0.0, None, contents=1, prompt=fails_on_arrival(hold_off)),
         lambda place: AgeLeaf(place, topic, hold_off, most, by),
     )
 

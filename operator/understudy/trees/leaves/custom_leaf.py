@@ -21,7 +21,7 @@ from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.leaf_plan import (
     TYPE,
-    Given,
+    LeafValues,
     Key,
     LeafKind,
     LeafPlan,
@@ -72,7 +72,7 @@ class CustomLeaf(ContentLeaf):
         """Judge another instance, about which nothing is known yet."""
         self._judge = None
 
-    def said(self, content: Content, failed: bool) -> Finding:
+    def evaluate(self, content: Content, failed: bool) -> Finding:
         """Return the judge's result for the message."""
         try:
             message = content.message()
@@ -134,9 +134,9 @@ def _settings(name: str, judge: type) -> list[Key]:
     return found
 
 
-def _plan(name: str, judge: Callable[..., Judge], settings: Sequence[Key], given: Given) -> LeafPlan:
-    topic, hold_off = given["topic"], given.hold_off
-    make = partial(judge, **{key.name: given[key.name] for key in settings if key.name in given})
+def _plan(name: str, judge: Callable[..., Judge], settings: Sequence[Key], values: LeafValues) -> LeafPlan:
+    topic, hold_off = values["topic"], values.hold_off
+    make = partial(judge, **{key.name: values[key.name] for key in settings if key.name in values})
     try:
         make()
     except ValueError:  # it refuses a value
@@ -145,7 +145,7 @@ def _plan(name: str, judge: Callable[..., Judge], settings: Sequence[Key], given
         raise ValueError(f"{name} cannot be made, {_error_text(error)}") from error
     return LeafPlan(
         f"{topic.lstrip('/')}.{name}",
-        WatchedTopic(topic, given["type"], 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
+        WatchedTopic(topic, values["type"], 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
         lambda place: CustomLeaf(place, topic, hold_off, name, make),
     )
 

@@ -9,7 +9,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.leaf_plan import (
-    Given,
+    LeafValues,
     Key,
     LeafKind,
     LeafPlan,
@@ -73,7 +73,7 @@ class DiagnosticsLeaf(ContentLeaf):
         """Forget the levels."""
         self._levels.clear()
 
-    def said(self, content: Content, failed: bool) -> Finding | None:
+    def evaluate(self, content: Content, failed: bool) -> Finding | None:
         """Evaluate all statuses including those of this message; None if the message has none of them."""
         try:
             found = [status for status in _statuses(content.message()) if self._asked(status[0])]
@@ -87,13 +87,13 @@ class DiagnosticsLeaf(ContentLeaf):
             self._levels[name] = _Level(level, text, well)
         while len(self._levels) > MOST_STATUSES:
             del self._levels[next(iter(self._levels))]
-        bad = {name: said for name, said in self._levels.items() if said.level > self._worst}
+        bad = {name: status for name, status in self._levels.items() if status.level > self._worst}
         if not bad:
             return Finding(True, "")
         name = max(bad, key=lambda name: bad[name].level)
         more = f", and {len(bad) - 1} more" if len(bad) > 1 else ""
         # Nodes start one after the other: the grace of the others does not end when the first are well.
-        starting = content.received < self._evaluation.in_time and not any(said.well for said in bad.values())
+        starting = content.received < self._evaluation.in_time and not any(status.well for status in bad.values())
         return Finding(False, _status_text(name, bad[name].level, bad[name].text) + more, starting)
 
     def _asked(self, name: str) -> bool:
@@ -125,27 +125,27 @@ def _level(level: bytes | int) -> int:
 
 
 def _status_text(name: str, level: int, text: str) -> str:
-    said = LEVELS[level] if level < len(LEVELS) else f"level {level}"
+    word = LEVELS[level] if level < len(LEVELS) else f"level {level}"
     text = " ".join(text.split())
     text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
-    return f"{name[:_LONGEST]} says {said}{': ' if text else ''}{text}"
+    return f"{name[:_LONGEST]} says {word}{': ' if text else ''}{text}"
 
 
-def _check(given: Given) -> None:
+def _check(values: LeafValues) -> None:
     for key in ("name", "prefix"):
-        text = given[key]
+        text = values[key]
         if text is not None and text.startswith(OWN.rstrip()):
-            given.problem(
+            values.problem(
                 key,
                 f"found {text!r}: Understudy's own status is no evidence; give a status of the application or of the robot",
             )
-    if "name" in given and "prefix" in given:
-        given.problem("prefix", "found name and prefix; give the whole name, or what the names begin with")
+    if "name" in values and "prefix" in values:
+        values.problem("prefix", "found name and prefix; give the whole name, or what the names begin with")
 
 
-def _plan(given: Given) -> LeafPlan:
-    topic, hold_off, worst = given["topic"], given.hold_off, LEVELS.index(given["worst"])
-    name, prefix = given["name"], given["prefix"] or ""
+def _plan(values: LeafValues) -> LeafPlan:
+    topic, hold_off, worst = values["topic"], values.hold_off, LEVELS.index(values["worst"])
+    name, prefix = values["name"], values["prefix"] or ""
     return LeafPlan(
         topic.lstrip("/"),
         WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=fails_on_arrival(hold_off)),

@@ -50,7 +50,7 @@ class Key:
         return self.xml or self.name
 
 
-class Given:
+class LeafValues:
     """The values that a tree gives a leaf, by key. A value that is not given or has a problem is the default or None."""
 
     def __init__(
@@ -82,7 +82,7 @@ class Given:
 
     def convert(self, key: str, read: Read) -> None:
         """Convert the written value of a key, for example with the help of the others."""
-        self._values[key] = self._reader.given(self._written, key, self._path, read)
+        self._values[key] = self._reader.optional(self._written, key, self._path, read)
 
     def problem(self, key: str, message: str) -> None:
         """Note a problem with a key; an empty key stands for the leaf itself."""
@@ -115,9 +115,9 @@ class LeafKind:
     arguments: tuple[Key, ...]
     example: str
     """Its value in the short form, as flow-style YAML."""
-    plan: Callable[[Given], LeafPlan]
+    plan: Callable[[LeafValues], LeafPlan]
     """Returns the plan of a leaf whose values have no problem. Raises ValueError if there cannot be such a leaf."""
-    check: Callable[[Given], None] = lambda given: None
+    check: Callable[[LeafValues], None] = lambda values: None
     """Notes problems of values that depend on each other."""
     active_only: bool = False
     """Whether it judges the active instance only. A procedure cannot wait for it, because it prepares another instance."""
@@ -132,12 +132,12 @@ class LeafKind:
         return None."""
         before = len(reader.problems)
         reader.known(value, self.keys, path)
-        given = Given(reader, self.arguments, value, path, fields)
-        self.check(given)
+        values = LeafValues(reader, self.arguments, value, path, fields)
+        self.check(values)
         if len(reader.problems) > before:
             return None
         try:
-            return self.plan(given)
+            return self.plan(values)
         except ValueError as error:
             reader.problem(path, str(error))
             return None

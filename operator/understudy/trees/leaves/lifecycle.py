@@ -7,7 +7,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import NodeState
 from understudy.trees.leaves.leaf_plan import (
-    Given,
+    LeafValues,
     LeafKind,
     LeafPlan,
     fails_on_arrival,
@@ -55,8 +55,8 @@ class LifecycleLeaf(AnswerLeaf[NodeState]):
         return f"answer of node {self._node} about its lifecycle state"
 
 
-def _plan(given: Given) -> LeafPlan:
-    node, hold_off, state = given["node"], given.hold_off, given["state"]
+def _plan(values: LeafValues) -> LeafPlan:
+    node, hold_off, state = values["node"], values.hold_off, values["state"]
     prompt = fails_on_arrival(hold_off)
     return LeafPlan(
         f"{node.lstrip('/')}.lifecycle",

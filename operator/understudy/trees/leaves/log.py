@@ -12,7 +12,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.core.task_activity import task_timing
-from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, node_key, time_key, word_key
+from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, node_key, time_key, word_key
 from understudy.trees.source.value_reader import found_text, whole_number_of
 
 TYPE = "rcl_interfaces/msg/Log"
@@ -136,65 +136,65 @@ class LogLeaf(Leaf):
         """Make a leaf over the messages of a pattern; ``window`` and ``quiet`` in seconds."""
         super().__init__(place, TOPIC)
         self._pattern, self._count, self._window, self._quiet = pattern, count, window, quiet
-        self._heard = _LogRecord(math.nan)
+        self._track = _LogRecord(math.nan)
 
     # -- logged messages --------------------------------------------------------------------------------------------
 
     def _followed(self) -> _LogRecord:
         """Return what was logged up to the time of the evaluation. Each message is evaluated once."""
-        evaluation, heard = self._evaluation, self._heard
-        if heard.since != evaluation.since:
-            heard = self._heard = _LogRecord(evaluation.since, times=deque(maxlen=self._count))
-        heard.shift()
+        evaluation, track = self._evaluation, self._track
+        if track.since != evaluation.since:
+            track = self._track = _LogRecord(evaluation.since, times=deque(maxlen=self._count))
+        track.shift()
         found = task_timing(self.tasks, evaluation)
         # The leaf's clock starts with the task: messages that were logged while the task was not active do not count.
         active = found.active if found is not None else math.inf
-        if abs(heard.active - active) > 1e-3:
-            heard.begin(active)
-        for content in self._fresh(heard):
+        if abs(track.active - active) > 1e-3:
+            track.begin(active)
+        for content in self._fresh(track):
             if content.received >= active:
-                self._note(heard, content)
-            heard.seen, heard.received = content, content.received
-        return heard
+                self._note(track, content)
+            track.seen, track.received = content, content.received
+        return track
 
-    def _fresh(self, heard: _LogRecord) -> list[Content]:
+    def _fresh(self, track: _LogRecord) -> list[Content]:
         record = self._evaluation.observations.own(self.topic)
         found: list[Content] = []
         for content in reversed(record.contents if record is not None else ()):
-            if content is heard.seen or content.received < self._evaluation.since:
+            if content is track.seen or content.received < self._evaluation.since:
                 break
             found.append(content)
         return found[::-1]
 
-    def _note(self, heard: _LogRecord, content: Content) -> None:
+    def _note(self, track: _LogRecord, content: Content) -> None:
         try:
             message = self._pattern.matched(content)
         except Unreadable:
             return  # a message that cannot be read does not count
         if message is None:
             return
-        if heard.first is not None and content.received >= heard.last + self._quiet:
-            heard.begin(heard.active)  # it was well again in between
-        heard.last = content.received
-        heard.times.append(content.received)
+        if track.first is not None and content.received >= track.last + self._quiet:
+            track.begin(track.active)  # it was well again in between
+        track.last = content.received
+        track.times.append(content.received)
         # The window is open at its end: as many messages in exactly a window's length are too many, like a gap of
         # exactly its limit.
-        if heard.first is not None or len(heard.times) < self._count:
+        if track.first is not None or len(track.times) < self._count:
             return
-        if self._count == 1 or heard.times[-1] - heard.times[0] < self._window:
-            heard.first, heard.why = heard.times[0], _message_text(message)
+        if self._count == 1 or track.times[-1] - track.times[0] < self._window:
+            track.first, track.why = track.times[0], _message_text(message)
 
     # -- the state --------------------------------------------------------------------------------------------------
 
     def _limits(self) -> tuple[float, float, float]:
         """Return when the messages make it no longer healthy, when failed, and when healthy again; infinite for
         never."""
-        heard, evaluation = self._followed(), self._evaluation
-        if heard.first is None:
+        track, evaluation = self._followed(), self._evaluation
+        if track.first is None:
             return math.inf, math.inf, math.inf
         found = task_timing(self.tasks, evaluation)
         settled = found.settled if found is not None and self.tasks else -math.inf
-        return settled, max(settled, evaluation.in_time), heard.last + self._quiet
+        return settled, max(settled, evaluation.in_time), track.last + self._quiet
 
     def state(self) -> State:
         """The state at the time of the evaluation."""
@@ -238,19 +238,19 @@ def _message_text(message: Any) -> str:
     return f"{message.name[:_LONGEST]} says {level}: {text}"
 
 
-def _check(given: Given) -> None:
-    if not any(key in given for key in ("level", "node", "says")):
-        given.problem("", f"none of level, node and says is given; say which messages count, such as {_EXAMPLE}")
-    count = given["count"]
-    if count is not None and count > 1 and "window" not in given:
-        given.problem("window", f"missing; give the time within which {count} messages are too many")
-    if count == 1 and "window" in given:
-        given.problem("window", "a window is only for a count above 1; give count, or remove window")
+def _check(values: LeafValues) -> None:
+    if not any(key in values for key in ("level", "node", "says")):
+        values.problem("", f"none of level, node and says is given; say which messages count, such as {_EXAMPLE}")
+    count = values["count"]
+    if count is not None and count > 1 and "window" not in values:
+        values.problem("window", f"missing; give the time within which {count} messages are too many")
+    if count == 1 and "window" in values:
+        values.problem("window", "a window is only for a count above 1; give count, or remove window")
 
 
-def _plan(given: Given) -> LeafPlan:
-    node, count, window = given["node"], given["count"], given["window"] or 0.0
-    pattern, quiet = Pattern(given["level"], node, given["says"]), given["quiet"] or window or QUIET
+def _plan(values: LeafValues) -> LeafPlan:
+    node, count, window = values["node"], values["count"], values["window"] or 0.0
+    pattern, quiet = Pattern(values["level"], node, values["says"]), values["quiet"] or window or QUIET
     return LeafPlan(
         f"{node.lstrip('/')}.log" if node is not None else "log",
         WatchedTopic(TOPIC, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=True),

@@ -13,7 +13,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import IntervalLeaf, LeafPlace, State
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.core.task_activity import task_timing
-from understudy.trees.leaves.leaf_plan import TYPE, Given, Key, LeafKind, LeafPlan, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import TYPE, LeafValues, Key, LeafKind, LeafPlan, time_key, topic_key
 from understudy.trees.source.value_reader import found_text
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -131,8 +131,8 @@ def _commanded(message: Any) -> Motion:
 
 def _seen(message: Any) -> tuple[Motion, Motion]:
     twist, covariance = message.twist.twist, message.twist.covariance
-    said = [float(covariance[7 * index]) for index in (0, 1, 5)]
-    variances = Motion(*(value if value > 0 else UNSAID for value in said))
+    diagonal = [float(covariance[7 * index]) for index in (0, 1, 5)]
+    variances = Motion(*(value if value > 0 else UNSAID for value in diagonal))
     return _finite(Motion(twist.linear.x, twist.linear.y, twist.angular.z)), _finite(variances)
 
 
@@ -160,30 +160,30 @@ def _quantity(unit: str, example: str, least: float = 0.0) -> Callable[[object],
     return read
 
 
-def _check(given: Given) -> None:
-    type_, topic, commands = given["type"], given["topic"], given["commands"]
+def _check(values: LeafValues) -> None:
+    type_, topic, commands = values["type"], values["topic"], values["commands"]
     if type_ is not None and type_ not in COMMANDS:
-        given.problem("type", f"found {type_!r}; commands are of {' or '.join(COMMANDS)}")
+        values.problem("type", f"found {type_!r}; commands are of {' or '.join(COMMANDS)}")
     if topic is not None and topic == commands:
-        given.problem("commands", f"found {commands!r}, which is the topic too; give the topic of the commands")
+        values.problem("commands", f"found {commands!r}, which is the topic too; give the topic of the commands")
 
 
-def _plan(given: Given) -> LeafPlan:
-    topic, commands = given["topic"], given["commands"]
+def _plan(values: LeafValues) -> LeafPlan:
+    topic, commands = values["topic"], values["commands"]
     allowance = Allowance(
-        given["delay"],
-        given["window"],
-        given["acceleration"],
-        given["turn_acceleration"],
-        given["slip"] / 100,
-        given["tolerance"],
-        given["turn_tolerance"],
+        values["delay"],
+        values["window"],
+        values["acceleration"],
+        values["turn_acceleration"],
+        values["slip"] / 100,
+        values["tolerance"],
+        values["turn_tolerance"],
     )
     return LeafPlan(
         f"{topic.strip('/').removesuffix('/odometry')}.motion",
         WatchedTopic(topic, ODOMETRY, 0.0, None, contents=KEPT, whole=True),
         lambda place: MotionLeaf(place, topic, commands, allowance),
-        also=(WatchedTopic(commands, given["type"], 0.0, None, contents=KEPT, whole=True),),
+        also=(WatchedTopic(commands, values["type"], 0.0, None, contents=KEPT, whole=True),),
     )
 
 

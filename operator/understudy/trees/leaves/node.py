@@ -6,19 +6,19 @@ from understudy.trees.core.evidence import EvidenceLeaf, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import State, duration
 from understudy.trees.core.observations import NodePresence
-from understudy.trees.leaves.leaf_plan import Given, LeafKind, LeafPlan, node_key, time_key
+from understudy.trees.leaves.leaf_plan import LeafValues, LeafKind, LeafPlan, node_key, time_key
 
 
 class NodeLeaf(EvidenceLeaf[NodePresence]):
     """Holds while the instance has a node of a name."""
 
-    hears = False
+    uses_messages = False
 
     def newest(self) -> NodePresence | None:
         """Return the last observation of the ROS graph."""
         return self._evaluation.observations.node(self.topic)
 
-    def said(self, content: NodePresence, failed: bool) -> Finding:
+    def evaluate(self, content: NodePresence, failed: bool) -> Finding:
         """Evaluate the observation."""
         if content.there:
             return Finding(True, "")
@@ -35,7 +35,7 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
 
     def _plain_reason(self, state: State) -> str:
         track, node = self.followed(), self.condition()
-        if track.heard is None:
+        if track.last_finding is None:
             return super()._plain_reason(state)
         why = f" ({track.why})" if track.why else ""
         if state == "Healthy":
@@ -49,11 +49,11 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
         )
 
 
-def _plan(given: Given) -> LeafPlan:
-    node, hold_off = given["name"], given.hold_off
+def _plan(values: LeafValues) -> LeafPlan:
+    node, hold_off = values["name"], values.hold_off
     return LeafPlan(
         f"{node.lstrip('/')}.node",
-        WatchedTopic(node, None, 0.0, None, heard=False, node=True),
+        WatchedTopic(node, None, 0.0, None, subscribed=False, node=True),
         lambda place: NodeLeaf(place, node, hold_off),
     )
 

@@ -11,7 +11,7 @@ from understudy.trees.core.evidence import AnswerLeaf
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import ParameterState, ParameterValue
-from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, node_key, time_key
+from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, node_key, time_key
 from understudy.trees.source.value_reader import found_text
 
 TYPE = "rcl_interfaces/msg/ParameterEvent"
@@ -122,16 +122,16 @@ class ParameterLeaf(AnswerLeaf[ParameterState]):
 _WAYS = ("equals", "one_of", "between")
 
 
-def _check(given: Given) -> None:
-    ways = [way for way in _WAYS if way in given]
+def _check(values: LeafValues) -> None:
+    ways = [way for way in _WAYS if way in values]
     if len(ways) != 1:
         found = " and ".join(ways) if ways else "none of equals, one_of and between"
-        given.problem("", f"found {found}; give one of them, such as equals: 0.26")
+        values.problem("", f"found {found}; give one of them, such as equals: 0.26")
 
 
-def _plan(given: Given) -> LeafPlan:
-    node, hold_off, name = given["node"], given.hold_off, given["name"]
-    (expected,) = (given[way] for way in _WAYS if way in given)
+def _plan(values: LeafValues) -> LeafPlan:
+    node, hold_off, name = values["node"], values.hold_off, values["name"]
+    (expected,) = (values[way] for way in _WAYS if way in values)
     return LeafPlan(
         f"{node.lstrip('/')}.{name}.parameter",
         WatchedTopic(EVENTS, TYPE, 0.0, BURST, contents=KEPT, whole=True, parameters=frozenset({(node, name)})),

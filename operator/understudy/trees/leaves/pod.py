@@ -20,7 +20,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import IntervalLeaf, Leaf, LeafPlace, State, duration
 from understudy.trees.core.observations import PodState
 from understudy.trees.core.task_activity import task_timing
-from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, time_key
+from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, time_key
 from understudy.trees.source.value_reader import found_text, whole_number_of
 
 POD = "pod"
@@ -68,7 +68,7 @@ RESOURCES: Mapping[str, Callable[[float], str]] = {
 class _LookLeaf(EvidenceLeaf[PodState]):
     """Holds while the observations of the pod meet its condition."""
 
-    hears = False
+    uses_messages = False
     of_cluster = True
     unrecorded = _UNRECORDED
 
@@ -92,7 +92,7 @@ class ConditionLeaf(_LookLeaf):
         super().__init__(place, POD, hold_off)
         self._condition, self._status = condition, status
 
-    def said(self, content: PodState, failed: bool) -> Finding:
+    def evaluate(self, content: PodState, failed: bool) -> Finding:
         """Evaluate the observation. A condition that the pod does not have is Unknown (Kubernetes' API conventions)."""
         found = next((one for one in content.conditions if one.type == self._condition), None)
         if (found.status if found is not None else "Unknown") == self._status:
@@ -114,7 +114,7 @@ class UsageLeaf(_LookLeaf):
         super().__init__(place, POD, hold_off)
         self._what, self._bound = what, bound
 
-    def said(self, content: PodState, failed: bool) -> Finding:
+    def evaluate(self, content: PodState, failed: bool) -> Finding:
         """Evaluate the last figures."""
         if content.usage is None:
             return Finding(True, "")  # being unable to judge is not a failure
@@ -156,7 +156,7 @@ class RestartsLeaf(IntervalLeaf):
     It fails with the first restart that is too many, and is well again when enough restarts are older than the window.
     """
 
-    hears = False
+    uses_messages = False
     of_cluster = True
     unrecorded = _UNRECORDED
 
@@ -217,35 +217,35 @@ _WITH: Mapping[str, tuple[str, ...]] = {
 """What the leaf can evaluate, and the keys that may be given with it."""
 
 
-def _check(given: Given) -> None:
-    kinds = [kind for kind in _WITH if kind in given]
+def _check(values: LeafValues) -> None:
+    kinds = [kind for kind in _WITH if kind in values]
     if len(kinds) != 1:
         found = _listed(kinds, "and") if kinds else f"none of {_listed(list(_WITH), 'and')}"
-        given.problem("", f"found {found}; give one of them, such as condition: Ready")
+        values.problem("", f"found {found}; give one of them, such as condition: Ready")
         return
     (what,) = kinds
     for key in dict.fromkeys(key for keys in _WITH.values() for key in keys):
-        if key in given and key not in _WITH[what]:
+        if key in values and key not in _WITH[what]:
             belongs = _listed([other for other, keys in _WITH.items() if key in keys], "or")
-            given.problem(key, f"{key} is only for {belongs}; remove it")
-    if what == "restarts" and "window" not in given:
-        given.problem("window", "missing; give the time within which there may be so many restarts, such as 10m")
+            values.problem(key, f"{key} is only for {belongs}; remove it")
+    if what == "restarts" and "window" not in values:
+        values.problem("window", "missing; give the time within which there may be so many restarts, such as 10m")
 
 
-def _plan(given: Given) -> LeafPlan:
-    (what,) = (kind for kind in _WITH if kind in given)
-    name = given["condition"].replace("/", ".") if what == "condition" else what
-    watched = WatchedTopic(POD, None, 0.0, None, heard=False, pod=True, usage=what in RESOURCES)
-    return LeafPlan(f"{POD}.{name}", watched, _make(what, given))
+def _plan(values: LeafValues) -> LeafPlan:
+    (what,) = (kind for kind in _WITH if kind in values)
+    name = values["condition"].replace("/", ".") if what == "condition" else what
+    watched = WatchedTopic(POD, None, 0.0, None, subscribed=False, pod=True, usage=what in RESOURCES)
+    return LeafPlan(f"{POD}.{name}", watched, _make(what, values))
 
 
-def _make(what: str, given: Given) -> Callable[[LeafPlace], Leaf]:
-    found, hold_off = given[what], given.hold_off
+def _make(what: str, values: LeafValues) -> Callable[[LeafPlace], Leaf]:
+    found, hold_off = values[what], values.hold_off
     if what == "condition":
-        status = given["status"] or STATUSES[0]
+        status = values["status"] or STATUSES[0]
         return lambda place: ConditionLeaf(place, hold_off, found, status)
     if what == "restarts":
-        window = given["window"]
+        window = values["window"]
         return lambda place: RestartsLeaf(place, found, window)
     return lambda place: UsageLeaf(place, hold_off, what, found)
 

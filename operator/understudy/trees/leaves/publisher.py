@@ -6,7 +6,7 @@ from understudy.trees.core.evidence import EvidenceLeaf, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Publishers
-from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, node_key, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, node_key, time_key, topic_key
 from understudy.trees.source.value_reader import whole_number_of
 
 MOST = 1000
@@ -16,7 +16,7 @@ MOST = 1000
 class PublisherLeaf(EvidenceLeaf[Publishers]):
     """Holds while enough publishers of the instance exist for a topic, in one node or in any."""
 
-    hears = False
+    uses_messages = False
 
     def __init__(self, place: LeafPlace, topic: str, hold_off: float, count: int, node: str | None) -> None:
         """Make a leaf over a topic; ``node`` is fully qualified, ``hold_off`` in seconds."""
@@ -27,7 +27,7 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         """Return the last observation of the ROS graph."""
         return self._evaluation.observations.publishers(self.topic)
 
-    def said(self, content: Publishers, failed: bool) -> Finding:
+    def evaluate(self, content: Publishers, failed: bool) -> Finding:
         """Evaluate the observation."""
         count = sum(self._node in (None, node) for node in content.nodes)
         if count >= self._count:
@@ -46,11 +46,11 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         return f"{self.topic} in node {self._node}" if self._node is not None else self.topic
 
 
-def _plan(given: Given) -> LeafPlan:
-    topic, hold_off, count, node = given["topic"], given.hold_off, given["count"], given["node"]
+def _plan(values: LeafValues) -> LeafPlan:
+    topic, hold_off, count, node = values["topic"], values.hold_off, values["count"], values["node"]
     return LeafPlan(
         f"{topic.lstrip('/')}.publisher",
-        WatchedTopic(topic, None, 0.0, None, heard=False, publishers=True),
+        WatchedTopic(topic, None, 0.0, None, subscribed=False, publishers=True),
         lambda place: PublisherLeaf(place, topic, hold_off, count, node),
     )
 

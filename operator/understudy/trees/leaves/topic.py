@@ -11,7 +11,7 @@ from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
 from understudy.trees.core.observations import TopicRecord
 from understudy.trees.core.rate_window import Band, Window, hertz
 from understudy.trees.core.task_activity import TaskTiming, task_timing
-from understudy.trees.leaves.leaf_plan import TYPE, Given, Key, LeafKind, LeafPlan, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import TYPE, LeafValues, Key, LeafKind, LeafPlan, time_key, topic_key
 from understudy.trees.source.value_reader import found_text
 
 
@@ -94,7 +94,7 @@ class TopicLeaf(Leaf):
     def _plain_reason(self, state: State) -> str:
         record = self._record()
         if record is None:
-            return self._unheard(state, self.topic)
+            return self._nothing_received(state, self.topic)
         if state == "Healthy":
             return f"{self.topic} is received"
         gap_failed = (
@@ -213,26 +213,26 @@ class TopicLeaf(Leaf):
 # -- how it is written ------------------------------------------------------------------------------------------------
 
 
-def _check(given: Given) -> None:
-    if "gap" not in given and "rate" not in given:
-        given.problem("", "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
-    if "window" in given and "rate" not in given:
-        given.problem("window", "a window is only for a rate; give rate, or remove window")
-    band, length = given["rate"], given["window"]
+def _check(values: LeafValues) -> None:
+    if "gap" not in values and "rate" not in values:
+        values.problem("", "neither gap nor rate is given; give gap, such as 500ms, or rate, such as '> 8 Hz'")
+    if "window" in values and "rate" not in values:
+        values.problem("window", "a window is only for a rate; give rate, or remove window")
+    band, length = values["rate"], values["window"]
     if band is not None and length is not None and length < band.shortest_window():
-        given.problem(
+        values.problem(
             "window",
             f"{duration(length)} is too short to tell whether a rate is {band}: a window counts whole messages; "
             f"give at least {duration(band.shortest_window())}",
         )
 
 
-def _plan(given: Given) -> LeafPlan:
-    topic, gap, band = given["name"], given["gap"], given["rate"]
-    window = Window(band, given["window"] or band.default_window()) if band is not None else None
+def _plan(values: LeafValues) -> LeafPlan:
+    topic, gap, band = values["name"], values["gap"], values["rate"]
+    window = Window(band, values["window"] or band.default_window()) if band is not None else None
     return LeafPlan(
         topic.lstrip("/"),
-        WatchedTopic(topic, given["type"], window.length if window else 0.0, window.band.expected if window else None),
+        WatchedTopic(topic, values["type"], window.length if window else 0.0, window.band.expected if window else None),
         lambda place: TopicLeaf(place, topic, gap, window),
     )
 

@@ -13,7 +13,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace, State, duration
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.age import rounded
-from understudy.trees.leaves.leaf_plan import Given, Key, LeafKind, LeafPlan, fails_on_arrival, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, fails_on_arrival, time_key, topic_key
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.value_reader import found_text
 
@@ -57,7 +57,7 @@ class TransformLeaf(ContentLeaf):
         self._parent, self._child = frames
         self._gap, self._most = gap, most
 
-    def said(self, content: Content, failed: bool) -> Finding | None:
+    def evaluate(self, content: Content, failed: bool) -> Finding | None:
         """Evaluate the message; None if the transform is not in it."""
         if not content.mentions(self._child):
             return None
@@ -91,7 +91,7 @@ class TransformLeaf(ContentLeaf):
 
     def _silent(self, track: EvidenceTrack[Content]) -> float:
         """Return when the gap has failed if nothing more arrives."""
-        return max(track.heard if track.heard is not None else -math.inf, self.begun()) + self._gap
+        return max(track.last_finding if track.last_finding is not None else -math.inf, self.clocks_start()) + self._gap
 
     def condition(self) -> str:
         """The condition in words."""
@@ -106,32 +106,32 @@ class TransformLeaf(ContentLeaf):
 
     def _plain_reason(self, state: State) -> str:
         track = self.followed()
-        if state == "Failed" and track.heard is not None and track.held and self._evaluation.now >= self._silent(track):
+        if state == "Failed" and track.last_finding is not None and track.held and self._evaluation.now >= self._silent(track):
             return f"no {self.awaited()} for {duration(self._gap)}"
-        if state == "Healthy" and track.heard is not None:
+        if state == "Healthy" and track.last_finding is not None:
             return f"{self.awaited()} is received"
         return super()._plain_reason(state)
 
 
-def _check(given: Given) -> None:
-    topic, child, parent = given["topic"], given["child"], given["parent"]
+def _check(values: LeafValues) -> None:
+    topic, child, parent = values["topic"], values["child"], values["parent"]
     if topic is not None and topic.rsplit("/", 1)[-1] == STATIC:
-        given.problem("topic", f"found {topic!r}: static transforms are published once, without a gap; give {TOPIC}")
+        values.problem("topic", f"found {topic!r}: static transforms are published once, without a gap; give {TOPIC}")
     if child is not None and child == parent:
-        given.problem("parent", f"found {parent!r}, which is also the child; give its parent frame, such as odom")
-    if "for" in given and "at_most" not in given:
-        given.problem(
+        values.problem("parent", f"found {parent!r}, which is also the child; give its parent frame, such as odom")
+    if "for" in values and "at_most" not in values:
+        values.problem(
             "for",
             "it is allowed only with at_most; give at_most, or remove 'for'. The key gap sets how long the transform may be missing",
         )
 
 
-def _plan(given: Given) -> LeafPlan:
-    topic, hold_off, frames = given["topic"], given.hold_off, (given["parent"], given["child"])
-    gap, most = given["gap"], given["at_most"]
+def _plan(values: LeafValues) -> LeafPlan:
+    topic, hold_off, frames = values["topic"], values.hold_off, (values["parent"], values["child"])
+    gap, most = values["gap"], values["at_most"]
     prompt = most is not None and fails_on_arrival(hold_off)
     return LeafPlan(
-        f"{given['child']}.transform",
+        f"{values['child']}.transform",
         WatchedTopic(topic, TYPE, 0.0, BURST, contents=KEPT, whole=True, prompt=prompt),
         lambda place: TransformLeaf(place, topic, hold_off, frames, gap, most),
     )

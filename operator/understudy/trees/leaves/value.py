@@ -10,7 +10,7 @@ from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.leaf_plan import (
     TYPE,
-    Given,
+    LeafValues,
     Key,
     LeafKind,
     LeafPlan,
@@ -37,7 +37,7 @@ class ValueLeaf(ContentLeaf):
         super().__init__(place, topic, hold_off)
         self._holds, self._recovers = holds, recovers
 
-    def said(self, content: Content, failed: bool) -> Finding:
+    def evaluate(self, content: Content, failed: bool) -> Finding:
         """Evaluate the values of the message."""
         wanted = self._recovers if failed and self._recovers is not None else self._holds
         try:
@@ -58,24 +58,24 @@ class ValueLeaf(ContentLeaf):
         return f"{text if len(text) <= 80 else f'{text[:77]}...'} of {self.topic}"
 
 
-def _check(given: Given) -> None:
+def _check(values: LeafValues) -> None:
     def expression(found: object) -> Expression:
         if not isinstance(found, str):
             raise ValueError(f"found {found_text(found)}; write a condition in quotes, such as 'percentage > 0.15'")
         try:
-            return Expression.parse(found, given["type"] or "", given.fields)
+            return Expression.parse(found, values["type"] or "", values.fields)
         except ExpressionError as error:
             raise ValueError(f"found {found_text(found)}: {error}") from error
 
-    given.convert("holds", expression)
-    given.convert("recovers", expression)
+    values.convert("holds", expression)
+    values.convert("recovers", expression)
 
 
-def _plan(given: Given) -> LeafPlan:
-    topic, hold_off, holds, recovers = given["topic"], given.hold_off, given["holds"], given["recovers"]
+def _plan(values: LeafValues) -> LeafPlan:
+    topic, hold_off, holds, recovers = values["topic"], values.hold_off, values["holds"], values["recovers"]
     return LeafPlan(
         f"{topic.lstrip('/')}.value",
-        WatchedTopic(topic, given["type"], 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
+        WatchedTopic(topic, values["type"], 0.0, None, contents=1, whole=True, prompt=fails_on_arrival(hold_off)),
         lambda place: ValueLeaf(place, topic, hold_off, holds, recovers),
     )
 

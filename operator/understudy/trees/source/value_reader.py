@@ -86,8 +86,8 @@ class Reader:
             if key not in keys:
                 self.problem(f"{path}.{key}", f"unknown key {str(key)!r}{did_you_mean(str(key), keys)}")
 
-    def given(self, value: Mapping[str, Any], key: str, path: str, read: Read) -> Any:
-        """Return a value as ``read`` converts it."""
+    def optional(self, value: Mapping[str, Any], key: str, path: str, read: Read) -> Any:
+        """Return a value as ``read`` converts it; None if the key is missing, or if there is a problem."""
         if key not in value:
             return None
         try:

@@ -96,9 +96,9 @@ class HealthObserver:
         self._aside = set()
         for need in [*self._wellness.topics, *self._situating.topics]:
             known = wanted.get(need.name)
-            if need.heard and (known is None or not known.heard):
+            if need.subscribed and (known is None or not known.subscribed):
                 self._aside.add(need.name)
-            elif known is not None and known.heard:
+            elif known is not None and known.subscribed:
                 need = replace(need, type=known.type)  # as the health tree has it, which must not go blind by this
             wanted[need.name] = known.joined(need) if known is not None else need
         self._asked = next((topic for topic in wanted.values() if topic.pod), None)
@@ -120,7 +120,7 @@ class HealthObserver:
     def heard(self) -> dict[str, TopicRecord]:
         """What was received of each topic that the health tree judges, of what counts for the instance in control."""
         judged = self._tree.judged if self._tree is not None else []
-        found = {topic.name: self._watching.topic(topic.name) for topic in judged if topic.heard}
+        found = {topic.name: self._watching.topic(topic.name) for topic in judged if topic.subscribed}
         return {name: record for name, record in found.items() if record is not None}
 
     @property
@@ -164,7 +164,7 @@ class HealthObserver:
         """Gated topics whose messages the tree watches, and can."""
         outputs = {output.topic for output in self._outputs if output.topic}
         judged = self._tree.judged if self._tree else []
-        return [topic.name for topic in judged if topic.heard and topic.name in outputs]
+        return [topic.name for topic in judged if topic.subscribed and topic.name in outputs]
 
     @property
     def expected(self) -> list[str]:

@@ -12,7 +12,7 @@ from understudy.trees.languages.text.source_map import MOST_PROBLEMS, LocatedPro
 from understudy.trees.source.problems import did_you_mean
 from understudy.trees.source.value_reader import DEEPEST, MOST
 
-_Given = dict[str, tuple[str, Part]]
+_Arguments = dict[str, tuple[str, Part]]
 """By argument, its value in the short form, and its position in the text."""
 
 _Read = Callable[[Part, Part | None, int], ParsedNode | None]
@@ -61,8 +61,8 @@ class Nodes:
         origin = Origin(f"{operator}:", part.line, part.column)
         if not self._counted(part, origin.label, depth):
             return None
-        if (given := part.first("argumentList")) is not None:
-            self._note(given, origin.label, "takes no arguments; remove the brackets")
+        if (arguments := part.first("argumentList")) is not None:
+            self._note(arguments, origin.label, "takes no arguments; remove the brackets")
         built = [self._member(child, depth + 1) for child in part.all("doMember")]
         children = [child for child in built if child is not None]
         if not children:
@@ -78,10 +78,10 @@ class Nodes:
             return None
         if called in dialect.actions:
             action = dialect.actions[called]
-            given = self._arguments(part, label, action)
-            if given is None or (not RATES.keys().isdisjoint(action.arguments) and not self._rated(part, label, given)):
+            arguments = self._arguments(part, label, action)
+            if arguments is None or (not RATES.keys().isdisjoint(action.arguments) and not self._rated(part, label, arguments)):
                 return None
-            return _written(Origin(label, part.line, part.column), action, given, self._named(name))
+            return _written(Origin(label, part.line, part.column), action, arguments, self._named(name))
         if called in dialect.modifiers:
             self._note(part, label, f"is a modifier; write it in the with: of the node that it is for: with: {label}")
         elif called in dialect.refused:
@@ -104,11 +104,11 @@ class Nodes:
         for modifier in reversed(around):
             if modifier is None or node is None:
                 return None
-            behavior, origin, given = modifier
-            node = _written(origin, behavior, given, None, [node])
+            behavior, origin, arguments = modifier
+            node = _written(origin, behavior, arguments, None, [node])
         return node
 
-    def _modifier(self, part: Part, depth: int) -> tuple[Behavior, Origin, _Given] | None:
+    def _modifier(self, part: Part, depth: int) -> tuple[Behavior, Origin, _Arguments] | None:
         called = part.text_of("modifierName")
         label = f"{called:.60}()"
         dialect = self._dialect
@@ -116,8 +116,8 @@ class Nodes:
             return None
         if called in dialect.modifiers:
             modifier = dialect.modifiers[called]
-            given = self._arguments(part, label, modifier)
-            return (modifier, Origin(label, part.line, part.column), given) if given is not None else None
+            arguments = self._arguments(part, label, modifier)
+            return (modifier, Origin(label, part.line, part.column), arguments) if arguments is not None else None
         if called in dialect.refused:
             self._note(part, label, f"is not for {dialect.subject.many}: {dialect.refused[called]}")
         elif called in dialect.actions:
@@ -128,11 +128,11 @@ class Nodes:
 
     # -- arguments --------------------------------------------------------------------------------------------------
 
-    def _arguments(self, part: Part, label: str, behavior: Behavior) -> _Given | None:
+    def _arguments(self, part: Part, label: str, behavior: Behavior) -> _Arguments | None:
         """Return the values of the arguments by name; None if one of them cannot be determined."""
         known = list(behavior.arguments.values())
         listed = part.first("argumentList")
-        given: dict[str, tuple[str, Part]] = {}
+        arguments: dict[str, tuple[str, Part]] = {}
         before = len(self.problems)
         whole = True
         for index, found in enumerate(listed.all("positionalArgument", "namedArgument") if listed is not None else ()):
@@ -149,13 +149,13 @@ class Nodes:
                 continue
             else:
                 name = known[index].name
-            if name in given:
+            if name in arguments:
                 self._note(found, f"{label} {name}", "is given twice; remove one of them")
                 continue
             text = self._value(value, label, behavior.arguments[name])
             whole = whole and text is not None
-            given[name] = (text or "", value)
-        return given if whole and len(self.problems) == before else None
+            arguments[name] = (text or "", value)
+        return arguments if whole and len(self.problems) == before else None
 
     def _value(self, value: Part, label: str, argument: Argument) -> str | None:
         try:
@@ -164,27 +164,27 @@ class Nodes:
             self._note(value, f"{label} {argument.name}", str(error))
             return None
 
-    def _rated(self, part: Part, label: str, given: _Given) -> bool:
+    def _rated(self, part: Part, label: str, arguments: _Arguments) -> bool:
         """Combine the bounds of a rate; return whether the short form supports the combination."""
-        bounds = [name for name in given if name in RATES]
+        bounds = [name for name in arguments if name in RATES]
         if len(bounds) > 1 and set(bounds) != {"rate_min", "rate_max"}:
             self._note(
-                given[bounds[1]][1], label, f"found {' and '.join(bounds)}; give one of them, or rate_min and rate_max"
+                arguments[bounds[1]][1], label, f"found {' and '.join(bounds)}; give one of them, or rate_min and rate_max"
             )
             return False
-        if not bounds and "gap" not in given:
+        if not bounds and "gap" not in arguments:
             self._note(
                 part, label, "neither gap nor a rate is given; give gap, such as 500ms, or rate_above, such as 8Hz"
             )
             return False
-        if not bounds and "window" in given:
+        if not bounds and "window" in arguments:
             message = "a window is only for a rate; give rate_above or another bound, or remove window"
-            self._note(given["window"][1], f"{label} window", message)
+            self._note(arguments["window"][1], f"{label} window", message)
             return False
-        band = " to ".join(given[name][0] for name in ("rate_min", "rate_max") if name in given)
+        band = " to ".join(arguments[name][0] for name in ("rate_min", "rate_max") if name in arguments)
         sign = f"{RATES[bounds[0]]} " if len(bounds) == 1 else ""
         for name in bounds:
-            given[name] = (sign + (band or given[name][0]), given[name][1])
+            arguments[name] = (sign + (band or arguments[name][0]), arguments[name][1])
         return True
 
     def _note(self, part: Part, label: str, message: str) -> None:
@@ -192,13 +192,13 @@ class Nodes:
 
 
 def _written(
-    origin: Origin, behavior: Behavior, given: _Given, name: Part | None, children: list[ParsedNode] | None = None
+    origin: Origin, behavior: Behavior, arguments: _Arguments, name: Part | None, children: list[ParsedNode] | None = None
 ) -> ParsedNode:
     """Build a node of the library with the given values."""
-    spelled = {name: value for name, (value, _) in given.items()}
-    places = {name: Origin(origin.label, part.line, part.column) for name, (_, part) in given.items()}
+    spelled = {name: value for name, (value, _) in arguments.items()}
+    places = {name: Origin(origin.label, part.line, part.column) for name, (_, part) in arguments.items()}
     # If several arguments form one value, problems with it are reported at the last given one.
-    named = sorted(behavior.arguments, key=lambda argument: argument in given)
+    named = sorted(behavior.arguments, key=lambda argument: argument in arguments)
     ports = {argument: behavior.arguments[argument].where for argument in named}
     reads = {name: one.reads for name, one in behavior.arguments.items() if one.reads is not None}
     known = {**places, **_places(name)}

@@ -88,7 +88,7 @@ class _Loader(Reader):
 
     def _while(self, value: Mapping[str, Any], path: str, name: str, below: list[str], depth: int) -> Build | None:
         before = len(self.problems)
-        settle = self.given(value, "settle", path, duration_of) if "settle" in value else SETTLE
+        settle = self.optional(value, "settle", path, duration_of) if "settle" in value else SETTLE
         task = self._task(value["while"], f"{path}.while", settle)
         if "do" not in value:
             self.problem(f"{path}.do", "missing; give the node that must hold while the task is active")
@@ -127,8 +127,8 @@ class _Loader(Reader):
         self.known(fields, TASK_KEYS, path)
         if "action" not in fields:
             self.problem(f"{path}.action", "missing; give the action's fully qualified name, such as /navigate_to_pose")
-        action = self.given(fields, "action", path, name_of("action", "/navigate_to_pose"))
-        self.given(fields, "type", path, type_of("action"))
+        action = self.optional(fields, "action", path, name_of("action", "/navigate_to_pose"))
+        self.optional(fields, "type", path, type_of("action"))
         if action is None or settle is None or len(self.problems) > before:
             return None
         task = TaskActive(action, settle)
@@ -187,7 +187,7 @@ class _Loader(Reader):
             return None
 
         tasks = tuple(self._tasks)
-        needed = {topic.name for topic in (plan.watched, *plan.also) if topic.heard}
+        needed = {topic.name for topic in (plan.watched, *plan.also) if topic.subscribed}
         if plan.task is not None:
             self._watch_task(plan.task)
             tasks, needed = (*tasks, plan.task), {*needed, plan.task.topic}
@@ -204,7 +204,7 @@ class _Loader(Reader):
     def _watch(self, wanted: WatchedTopic, path: str) -> bool:
         """Note that a topic is needed; return False, with a problem, if two leaves disagree about its type."""
         topic, known = wanted.name, self.topics.get(wanted.name, wanted)
-        if known.task and wanted.heard:
+        if known.task and wanted.subscribed:
             self.problem(
                 path,
                 f"{topic} is the status of a task's action, which is watched already; it cannot have a rate or gap",

@@ -226,9 +226,9 @@ class _Loader(StepReader):
         for key in keys:
             if key not in value and key != "wait":
                 self.problem(f"{path}.{key}", f"missing; {kind} has {_FIELDS[kind]}")
-        within = self.given(value, "within", path, duration_of)
-        times = self.given(value, "times", path, _tries)
-        wait = self.given(value, "wait", path, duration_of) if "wait" in value else 1.0
+        within = self.optional(value, "within", path, duration_of)
+        times = self.optional(value, "times", path, _tries)
+        wait = self.optional(value, "wait", path, duration_of) if "wait" in value else 1.0
         child = self.node(value["do"], f"{path}.do", depth + 1) if "do" in value else None
         if child is None or len(self.problems) > before:
             return None

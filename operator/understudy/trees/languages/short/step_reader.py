@@ -52,7 +52,7 @@ class StepReader(Reader):
     def _call_service(self, fields: Mapping[str, Any], path: str) -> Work | None:
         service, type_ = self._ros(fields, "service", path), self._type(fields, path, "srv")
         request, expect = self._mapping(fields, "request", path), self._mapping(fields, "expect", path)
-        repeat = self.given(fields, "repeat", path, duration_of)
+        repeat = self.optional(fields, "repeat", path, duration_of)
 
         async def work(actions: Actions, within: float) -> None:
             answer = await actions.call(str(service), str(type_), request, within, repeat=repeat)
@@ -95,7 +95,7 @@ class StepReader(Reader):
         type_ = self._type(fields, path, "msg") if kind == "topic" else None
         if kind != "topic" and "type" in fields:
             self.problem(f"{path}.type", "a type is only for a topic")
-        own = self.given(fields, "within", path, duration_of)
+        own = self.optional(fields, "within", path, duration_of)
 
         async def work(actions: Actions, within: float) -> None:
             bound = min(within, own) if own is not None else within
@@ -204,14 +204,14 @@ class StepReader(Reader):
     def _ros(self, fields: Mapping[str, Any], key: str, path: str) -> str | None:
         if key not in fields:
             self.problem(f"{path}.{key}", f"missing; give the {key}'s fully qualified name, such as /{_EXAMPLES[key]}")
-        name: str | None = self.given(fields, key, path, name_of(key, f"/{_EXAMPLES[key]}"))
+        name: str | None = self.optional(fields, key, path, name_of(key, f"/{_EXAMPLES[key]}"))
         return name
 
     def _type(self, fields: Mapping[str, Any], path: str, kind: str) -> str | None:
         right = f"package/{kind}/Name, such as {_TYPES[kind]}"
         if "type" not in fields:
             self.problem(f"{path}.type", f"missing; give {right}")
-        type_: str | None = self.given(fields, "type", path, type_of(kind, right))
+        type_: str | None = self.optional(fields, "type", path, type_of(kind, right))
         return type_
 
     def _state(self, fields: Mapping[str, Any], path: str) -> str | None:

@@ -84,9 +84,9 @@ def _yaml(text: str) -> Any:
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
     except yaml.MarkedYAMLError as error:
-        said = ", ".join(part for part in (error.context, error.problem) if part)
+        problem = ", ".join(part for part in (error.context, error.problem) if part)
         raise ValueError(
-            f"found {found_text(text)}, which is not YAML: {said}; write it as in {{data: hello}}"
+            f"found {found_text(text)}, which is not YAML: {problem}; write it as in {{data: hello}}"
         ) from error
     except yaml.reader.ReaderError as error:
         raise ValueError(
