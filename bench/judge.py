@@ -1,7 +1,7 @@
 """Watches a robot as the monitor does, in a process with everything that the monitor imports, without an API server.
 
 It has the monitor's health observer (understudy.monitor.observe.robot.health_observer), which is woken in the same way
-(understudy.monitor.observe.wakeups), kept state (understudy.monitor.act.instances.state_keeping) and the black box
+(understudy.monitor.observe.wakeups), kept state (understudy.monitor.act.instances.state_manager) and the black box
 (understudy.monitor.report.black_box).
 """
 
@@ -64,7 +64,7 @@ class _Judge:
         from understudy.api.kinds.failure_policy import FailurePolicySpec
         from understudy.api.kinds.robot_workload import RobotWorkloadSpec
         from understudy.failover.interfaces import Instance
-        from understudy.monitor.act.instances.state_keeping import StateKeeping
+        from understudy.monitor.act.instances.state_manager import StateManager
         from understudy.monitor.notices import Notices
         from understudy.monitor.observe.robot.health_observer import HealthObserver
         from understudy.monitor.report.black_box import BlackBox
@@ -89,7 +89,7 @@ class _Judge:
         self.instances = [Instance("active", "1", ip=ip), Instance("standby", "2", ip="192.0.2.11")]
         self.sight = HealthObserver()
         self._folder = tempfile.TemporaryDirectory()
-        self.keeping = StateKeeping(self.sight.graph, StateStore(Path(self._folder.name)), _Nobody(), Notices())
+        self.state_manager = StateManager(self.sight.graph, StateStore(Path(self._folder.name)), _Nobody(), Notices())
         self._view: Any = SimpleNamespace(policy=self.policy, workload="bench", namespace="bench")
         self.box = BlackBox(self._view, self.sight, Notices(), RecordingArchive(Path(self._folder.name) / "recordings"))
         self.topics, self.leaves = topics, leaves
@@ -105,26 +105,26 @@ class _Judge:
         """As understudy.monitor.loop does, of which this leaves out all that isn't for noticing."""
         from understudy.api.base import seconds
         from understudy.monitor.loop import SLOW
-        from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, LookSchedule, Wakeups
+        from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, EvaluationSchedule, Wakeups
         from understudy.trees.core.debounce import Debounce
 
         answers = {"received": self._received, "seen": self._seen, "record": self._record}
         asyncio.get_running_loop().add_reader(sys.stdin, lambda: answer(sys.stdin.readline(), answers))
         self._recording = asyncio.create_task(self.box.run())
-        looks, debounce = LookSchedule(Wakeups(), self.sight.coming), Debounce()
+        schedule, debounce = EvaluationSchedule(Wakeups(), self.sight.coming), Debounce()
         since, slow, state = time.time(), 0.0, "Starting"
         gc.collect()
         gc.freeze()
         tell("ready")
         while True:
-            now = looks.begin()
-            self.late = max(self.late, looks.late)
+            now = schedule.begin()
+            self.late = max(self.late, schedule.late)
             self.sight.follow(self.policy, self.spec)
             self.sight.drain(self.instances, "active")
-            self.keeping.take(self.policy.state, self.sight.addresses, "active")
+            self.state_manager.take(self.policy.state, self.sight.addresses, "active")
             self._note_waiting(now)
             verdict = self.sight.verdict(now=now, since=since)
-            self.keeping.judge(verdict.state, now)
+            self.state_manager.judge(verdict.state, now)
             detected, due = time.time(), None
             self.verdicts += 1
             if verdict.state != "Failed":
@@ -133,9 +133,9 @@ class _Judge:
                 if verdict.state != state:
                     state = verdict.state
                     tell(state.lower(), at=detected, reason=verdict.reason)
-            elif detected < looks.trusted_from:
+            elif detected < schedule.trusted_from:
                 self.doubted += 1
-                due = looks.trusted_from
+                due = schedule.trusted_from
             elif detected < (counts := debounce.failed(detected, seconds(self.policy.monitoring.debounce))):
                 due = counts
             elif state != "Failed":
@@ -144,9 +144,9 @@ class _Judge:
                 self._tell_failure(verdict, detected)
             if now >= slow:
                 slow = now + SLOW
-                self.keeping.housekeeping(self.instances[0], [])
-            next_look = now + TICK
-            await looks.until(next_look if due is None else min(next_look, due + WAKE_LATE))
+                self.state_manager.housekeeping(self.instances[0], [])
+            next_evaluation = now + TICK
+            await schedule.until(next_evaluation if due is None else min(next_evaluation, due + WAKE_LATE))
 
     def _note_waiting(self, now: float) -> None:
         """Note for how long messages have waited that are to be looked at as they come."""

@@ -8,7 +8,7 @@ silent for 500 ms, none below 10 Hz over 2 s.
 - ours: the monitor's own view of the robot (understudy.monitor.observe.robot.health_observer) in the monitor's process with all that it
   imports, woken at its ticks and deadlines; two of the topics are gated, so they have ports of their own.
 - keeping: the same, which also keeps the state of two of the topics, persists it and reports it
-  (understudy.monitor.act.instances.state_keeping, without an API server).
+  (understudy.monitor.act.instances.state_manager, without an API server).
 - callbacks: an rclpy node with a callback per message and a timer of 50 ms that looks at the times, as one writes it.
 
 Cost is CPU time over all threads by the kernel's account, and resident memory. Lateness is how long after the

@@ -129,7 +129,7 @@ class Monitor:
             parts = Parts(
                 cluster=Cluster(view, self.fleet, self.gate),
                 senses=Senses(observer, agents, cast(Any, probes), readers, roles, self.wakeups),
-                keeping=cast(Any, Keeping()),
+                state_manager=cast(Any, Keeping()),
                 journal=RecoveryJournal(Journal(self._state / "recovery.json"), crash_points),
                 black_box=cast(Any, BlackBox()),
                 notices=self.notices,
@@ -174,7 +174,7 @@ class Monitor:
         error = "no pod was free"
         while found is None and time.time() < begun + CLAIM_WITHIN:
             try:
-                await strategy.look(context, progress)
+                await strategy.refresh(context, progress)
                 found = await strategy._claim(progress, context)
             except _UNREACHABLE as reason:
                 error = repr(reason)

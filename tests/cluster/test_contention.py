@@ -281,7 +281,7 @@ async def failing_again_and_again(
             instances = Instances(client, view, steps, notices)
             control = GateControl(client, view, instances, cast(Any, None), steps, notices)
             while time.monotonic() < until:
-                await instances.look("spare")
+                await instances.refresh_unclaimed("spare")
                 for candidate in instances.unclaimed("spare"):
                     with contextlib.suppress(ClaimLost):
                         claim = f"{uid}/{len(won)}"

@@ -15,7 +15,7 @@ class AbandonedRecovery(Model):
     sent: str
     """The text of the last one that was sent, which may be carried out still."""
 
-    def stands(self, epoch: int, text: str) -> bool:
+    def matches(self, epoch: int, text: str) -> bool:
         """Whether a gate with this epoch and this text reports the recovery as in progress.
 
         Another monitor may have continued it since, under the same id. What that monitor has committed is not abandoned.
@@ -24,7 +24,7 @@ class AbandonedRecovery(Model):
         ours = epoch == self.epoch or text == self.sent
         return found is not None and (found.id, found.result) == (self.id, "Running") and ours
 
-    def may_come(self, epoch: int) -> bool:
+    def may_still_commit(self, epoch: int) -> bool:
         """Whether a gate of this epoch may still show its commit: a commit replaces what its sender knew, and nothing newer."""
         return epoch <= self.epoch
 

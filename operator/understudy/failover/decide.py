@@ -159,7 +159,7 @@ class LimitRow:
     reason: str
     message: str
     """Template: {words} are those of the limit, {left} the seconds until it ends."""
-    outlook: str = ""
+    consequence: str = ""
     """What a failure would lead to, for ``understudy explain`` and the condition Protected; empty if these do not mention the limit."""
     protected: bool = True
     """Whether the workload counts as Protected while the limit is in force. Limits that end within minutes do not change the condition:
@@ -221,7 +221,7 @@ LIMITS: tuple[LimitRow, ...] = (
         Defer,
         _PAUSED,
         "the monitor does nothing while the workload is {words}",
-        outlook="the monitor would do nothing",
+        consequence="the monitor would do nothing",
         protected=False,
     ),
     LimitRow(
@@ -242,7 +242,7 @@ LIMITS: tuple[LimitRow, ...] = (
         Defer,
         _WAITING,
         "the next attempt is in {left} s",
-        outlook="the monitor would do nothing for another {left} s",
+        consequence="the monitor would do nothing for another {left} s",
     ),
     LimitRow(Limit.WAIT_AFTER_RECOVERY, PLANNED, Defer, _WAITING, _AFTER),
     LimitRow(
@@ -258,7 +258,7 @@ LIMITS: tuple[LimitRow, ...] = (
         Defer,
         "Storm",
         "limits.stormGuard defers it because other workloads fail too: {words}",
-        outlook="the monitor would use only a standby that is ready already",
+        consequence="the monitor would use only a standby that is ready already",
     ),
     LimitRow(_UNMET, frozenset({Trigger.DEGRADED}), Defer, "FirstStrategyUnavailable", "{words}"),
     LimitRow(
@@ -275,7 +275,7 @@ LIMITS: tuple[LimitRow, ...] = (
         Hold,
         "BudgetSpent",
         "limits.budget of the policy is spent: {words}",
-        outlook="the monitor would fence the failed instance and not replace it",
+        consequence="the monitor would fence the failed instance and not replace it",
         protected=False,
     ),
 )

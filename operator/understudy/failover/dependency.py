@@ -136,8 +136,8 @@ def held(
             found = HeldFailure(until, name, known.end is not None)
     if found is not None:
         return found
-    look = noticed + max(seconds(one.notice_within) for one in depends_on)
-    return HeldFailure(look) if look > now else None
+    until = noticed + max(seconds(one.notice_within) for one in depends_on)
+    return HeldFailure(until) if until > now else None
 
 
 def _patience(name: str, depends_on: Sequence[Dependency]) -> tuple[float, float]:

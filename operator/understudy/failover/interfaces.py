@@ -132,20 +132,20 @@ class Instances(Protocol):
     def find(self, uid: str) -> Instance | None:
         """The instance of this workload with a UID."""
 
-    async def look(self, pool: str, *, part: bool = False) -> None:
-        """Look which pods of a shared pool are unclaimed. Waits while the API server is away.
+    async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
+        """Request which pods of a shared pool are unclaimed. Waits while the API server is away.
 
-        Where some are enough, ``part`` looks for those of one part of the pool, which is another for other workloads.
+        If some are enough, ``part`` requests those of one part of the pool. Other workloads request other parts.
         """
 
     def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
-        """Go on looking, meanwhile."""
+        """Watch the unclaimed pods of a shared pool while the context is open."""
 
     def stocked(self, pool: str) -> bool:
-        """Whether a shared pool has a pod that this workload could claim, by what is known without looking."""
+        """Whether a shared pool has a pod that this workload could claim, by what is known without a request."""
 
     def unclaimed(self, pool: str) -> Sequence[Instance]:
-        """Pods of a shared pool that are ready at its present template and belong to nobody, of those that were looked for."""
+        """Pods of a shared pool that are ready at its present template and belong to nobody, of those that were requested."""
 
     async def claim(self, instance: Instance, claim: str) -> Instance:
         """Make an unclaimed pod an instance of this workload. Raises ClaimLost."""

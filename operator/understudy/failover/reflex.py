@@ -105,7 +105,7 @@ async def commit(progress: Progress, context: StrategyContext) -> None:
     Nothing is committed where that standby is gone, or where it was done before: recover() finds out.
     """
     taken = progress.taken_over
-    target = _standing(progress, context)
+    target = _instance_taken_over(progress, context)
     if taken is None or target is None or context.gate.state.active_uid == taken.uid:
         return
     progress.target = taken
@@ -130,7 +130,7 @@ class ReflexFallback(Strategy):
         """Return whether the recovery can continue with the standby that took over."""
         if progress is None or progress.taken_over is None:
             return Availability(False, INSTANCE_GONE, "no standby has taken over")
-        if _standing(progress, context) is None:
+        if _instance_taken_over(progress, context) is None:
             return Availability(False, INSTANCE_GONE, f"{progress.taken_over.name}, which took over, is gone")
         if context.gate.state.active_uid != progress.taken_over.uid:
             words = f"the gate admits {context.gate.state.active or 'no pod'}, not {progress.taken_over.name}"
@@ -139,7 +139,7 @@ class ReflexFallback(Strategy):
 
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
         """Wait until the loser is fenced. Raises NotAvailable."""
-        target = _standing(progress, context)
+        target = _instance_taken_over(progress, context)
         if target is None or (reason := self.available(context, progress)) is not None:
             reason = self.available(context, progress) or ""
             if progress.taken_over is not None and not progress.has_failed(progress.taken_over.uid):
@@ -152,7 +152,7 @@ class ReflexFallback(Strategy):
         return target
 
 
-def _standing(progress: Progress, context: StrategyContext) -> Instance | None:
+def _instance_taken_over(progress: Progress, context: StrategyContext) -> Instance | None:
     taken = progress.taken_over
     if taken is None:
         return None
@@ -162,12 +162,12 @@ def _standing(progress: Progress, context: StrategyContext) -> Instance | None:
 async def _fenced(progress: Progress, context: StrategyContext) -> None:
     """Note when the loser was: at the commit, or with its last packet that got through after it."""
     committed = progress.moments.get("committed", context.clock())
-    begun = context.clock()
+    started = context.clock()
     while True:
         last = max((context.gate.last_packet(pod.uid) or 0.0 for pod in progress.failed), default=0.0)
         fenced = max(committed, last)
         now = context.clock()
-        if now - fenced >= FENCE_QUIET or now - begun >= FENCE_WITHIN:
+        if now - fenced >= FENCE_QUIET or now - started >= FENCE_WITHIN:
             break
         await asyncio.sleep(FENCE_QUIET / 6)
     progress.moments["fenced"] = fenced

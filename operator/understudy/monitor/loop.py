@@ -18,7 +18,7 @@ from understudy.failover.decide import Activate, Decision, Hold, Recover, Switch
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext
 from understudy.failover.switchover import Preparation
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.pool_waiting import PoolQueue
 from understudy.monitor.act.recovery.recovery_journal import RecoveryJournal
@@ -42,7 +42,7 @@ SETTLE = 2.0
 """Maximum seconds that a new monitor waits for the agents of understudies before it begins or continues a recovery."""
 
 SLOW = 1.0
-"""Seconds between looks at what is not urgent: labels, standbys, whether the gate is enforced."""
+"""Seconds between checks of what is not urgent: labels, standbys, whether the gate is enforced."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Parts:
 
     cluster: Cluster
     senses: Senses
-    keeping: StateKeeping
+    state_manager: StateManager
     journal: RecoveryJournal
     black_box: BlackBox
     notices: Notices
@@ -74,12 +74,12 @@ class MonitorLoop:
             clock=time.time,
             save=parts.journal.save,
             workload_uid="",
-            kept=parts.keeping.select,
+            kept=parts.state_manager.select,
         )
         self.observe = ObserveStage(cluster.view, senses, notices)
         self.judge = JudgeStage(cluster.view, cluster.pods, cluster.gate, senses, notices)
         self.decide = DecideStage(cluster.view, senses.agents, context, self.judge, self.observe.dependencies, notices)
-        self.act = ActStage(cluster, senses, parts.keeping, parts.journal, self.decide, notices)
+        self.act = ActStage(cluster, senses, parts.state_manager, parts.journal, self.decide, notices)
         self.report = ReportStage(cluster.view, cluster.gate, senses.observer, self.decide, self.act, notices)
         self._next_slow = 0.0
         self._new_until = -math.inf
@@ -95,48 +95,48 @@ class MonitorLoop:
     # -- observe, judge, decide -------------------------------------------------------------------------------------
 
     async def _watch(self) -> Resolution:
-        """Look at every deadline until there is something to do."""
-        looks = self.observe.looks
-        looks.restart()
+        """Evaluate at every deadline until there is something to do."""
+        schedule = self.observe.schedule
+        schedule.restart()
         while True:
-            now = looks.begin()
-            next_look = now + TICK
-            self.decide.limits.pauses.look(now)
+            now = schedule.begin()
+            next_evaluation = now + TICK
+            self.decide.limits.pauses.update(now)
             policy = self._view.policy
             if policy is None or self._view.retired:
                 self._notices.set(health="Unknown")
-                next_look = now + SLOW
+                next_evaluation = now + SLOW
             else:
-                self._take_in(policy, now)
-                resolution = await self.look(policy, now)
+                self._observe(policy, now)
+                resolution = await self.evaluate(policy, now)
                 if isinstance(resolution.decision, Recover | Hold | SwitchOver):
                     return resolution
                 self.act.reflexes.guard()
-                for deadline in (resolution.deadline, self.judge.takeover.next_look(time.time())):
+                for deadline in (resolution.deadline, self.judge.takeover.next_check(time.time())):
                     if deadline is not None:
-                        next_look = min(next_look, deadline + WAKE_LATE)
+                        next_evaluation = min(next_evaluation, deadline + WAKE_LATE)
             if (clock := time.monotonic()) >= self._next_slow:  # unlike the other clock it is never set
                 self._next_slow = clock + SLOW
                 self._housekeeping()
-            await looks.until(next_look)
+            await schedule.until(next_evaluation)
 
-    def _take_in(self, policy: FailurePolicySpec, now: float) -> None:
+    def _observe(self, policy: FailurePolicySpec, now: float) -> None:
         """Observe: what has arrived, and how the workloads are that this one depends on."""
         dependencies, active = self.observe.dependencies, self._gate.state.active
-        self.decide.limits.retries.look(self.decide.limits.spending.resumed, now)
+        self.decide.limits.retries.update(self.decide.limits.spending.resumed, now)
         self._observer.follow(policy, self._view.spec)
         self.act.follow_safety(policy)
         dependencies.follow(self._view.settings)
-        dependencies.look(now)
+        dependencies.update(now)
         self._observer.drain(self._pods.of_workload(), active)
-        self.act.keeping.take(policy.state, self._observer.addresses, active)
+        self.act.state_manager.take(policy.state, self._observer.addresses, active)
 
-    async def look(self, policy: FailurePolicySpec, now: float) -> Resolution:
+    async def evaluate(self, policy: FailurePolicySpec, now: float) -> Resolution:
         """Judge and decide once. ``now`` is in Unix seconds."""
         if not self._gate.exists:
             self._notices.set(health="Unknown")
             return Resolution(Wait("NoGate"))
-        judgement = self.judge.look(policy, now, self.observe.looks.trusted_from)
+        judgement = self.judge.judge(policy, now, self.observe.schedule.trusted_from)
         self.report.judged(judgement)
         self.decide.judged(judgement)
         self.act.judged(judgement)
@@ -154,7 +154,7 @@ class MonitorLoop:
             return Preparation(unsettled)
         if self._view.settings is None:
             return None
-        return self.act.switchovers.look(self.decide.prevents_switchover(judgement))
+        return self.act.switchovers.advance(self.decide.prevents_switchover(judgement))
 
     # -- act --------------------------------------------------------------------------------------------------------
 
@@ -240,7 +240,7 @@ class MonitorLoop:
             self._journal.crash_points.step("before record")
             recovery = self._notices.record(outcome.progress)
             self.observe.dependencies.note(outcome.progress.follows)
-            self.act.keeping.report_restored(recovery)
+            self.act.state_manager.report_restored(recovery)
             text = self.report.recovery.concluded(outcome, recovery)
             if outcome.kind in ("SwitchedOver", "NotSwitchedOver"):
                 self.act.switchovers.done(outcome.progress, f"{text}.")

@@ -25,7 +25,7 @@ from understudy.kube.kubeconfig import default_access
 from understudy.kube.warm_connections import keep_warm
 from understudy.monitor.act.action_proxy_link import ActionProxyLink
 from understudy.monitor.act.gate.permits import Permits
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.objects.gate_control import GateControl
 from understudy.monitor.act.objects.pod_control import PodControl
@@ -114,18 +114,18 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         parts = Parts(
             cluster=cluster,
             senses=Senses(observer, agents, proof, readership, roles, wakeups),
-            keeping=StateKeeping(observer.graph, StateStore(state / "kept"), agents, notices),
+            state_manager=StateManager(observer.graph, StateStore(state / "kept"), agents, notices),
             journal=RecoveryJournal(Journal(state / "recovery.json"), crash_points),
             black_box=black_box,
             notices=notices,
         )
-        diagnostics = DiagnosticsPublisher(view, observer, notices, lambda: parts.keeping.taken)
+        diagnostics = DiagnosticsPublisher(view, observer, notices, lambda: parts.state_manager.taken)
         live_tree = LiveTreePages(view, observer, notices, lambda: diagnostics.problems)
         pages |= {"/": live_tree.page, "/tree": live_tree.tree}
         monitor_loop = MonitorLoop(parts)
-        looks = monitor_loop.observe.looks
+        schedule = monitor_loop.observe.schedule
         REGISTRY.register(
-            monitor_metrics.ObservationMetrics(lambda: observer.heard, lambda: (looks.count, looks.overruns))
+            monitor_metrics.ObservationMetrics(lambda: observer.records, lambda: (schedule.count, schedule.overruns))
         )
         permits = Permits(cluster, agents, observer.graph, current, wakeups, notices)
         group.create_task(keep_warm(client))

@@ -171,14 +171,14 @@ async def test_a_planned_switchover_takes_no_pod_that_others_wait_for() -> None:
     refill(fleet, "p1")
     world = World(degraded)
     strategy = UninitializedFallback(POOL, wait_for=10.0)
-    await strategy.look(world.context())
+    await strategy.refresh(world.context())
     assert strategy.availability(world.context()).reason == "PodsAwaited"
     assert "other" in strategy.availability(world.context()).message
     planned = failure(world, "degraded-1").model_copy(update={"planned": True})
     done = await recover(planned, choices(strategy), world.context())
     assert (done.result, done.attempts[0].result) == ("Failed", "NotAvailable")
     refill(fleet, "p2")
-    await strategy.look(world.context())
+    await strategy.refresh(world.context())
     assert strategy.available(world.context()) is None
 
 
@@ -190,7 +190,7 @@ async def test_the_reserved_pods_of_a_pool_are_kept_for_critical_workloads(pods:
         refill(fleet, f"p{number + 1}")
     world = World(store)
     strategy = UninitializedFallback(POOL, reserved=1)
-    await strategy.look(world.context())
+    await strategy.refresh(world.context())
     assert strategy.availability(world.context()).reason == ("" if taken else "PodsReserved")
     done = await recover(failure(world, "a-1"), choices(strategy, Restart()), world.context())
     assert list(store.claims) == taken
@@ -339,7 +339,7 @@ async def test_before_a_failure_the_status_of_the_operator_tells_whether_the_poo
     fleet: list[Store] = []
     store = robot("a", fleet)
     strategy = UninitializedFallback(POOL)
-    assert strategy.outlook(World(store).context()) == f"pool {POOL} has no pod that it could claim"
+    assert strategy.available_as_reported(World(store).context()) == f"pool {POOL} has no pod that it could claim"
     store.stocked = {POOL}
-    assert strategy.outlook(World(store).context()) is None
+    assert strategy.available_as_reported(World(store).context()) is None
     assert store.looks == []

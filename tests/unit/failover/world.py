@@ -165,7 +165,7 @@ class _Instances(_Part):
     def of_workload(self) -> Sequence[Instance]:
         return [p for p in self.store.pods.values() if not p.held]
 
-    async def look(self, pool: str, *, part: bool = False) -> None:
+    async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
         self.store.looks.append("part" if part else "all")
         await asyncio.sleep(0.001)
         found = (p for p in self.store.pods.values() if p.held and p.pool == pool)

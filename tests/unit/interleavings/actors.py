@@ -138,7 +138,7 @@ class Monitor:
             parts = Parts(
                 cluster=Cluster(view, fleet, gate),
                 senses=Senses(observer, agents, probes, cast(Any, RobotReaders()), roles, self.wakeups),
-                keeping=cast(Any, Keeping()),
+                state_manager=cast(Any, Keeping()),
                 journal=RecoveryJournal(Journal(self._journal), self.fuse),
                 black_box=cast(Any, BlackBox()),
                 notices=notices,
@@ -187,7 +187,7 @@ class Monitor:
 
     def wake(self) -> None:
         """Have it look at once."""
-        self.wakeups.look.set()
+        self.wakeups.evaluation.set()
 
 
 def _differences(who: str, known: Mapping[str, Object], found: Mapping[str, Object]) -> Iterator[str]:

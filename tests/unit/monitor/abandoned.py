@@ -87,8 +87,8 @@ class Monitor:
         """Carry a recovery out, which an error ends."""
         recovery = progress or begun()
         options = Options(self.objects, self._context(), Does(steps))
-        keeping, current = self.senses.keeping, self.senses.current
-        recoveries = RecoveryRunner(self.view, options, keeping, current, self.abandonment, self.notices)
+        state_manager, current = self.senses.state_manager, self.senses.current
+        recoveries = RecoveryRunner(self.view, options, state_manager, current, self.abandonment, self.notices)
         self.ended.append((await recoveries.carry_out(recovery, policy_of())).kind)
         return recovery
 
@@ -106,7 +106,7 @@ class Monitor:
 
     async def look(self) -> None:
         """As in the housekeeping, and wait for what that has begun."""
-        self.abandonment.look()
+        self.abandonment.update()
         for _ in range(10):
             await asyncio.sleep(0)
 

@@ -68,7 +68,7 @@ class World:
         degraded = False
         for _ in range(round(seconds * 10)):
             self.clock.now += 0.1
-            degraded = self.levels.look(given, health, active, now=time.time(), since=0.0)
+            degraded = self.levels.evaluate(given, health, active, now=time.time(), since=0.0)
         return degraded
 
     @property

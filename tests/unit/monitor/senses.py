@@ -9,7 +9,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec
 from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import Gate, Instance, Instances, Outputs
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.observe.agent_connections import AgentConnections
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 from understudy.monitor.observe.instance_roles import InstanceRoles
@@ -168,7 +168,7 @@ class GivenSenses:
         self.current = CurrentRecovery()
         self.roles = InstanceRoles(objects.view, objects.gate, self.current)
         self.agents = GivenAgents(objects, self.roles)
-        self.keeping = StateKeeping(self.observer.graph, StateStore(NOWHERE), self.agents, objects.notices)
+        self.state_manager = StateManager(self.observer.graph, StateStore(NOWHERE), self.agents, objects.notices)
         """Keeps the state that a test's policy names: none."""
         readers = RobotReaders(objects.view, self.observer, objects.notices, "127.0.0.1")
         self.value = Senses(self.observer, self.agents, objects.proof, readers, self.roles, objects.wakeups)

@@ -17,7 +17,7 @@ from understudy.api.kinds.state_spec import State
 from understudy.api.protocol.kept_state import KeptState, Restored, RestoreReport
 from understudy.failover.interfaces import Instance
 from understudy.kube.agent_client import AgentGone
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.state_store import StateStore
 
@@ -60,7 +60,7 @@ class Monitor:
 
     def __init__(self, graph: Graph, folder: Path) -> None:
         self.agents, self.told = Agents(), RecordedNotices()
-        self.keeping = StateKeeping(graph, StateStore(folder), self.agents, self.told)  # type: ignore[arg-type]
+        self.state_manager = StateManager(graph, StateStore(folder), self.agents, self.told)  # type: ignore[arg-type]
         self.state, self.health, self.active = STATE, "Healthy", ACTIVE
         self.waiting: list[tuple[Instance, float]] = []
 
@@ -72,14 +72,14 @@ class Monitor:
         while not holds():
             assert time.monotonic() < end, f"not within {within} s"
             each()
-            self.keeping.take(self.state, {}, self.active.name)
-            self.keeping.judge(self.health, time.time())  # type: ignore[arg-type]
-            self.keeping.housekeeping(self.active, self.waiting)
+            self.state_manager.take(self.state, {}, self.active.name)
+            self.state_manager.judge(self.health, time.time())  # type: ignore[arg-type]
+            self.state_manager.housekeeping(self.active, self.waiting)
             await asyncio.sleep(0.02)
 
     def x(self, onset: float | None = None) -> float | None:
         """Where the robot would be said to be."""
-        samples = self.keeping.select(time.time() if onset is None else onset).samples
+        samples = self.state_manager.select(time.time() if onset is None else onset).samples
         return (
             float(deserialize_message(samples[0].data, PoseWithCovarianceStamped).pose.pose.position.x)
             if samples

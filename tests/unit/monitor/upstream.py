@@ -70,12 +70,12 @@ class Upstream:
     async def seen(self, now: float = NOW) -> None:
         """Wait until the last change was seen, and take it in."""
         async with asyncio.timeout(5):
-            await self.objects.wakeups.look.wait()
+            await self.objects.wakeups.evaluation.wait()
         await asyncio.sleep(0.01)  # there may be several
-        self.dependencies.look(now)
+        self.dependencies.update(now)
 
     async def _status(self, status: Object, now: float) -> None:
-        self.objects.wakeups.look.clear()
+        self.objects.wakeups.evaluation.clear()
         self.objects.client.store(WORKLOADS, NAMESPACE, {"metadata": {"name": "localization"}, "status": status})
         await self.seen(now)
 
@@ -92,7 +92,7 @@ class Upstream:
     async def committed(self, progress: Progress, now: float = NOW) -> None:
         """Its gate is committed by a recovery."""
         kind = self.objects.view.gate_kind
-        self.objects.wakeups.look.clear()
+        self.objects.wakeups.evaluation.clear()
         state = GateState(epoch=7, recovery=progress)
         self.objects.client.store(kind.resource, NAMESPACE, gate_object(kind, "localization", state))
         await self.seen(now)

@@ -39,7 +39,7 @@ from understudy.controller.plan import Images
 from understudy.controller.pods import pool_pods as pools
 from understudy.controller.pods import pool_size
 from understudy.controller.status import protection
-from understudy.controller.status.protection import StrategyOutlook
+from understudy.controller.status.protection import StrategyAvailability
 from understudy.kube.client import Object
 from understudy.trees.languages.notations import load_monitoring
 from understudy.trees.source.problems import TreeError
@@ -81,7 +81,7 @@ class Facts:
         return cls(observed, workload_plan, status_of(item), said, protected, around.events, others, around.gates)
 
     @property
-    def considered(self) -> Sequence[StrategyOutlook]:
+    def considered(self) -> Sequence[StrategyAvailability]:
         """The strategies that count now, in order, each with whether it could run."""
         return protection.considered(self.observed, self.workload_plan)
 
@@ -363,7 +363,7 @@ def _recorded(strategy: Strategy, observed: Observed) -> str:
     return f"{strategy.type}/{pool_reader.readiness(item) if item is not None else ''}"
 
 
-def _otherwise(known: Facts, considered: Sequence[StrategyOutlook]) -> Iterator[_Entry]:
+def _otherwise(known: Facts, considered: Sequence[StrategyAvailability]) -> Iterator[_Entry]:
     """Report a different choice of the monitor, which knows the standbys' agents; this command does not."""
     said = known.status.strategy
     if not said or not considered or known.health in (UNWATCHED, "Recovering"):

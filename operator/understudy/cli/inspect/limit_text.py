@@ -44,8 +44,8 @@ def sentences(limits: LimitsInForce, name: str, now: float, *, standby_ready: bo
     failure, facts = Occurrence(Trigger.HEALTH_FAILED), Facts(now, limits=limits, standby_ready=standby_ready)
     preventing = {one.row.limit for one in in_force(facts, failure)}
     for one in in_force(replace(facts, standby_ready=False), failure):
-        outlook = one.row.outlook.format(left=left(one.limit, now))
-        text = f"{outlook[0].upper()}{outlook[1:]}: {one.limit.words.rstrip('.')}."
+        consequence = one.row.consequence.format(left=left(one.limit, now))
+        text = f"{consequence[0].upper()}{consequence[1:]}: {one.limit.words.rstrip('.')}."
         if one.row.limit in (Limit.PAUSE, Limit.BUDGET):
             text = f"{text} understudy resume {name} ends this."
         yield text, one.row.limit in preventing

@@ -194,7 +194,7 @@ def judged(found: Sized) -> Condition:
             "increase it, or allow a higher spec.sizing.risk."
         )
         return condition(CONDITION, False, SHORT, message)
-    return condition(CONDITION, True, CONDITION, f"{_reason(found)} {_outlook(found)}")
+    return condition(CONDITION, True, CONDITION, f"{_reason(found)} {_conclusion(found)}")
 
 
 def _reason(found: Sized) -> str:
@@ -214,7 +214,7 @@ def _reason(found: Sized) -> str:
     return f"{source}: {figures}. Each uses a pod for {spec.refill}. At most {spec.risk} of the requests may {kind} (spec.sizing.risk)."
 
 
-def _outlook(found: Sized) -> str:
+def _conclusion(found: Sized) -> str:
     decision, spec = found.decision, found.spec
     size = f"So the pool keeps {_pods(decision.size)}"
     if decision.size > decision.needed and decision.size == spec.min:

@@ -34,7 +34,7 @@ _FAILURE = Occurrence(Trigger.HEALTH_FAILED)
 
 
 @dataclass(frozen=True)
-class StrategyOutlook:
+class StrategyAvailability:
     """A strategy of the policy, and whether it could run now."""
 
     strategy: Strategy
@@ -49,8 +49,8 @@ def protected(observed: Observed, workload_plan: WorkloadPlan) -> Condition:
     It reports whether the policy's first strategy could run at a failure now, and what is missing if not.
     """
 
-    def no(reason: str, message: str, outlook: str) -> Condition:
-        return condition("Protected", False, reason, f"{message.rstrip('.')}. {outlook}")
+    def no(reason: str, message: str, consequence: str) -> Condition:
+        return condition("Protected", False, reason, f"{message.rstrip('.')}. {consequence}")
 
     unwatched = "a failure is not detected"
     name = kube_objects.name(observed.workload)
@@ -74,17 +74,17 @@ def protected(observed: Observed, workload_plan: WorkloadPlan) -> Condition:
     for prevention in in_force(Facts(observed.now, limits=reported_limits(observed)), _FAILURE):
         if not prevention.row.protected:
             return no(
-                prevention.decision.reason, prevention.limit.words, f"If it failed now, {prevention.row.outlook}."
+                prevention.decision.reason, prevention.limit.words, f"If it failed now, {prevention.row.consequence}."
             )
     found = considered(observed, workload_plan)
-    outlook = _outlook(found)
+    consequence = _consequence(found)
     if not any(kube_objects.ready(pod) for pod in observed.instances) and (
         trouble := pod_diagnosis.first(observed.instances)
     ):
-        return no(trouble.reason, trouble.message, outlook)
+        return no(trouble.reason, trouble.message, consequence)
     if found and not found[0].availability.available:
-        return no(found[0].availability.reason, found[0].availability.message, outlook)
-    return condition("Protected", True, "FirstStrategyReady", outlook)
+        return no(found[0].availability.reason, found[0].availability.message, consequence)
+    return condition("Protected", True, "FirstStrategyReady", consequence)
 
 
 def reported_limits(observed: Observed) -> LimitsInForce:
@@ -96,15 +96,15 @@ def reported_limits(observed: Observed) -> LimitsInForce:
     return LimitsInForce(pause=reported.get(("Paused", "True")), budget=reported.get(("WithinBudget", "False")))
 
 
-def considered(observed: Observed, workload_plan: WorkloadPlan) -> list[StrategyOutlook]:
+def considered(observed: Observed, workload_plan: WorkloadPlan) -> list[StrategyAvailability]:
     """Return the strategies that count now, in the policy's order; empty while the policy is missing or invalid."""
     there, found = resources(observed, workload_plan), []
     for strategy in _strategies(observed, workload_plan):
         if strategy.pool_ref is None:
-            found.append(StrategyOutlook(strategy, strategy.type, availability.restart(there)))
+            found.append(StrategyAvailability(strategy, strategy.type, availability.restart(there)))
         else:
             name = strategy.pool_ref.name
-            found.append(StrategyOutlook(strategy, f"Fallback from pool {name}", availability.fallback(name, there)))
+            found.append(StrategyAvailability(strategy, f"Fallback from pool {name}", availability.fallback(name, there)))
     return found
 
 
@@ -177,7 +177,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     return [pod for pod in made if kube_objects.uid(pod) != active]
 
 
-def _outlook(found: Sequence[StrategyOutlook]) -> str:
+def _consequence(found: Sequence[StrategyAvailability]) -> str:
     first = next((one for one in found if one.availability.available), None)
     if first is None:
         return "If it failed now, no strategy of its policy could run."

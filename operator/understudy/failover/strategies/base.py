@@ -72,11 +72,11 @@ class Strategy(ABC):
     def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
         """Return whether it could run now, by the rules that the operator uses too."""
 
-    def outlook(self, context: StrategyContext) -> str | None:
-        """Return the same by what is known without a request to the API server, while nothing has failed."""
+    def available_as_reported(self, context: StrategyContext) -> str | None:
+        """Return the same from what is known without a request to the API server, while nothing has failed."""
         return self.available(context)
 
-    async def look(self, context: StrategyContext, progress: Progress | None = None) -> None:
+    async def refresh(self, context: StrategyContext, progress: Progress | None = None) -> None:
         """Request what ``available`` needs, if that is not known yet."""
         return
 

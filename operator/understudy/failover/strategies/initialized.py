@@ -20,7 +20,7 @@ class InitializedFallback(ExecutingFallback):
         if target is not None:
             await wait_enforced(target, progress, context)
             return target
-        candidates = [*self._begun(progress, context), *self._candidates(context, progress)]
+        candidates = [*self._interrupted_target(progress, context), *self._candidates(context, progress)]
         if not candidates:
             raise NotAvailable(self.available(context, progress) or "no standby is ready")
         return await self._behind_the_gate(candidates, progress, context, within)
@@ -30,7 +30,7 @@ class InitializedFallback(ExecutingFallback):
         await make_drivable(target, progress, context, self.recovery, within=within)
         return target
 
-    def _begun(self, progress: Progress, context: StrategyContext) -> list[Instance]:
+    def _interrupted_target(self, progress: Progress, context: StrategyContext) -> list[Instance]:
         """Return the standby that an interrupted run of this recovery began to bring up. It is no longer a candidate."""
         uid = progress.target.uid if progress.target is not None else ""
         return [i for i in context.instances.of_workload() if i.uid == uid and i.usable and not progress.has_failed(uid)]

@@ -28,11 +28,11 @@ class Reinitialize(Strategy):
         self.name, self._procedures = name, procedures
 
     def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:
-        if progress is None or self._standing(progress, context) is None:
+        if progress is None or self._target_instance(progress, context) is None:
             return Availability(False, INSTANCE_GONE, "the instance that was active is gone")
         return Availability(True)
 
-    def _standing(self, progress: Progress, context: StrategyContext) -> Instance | None:
+    def _target_instance(self, progress: Progress, context: StrategyContext) -> Instance | None:
         uid = progress.target.uid if progress.target is not None else ""
         found = (i for i in context.instances.of_workload() if i.uid == uid and i.usable)
         return next((i for i in found if not progress.has_failed(i.uid)), None)
@@ -42,7 +42,7 @@ class Reinitialize(Strategy):
         if target is not None:
             await wait_enforced(target, progress, context)
             return target
-        target, end = self._standing(progress, context), loop_time() + within
+        target, end = self._target_instance(progress, context), loop_time() + within
         if target is None:
             raise NotAvailable(self.available(context, progress) or "")
         await close(progress, context)

@@ -52,16 +52,16 @@ class UninitializedFallback(Strategy):
     def _overtaken(self) -> str:
         return f"every ready pod of FallbackPool {self.pool} was claimed by another workload first"
 
-    def outlook(self, context: StrategyContext) -> str | None:
+    def available_as_reported(self, context: StrategyContext) -> str | None:
         return None if context.instances.stocked(self.pool) else f"pool {self.pool} has no pod that it could claim"
 
-    async def look(self, context: StrategyContext, progress: Progress | None = None) -> None:
+    async def refresh(self, context: StrategyContext, progress: Progress | None = None) -> None:
         # If some pods are reserved, or other workloads wait, the number of pods matters.
         if not self.reserved and not context.queue.others(self.pool):
-            await context.instances.look(self.pool, part=True)
+            await context.instances.refresh_unclaimed(self.pool, part=True)
             if self._free(progress, context):
                 return
-        await context.instances.look(self.pool)
+        await context.instances.refresh_unclaimed(self.pool)
 
     def _unclaimed(self, progress: Progress | None, context: StrategyContext) -> list[Instance]:
         found = (i for i in context.instances.unclaimed(self.pool) if i.uid not in self._lost)
@@ -75,7 +75,7 @@ class UninitializedFallback(Strategy):
     async def wait(self, progress: Progress, context: StrategyContext) -> None:
         if committed_target(progress, context) is not None or self._claimed(progress, context) is not None:
             return
-        await self.look(context, progress)
+        await self.refresh(context, progress)
         if progress.planned:  # nothing failed: it takes no pod that other robots need
             if (reason := self.available(context, progress)) is not None:
                 raise NotAvailable(reason)
@@ -156,7 +156,7 @@ class UninitializedFallback(Strategy):
 
     async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
         end = loop_time() + within
-        await context.instances.look(self.pool)
+        await context.instances.refresh_unclaimed(self.pool)
         if (reason := self.available(context, progress)) is not None:
             raise NotAvailable(reason)
         reasons = [(i, unfit(i)) for i in self._free(progress, context)]
@@ -203,7 +203,7 @@ class UninitializedFallback(Strategy):
             except ClaimLost:
                 # Other workloads claim too. A read is cheaper than another claim that is lost.
                 self._lost.add(candidates[0].uid)
-                await self.look(context, progress)
+                await self.refresh(context, progress)
         return None
 
     def _candidates(self, progress: Progress, context: StrategyContext) -> Sequence[Instance]:

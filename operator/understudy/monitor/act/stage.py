@@ -10,7 +10,7 @@ from understudy.monitor.act.gate.reflex_guard import ReflexGuard
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
 from understudy.monitor.act.instances.pod_labels import PodLabels
 from understudy.monitor.act.instances.standby_supervision import StandbySupervision
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.act.recovery.deferred_recovery import DeferredRecovery
@@ -32,33 +32,33 @@ class ActStage:
         self,
         cluster: Cluster,
         senses: Senses,
-        keeping: StateKeeping,
+        state_manager: StateManager,
         journal: RecoveryJournal,
         decide: DecideStage,
         notices: Notices,
     ) -> None:
         self._cluster, self._senses, takeover = cluster, senses, decide.takeover
         options, limits, current = decide.options, decide.limits, senses.current
-        self.keeping = keeping
+        self.state_manager = state_manager
         self.unattended = Unattended(cluster.view, limits.pauses, current)
         self.safety = SafeCommands(senses.observer.graph, self.unattended)
         self.garbage = GarbageCollection(cluster.pods, cluster.gate, notices)
         self.abandonment = Abandonment(cluster.gate, journal, notices)
-        self.switchovers = PlannedSwitchovers(cluster, options, keeping, current, self.garbage, notices)
+        self.switchovers = PlannedSwitchovers(cluster, options, state_manager, current, self.garbage, notices)
         self.reflexes = ReflexGuard(cluster, senses, takeover, notices)
         self.start = RecoveryStart(cluster, self.switchovers, self.garbage, limits.retries, takeover)
         self.opening = GateOpening(cluster.pods, cluster.gate, notices)
         self.deferral = DeferredRecovery(cluster, limits, current, journal, notices)
-        self.recoveries = RecoveryRunner(cluster.view, options, keeping, current, self.abandonment, notices)
+        self.recoveries = RecoveryRunner(cluster.view, options, state_manager, current, self.abandonment, notices)
         self._labels = PodLabels(cluster.pods)
-        self._standbys = StandbySupervision(cluster, senses.agents, senses.roles, current, keeping, notices)
+        self._standbys = StandbySupervision(cluster, senses.agents, senses.roles, current, state_manager, notices)
 
     def judged(self, judgement: Judgement) -> None:
         """Remember how the active instance is: its state is kept while it is healthy, and then nothing is unattended."""
         if judgement.verdict is not None:
-            self.keeping.judge(judgement.verdict.state, judgement.now)
+            self.state_manager.judge(judgement.verdict.state, judgement.now)
         elif judgement.failure is not None and judgement.failure.taken is None:
-            self.keeping.judge("Failed", judgement.now)
+            self.state_manager.judge("Failed", judgement.now)
         if judgement.healthy:
             self.unattended.driven()
 
@@ -68,15 +68,15 @@ class ActStage:
             self.safety.follow(policy.safety, spec)
 
     def get_ready(self, policy: FailurePolicySpec) -> None:
-        """Prepare for a recovery by this policy: one that an earlier monitor began comes before the first look."""
+        """Prepare for a recovery by this policy: one that an earlier monitor began comes before the first evaluation."""
         self._senses.observer.follow(policy, self._cluster.view.spec)
         self.follow_safety(policy)
-        self.keeping.follow(policy.state)
+        self.state_manager.follow(policy.state)
         self._senses.agents.follow(self._cluster.pods.of_workload())
 
     def keep_connected(self) -> None:
         """Label new pods, keep connections to agents, and mark abandoned recoveries at the gate. Returns at once."""
-        self.abandonment.look()
+        self.abandonment.update()
         instances = self._cluster.pods.of_workload()
         self._labels.follow(instances)
         self._senses.agents.follow(instances)

@@ -38,8 +38,8 @@ class BudgetSpending:
     def resumed(self) -> float | None:
         """When a user last asked to resume."""
         item = self._view.object
-        said = ((item or {}).get("metadata", {}).get("annotations") or {}).get(names.RESUMED, "")
-        return unix(said) if said else None
+        resumed = ((item or {}).get("metadata", {}).get("annotations") or {}).get(names.RESUMED, "")
+        return unix(resumed) if resumed else None
 
     def count(self, done: Progress, now: float) -> None:
         """Count a recovery that is over. What was planned is none, nor what follows from another workload's recovery, nor one in

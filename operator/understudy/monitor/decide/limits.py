@@ -44,7 +44,7 @@ class Limits:
         return isinstance(decide(Facts(now, (Occurrence(trigger),), self.in_force(now))), Hold)
 
     def in_force(self, now: float) -> LimitsInForce:
-        """Return the limits that are in force at a time (unix seconds). The pause is the one of the last look."""
+        """Return the limits that are in force at a time (unix seconds). The pause is the one of the last update."""
         pause = self.pauses.on
         return LimitsInForce(
             pause=ActiveLimit(pause.words, pause.end) if pause is not None else None,

@@ -30,12 +30,12 @@ class PauseState:
 
     @property
     def on(self) -> Pause | None:
-        """The pause that was in force at the last look."""
+        """The pause that was in force at the last update."""
         given, in_force = self._known
         return given if in_force else None
 
-    def look(self, now: float) -> None:
-        """Look whether a pause is in force, and report a change."""
+    def update(self, now: float) -> None:
+        """Check whether a pause is in force, and report a change."""
         spec = self._view.spec
         if spec is None:
             return
@@ -54,8 +54,8 @@ class PauseState:
         elif in_force:
             self._begin(given, anew=before != (given, True))
         else:
-            said = f"The pause is over, and spec.pause can be removed. The workload was {given.words}."
-            self._notices.condition(CONDITION, "False", "Over", said)
+            message = f"The pause is over, and spec.pause can be removed. The workload was {given.words}."
+            self._notices.condition(CONDITION, "False", "Over", message)
         if before[1] and not in_force and before[0] is not None:
             pause, why = (
                 before[0],

@@ -26,8 +26,8 @@ class RetryBackoff:
         self._view, self._notices = view, notices
         self._backoff = Backoff()
         self._latest: Takeover | None = None
-        self._given: tuple[object, ...] = ()
-        """The policy, spec and settings of the last look."""
+        self._inputs: tuple[object, ...] = ()
+        """The policy, spec and settings of the last update."""
         self._resumed: float | None = None
 
     @property
@@ -44,7 +44,7 @@ class RetryBackoff:
         """Return the wait after the last recovery, if it has not ended."""
         return self._backoff.in_force(now)
 
-    def look(self, resumed: float | None, now: float) -> None:
+    def update(self, resumed: float | None, now: float) -> None:
         """Notice what ends the wait early. ``resumed`` is when somebody last asked to resume."""
         self._backoff = self._backoff.at(now)
         if self._corrected() or resumed != self._resumed:
@@ -53,11 +53,11 @@ class RetryBackoff:
 
     def _corrected(self) -> bool:
         """Return whether the policy, spec or settings changed since no strategy verified. The change may be the correction."""
-        given = (self._view.policy, self._view.spec, self._view.settings)
-        if len(given) == len(self._given) and all(a is b for a, b in zip(given, self._given, strict=True)):
+        inputs = (self._view.policy, self._view.spec, self._view.settings)
+        if len(inputs) == len(self._inputs) and all(a is b for a, b in zip(inputs, self._inputs, strict=True)):
             return False
-        before, self._given = self._given, given
-        return self._backoff.step > FIRST and before != given
+        before, self._inputs = self._inputs, inputs
+        return self._backoff.step > FIRST and before != inputs
 
     def healthy(self) -> None:
         """Note that the active instance has been healthy for long enough: the next failure is a new one."""

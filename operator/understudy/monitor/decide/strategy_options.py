@@ -42,7 +42,7 @@ class StrategyOptions:
     def usable(self) -> str:
         """The name of the strategy that would be carried out now."""
         context = self.context()
-        reasons = [(choice.strategy, choice.strategy.outlook(context)) for choice in self.choices()]
+        reasons = [(choice.strategy, choice.strategy.available_as_reported(context)) for choice in self.choices()]
         return next((strategy.name.split("/")[-1] for strategy, reason in reasons if reason is None), "None")
 
     def standby_ready(self) -> bool:
@@ -62,7 +62,7 @@ class StrategyOptions:
     def first_missing(self) -> str | None:
         """Why the first strategy cannot be carried out, according to what was reported; None if it can."""
         first = self.choices()[0].strategy
-        return first.outlook(self.context()) or self.holds(first)
+        return first.available_as_reported(self.context()) or self.holds(first)
 
     async def check_first(self) -> str | None:
         """Why the first strategy cannot be carried out, according to the present state of the cluster and not only to
@@ -73,7 +73,7 @@ class StrategyOptions:
         first, context = self.choices()[0].strategy, self.context()
         try:
             async with asyncio.timeout(LOOK_WITHIN):
-                await first.look(context)
+                await first.refresh(context)
             return first.available(context)
         except (ApiError, TimeoutError) as error:
             return str(error) or "the API server does not answer"

@@ -26,7 +26,7 @@ LOOK = 0.2
 """Seconds between two looks: degradation matters within seconds, not within milliseconds."""
 
 AGAIN = 30.0
-"""Seconds between two updates of the message, whose figures change with every look."""
+"""Seconds between two updates of the message, whose figures change with every evaluation."""
 
 CONDITION, TASKS = "Degraded", "TasksProxied"
 
@@ -42,7 +42,7 @@ class DegradationLevel:
         self._uid = ""
         self._next = 0.0
         self._reported_at = 0.0
-        self._said = ("", "")
+        self._reported = ("", "")
         self._words = ""
         self._idle_since: float | None = None
         self._waits: BusyReason | None = None
@@ -55,7 +55,7 @@ class DegradationLevel:
 
     @property
     def degraded(self) -> bool:
-        """Whether the instance was degraded at the last look."""
+        """Whether the instance was degraded at the last evaluation."""
         return self._level.since is not None
 
     @property
@@ -70,10 +70,10 @@ class DegradationLevel:
         self._handed_over, self._due, self._lacking = time.monotonic(), False, None
 
     def wait(self, kind: str, words: str) -> None:
-        """Note why a hand-over that is due cannot begin; it is due again at the next look."""
+        """Note why a hand-over that is due cannot begin; it is due again at the next evaluation."""
         self._due, self._lacking = False, BusyReason(kind, words)
 
-    def look(self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, now: float, since: float) -> bool:
+    def evaluate(self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, now: float, since: float) -> bool:
         """Return whether the instance is degraded, given the verdict of its health tree. Times are Unix seconds."""
         if policy.degraded is None:
             if self._in_force:
@@ -94,13 +94,13 @@ class DegradationLevel:
 
     def _begin(self, active: Instance, clock: float) -> None:
         """Start to judge another instance. Its level is unknown, unless this is a new monitor that continues with the same instance."""
-        said = self._notices.status.find(CONDITION)
+        published = self._notices.status.find(CONDITION)
         self._level, self._idle_since, self._due, self._lacking = Level(), None, False, None
-        if said is not None and said.status == "True":
+        if published is not None and published.status == "True":
             if not self._uid and self._notices.status.adopted == active.name:
-                length = time.time() - datetime.fromisoformat(said.last_transition_time).timestamp()
+                length = time.time() - datetime.fromisoformat(published.last_transition_time).timestamp()
                 self._level, self._reported_at = Level(clock - max(0.0, length)), clock
-                self._words = said.message.partition(_WAITS)[0].removesuffix(".")
+                self._words = published.message.partition(_WAITS)[0].removesuffix(".")
             else:
                 self._notices.condition(CONDITION, "Unknown", "Starting", f"{active.name} has just taken control.")
         self._uid, self._next = active.uid, clock
@@ -193,11 +193,11 @@ class DegradationLevel:
             self._notices.add(BecameDegraded())
             _logger.warning("degraded: %s", self._words)
             self._notices.event("Warning", "Degraded", self._words)
-        before = self._said[0]
-        said = (leaf or before, self._waits.kind if self._waits is not None else "")
-        if not self._words or (not entered and said == self._said and clock - self._reported_at < AGAIN):
+        before = self._reported[0]
+        report = (leaf or before, self._waits.kind if self._waits is not None else "")
+        if not self._words or (not entered and report == self._reported and clock - self._reported_at < AGAIN):
             return
-        self._reported_at, self._said = clock, said
+        self._reported_at, self._reported = clock, report
         waits = f"{_WAITS}{self._waits.words}." if self._waits is not None else ""
         self._notices.condition(CONDITION, "True", "NotWell", f"{self._words}.{waits}")
 

@@ -63,7 +63,7 @@ class FailureDetector:
         self._debounce.clear()
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
-        """Return the failure if the active pod is lost, or when to look again. None if it is not lost. No health tree is needed.
+        """Return the failure if the active pod is lost, or when to check again. None if it is not lost. No health tree is needed.
 
         A pod on a node that Kubernetes has lost stays active, regardless of its object: its outputs show whether it runs.
         A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone

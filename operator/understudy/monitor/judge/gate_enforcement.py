@@ -100,7 +100,7 @@ class GateEnforcement:
         self._changed = time.time()
         self._let_through = ("", "")
 
-    def look(self, now: float) -> None:
+    def update(self, now: float) -> None:
         """Note when the gate lets another pod through than before."""
         state = self._gate.state
         if (state.active_uid, state.admitted_uid) != self._let_through:

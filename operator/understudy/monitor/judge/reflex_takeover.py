@@ -43,7 +43,7 @@ class ReflexTakeover:
         reflex = self.reflex
         return seconds(reflex.deadline) if reflex is not None else 0.0
 
-    def look(self, now: float) -> ReflexSwitch | None:
+    def detect(self, now: float) -> ReflexSwitch | None:
         """Return the takeover if the standby that the gate lets through drives the robot now."""
         state = self._gate.state
         if not state.admitted or state.closed or not (deadline := self.deadline):
@@ -61,8 +61,8 @@ class ReflexTakeover:
                 return ReflexSwitch(PodIdentity(name=state.admitted, uid=state.admitted_uid), *found)
         return None
 
-    def next_look(self, now: float) -> float | None:
-        """Return when to look again, so that a takeover is noticed at once; None if the next tick is early enough."""
+    def next_check(self, now: float) -> float | None:
+        """Return when to check again, so that a takeover is noticed at once; None if the next tick is early enough."""
         state = self._gate.state
         if not state.admitted or not (deadline := self.deadline):
             return None

@@ -34,37 +34,37 @@ class SituationTracking:
     def __init__(self, observer: HealthObserver, notices: Notices) -> None:
         self._observer, self._notices = observer, notices
         self._situations = situation.Situations()
-        self._begun: float | None = None
+        self._started: float | None = None
         self._next = 0.0
 
-    def look(self, policy: FailurePolicySpec, verdict: Verdict, *, now: float, since: float) -> None:
+    def update(self, policy: FailurePolicySpec, verdict: Verdict, *, now: float, since: float) -> None:
         """Determine the situation of the robot. Times are Unix seconds.
 
         While the active instance fails or starts, its goals may be without an owner for a moment: the situation stays
         as it is.
         """
-        said = self._notices.status.situation
+        published = self._notices.status.situation
         if not policy.situations:
-            if said is not None:
+            if published is not None:
                 self._say(None, "", now)
             return
         clock = time.monotonic()
         if clock < self._next:
             return
         self._next = clock + LOOK
-        if self._begun is None:
-            self._begun = clock
-            if said is not None:
-                self._situations.adopt(said.name, clock)
+        if self._started is None:
+            self._started = clock
+            if published is not None:
+                self._situations.adopt(published.name, clock)
         rules = [Rule(one.name, seconds(one.after), seconds(one.clear_after)) for one in policy.situations]
         seen = (
             self._observer.situations(self._notices.status.goals, now=now, since=since)
             if verdict.state == "Healthy"
             else {}
         )
-        heard = clock - self._begun >= HEARING
-        found = self._situations.note(rules, {name: one.so for name, one in seen.items() if one.so or heard}, clock)
-        if found != (said.name if said is not None else None):
+        settled = clock - self._started >= HEARING
+        found = self._situations.note(rules, {name: one.so for name, one in seen.items() if one.so or settled}, clock)
+        if found != (published.name if published is not None else None):
             self._say(found, seen[found].reason if found is not None and found in seen else "", now)
 
     def _say(self, name: str | None, reason: str, now: float) -> None:

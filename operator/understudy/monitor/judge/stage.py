@@ -59,14 +59,14 @@ class JudgeStage:
         self.situations = SituationTracking(senses.observer, notices)
         self.enforcement = GateEnforcement(gate, senses.probes, notices, senses.readership)
 
-    def look(self, policy: FailurePolicySpec, now: float, trusted_from: float) -> Judgement:
+    def judge(self, policy: FailurePolicySpec, now: float, trusted_from: float) -> Judgement:
         """Return the judgement: a takeover by the reflex comes first, then a lost pod, then the health tree."""
-        self.enforcement.look(now)
+        self.enforcement.update(now)
         state = self._gate.state
         if state.closed:
             return Judgement(now, trusted_from)
         active = self._pods.find(state.active_uid)
-        if (taken := self.takeover.look(now)) is not None:
+        if (taken := self.takeover.detect(now)) is not None:
             reason = f"{state.active} is silent and {taken.standby.name} has taken over"
             failure = Failure(reason, taken.last, taken.first, Trigger.REFLEX_TAKEOVER, taken)
             return Judgement(now, trusted_from, active, failure=failure)
@@ -79,8 +79,8 @@ class JudgeStage:
     def _by_health(self, policy: FailurePolicySpec, active: Instance, now: float, trusted_from: float) -> Judgement:
         verdict = self.detector.verdict(active, now)
         since = self.detector.since
-        degraded = self.levels.look(policy, verdict, active, now=now, since=since)
-        self.situations.look(policy, verdict, now=now, since=since)
+        degraded = self.levels.evaluate(policy, verdict, active, now=now, since=since)
+        self.situations.update(policy, verdict, now=now, since=since)
         last_well = self.detector.onset(active.name, now)
         if verdict.state != "Failed":
             self.detector.well()

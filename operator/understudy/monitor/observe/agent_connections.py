@@ -219,7 +219,7 @@ class AgentConnections:
             await asyncio.sleep(RETRY)
 
     def status(self, instance: Instance) -> AgentStatus | None:
-        """What its agent last said; None while there is no connection."""
+        """What its agent last reported; None while there is no connection."""
         link = self._links.get(instance.uid)
         return link.status if link else None
 

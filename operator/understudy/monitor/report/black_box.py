@@ -34,7 +34,7 @@ from understudy.trees.core.snapshots import Shown
 _logger = logging.getLogger(__name__)
 
 LOOK = 0.1
-"""Seconds between two looks whether a node of the tree is another."""
+"""Seconds between two checks whether a node of the tree has changed."""
 
 AGAIN = 1.0
 """Seconds after which the tree is noted though all its nodes are as they were."""
@@ -110,7 +110,7 @@ class BlackBox:
         while True:
             try:
                 self._follow()
-                self._look()
+                self._trace_change()
                 if self._due and time.time() >= self._due[0].at:
                     await self._write(self._due.popleft().progress)
             except Exception:
@@ -132,7 +132,7 @@ class BlackBox:
             self._due.clear()
             self._observer.record(self._ring)
 
-    def _look(self) -> None:
+    def _trace_change(self) -> None:
         if self._ring is not None:
             now, states = time.monotonic(), self._observer.states
             if states != self._states or now >= self._next_trace:
@@ -143,10 +143,10 @@ class BlackBox:
         """Note how the tree is."""
         if (ring := self._ring) is None:
             return
-        track, now, said = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._notices.status
+        track, now, published = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._notices.status
         if track.wanted:
             tree = self._observer.snapshot()
-            status = {"health": said.health, "active": said.active, "epoch": said.gate.epoch, "tree": tree}
+            status = {"health": published.health, "active": published.active, "epoch": published.gate.epoch, "tree": tree}
             track.add(now, now, 0, mcap_writer.text(json.dumps({"time": round(now, 6), **status})))
 
     async def _write(self, progress: Progress) -> None:

@@ -18,7 +18,7 @@ from understudy.api.kinds.robot_workload import MonitorSettings
 from understudy.monitor.notices import Notices, StatusChanged
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
-from understudy.monitor.report.diagnostics_status import Details, WorkloadState, said, status
+from understudy.monitor.report.diagnostics_status import Details, WorkloadState, workload_state, status
 from understudy.ros.actions.diagnostics_topic import Diagnostics
 from understudy.ros.actions.snapshot_streams import LEAST, Streams
 from understudy.ros.runtime.interface_types import TypeNotInstalled
@@ -69,7 +69,7 @@ class DiagnosticsPublisher:
         """Remember how the status changed since the last call."""
         for notice in self._stream.take():
             if isinstance(notice, StatusChanged) and self._diagnostics is not None:
-                self._note(said(notice.status, notice.at))
+                self._note(workload_state(notice.status, notice.at))
 
     def _note(self, now: WorkloadState) -> None:
         if now.level != self._level:
@@ -116,7 +116,7 @@ class DiagnosticsPublisher:
             if settings.diagnostics and self._diagnostics is None:
                 self._diagnostics = Diagnostics(self._observer.graph)
                 self._level, self._next = None, 0.0
-                self._note(said(self._notices.status, time.time()))
+                self._note(workload_state(self._notices.status, time.time()))
             elif not settings.diagnostics and self._diagnostics is not None:
                 self._diagnostics.close()
                 self._diagnostics = None
@@ -147,7 +147,7 @@ class DiagnosticsPublisher:
         if not self._pending and now < self._next:
             return
         self._next = now + PERIOD
-        statuses = list(self._pending) or [said(self._notices.status, time.time())]
+        statuses = list(self._pending) or [workload_state(self._notices.status, time.time())]
         self._pending.clear()
         if not self._diagnostics.readers:
             return

@@ -58,7 +58,7 @@ class Details(NamedTuple):
     tree: Snapshot | None
 
 
-def said(published: PublishedStatus, at: float) -> WorkloadState:
+def workload_state(published: PublishedStatus, at: float) -> WorkloadState:
     """Return the state in the published status."""
     planned = published.health == "Recovering" and published.reason("Recovering") == "Rescheduling"
     message = why(published.health, published.active, published.conditions)

@@ -26,20 +26,20 @@ class LiveTreePages:
 
     def state(self) -> dict[str, Any]:
         """All of it as plain values. Times are Unix seconds."""
-        said, spec = self._notices.status, self._view.spec
+        published, spec = self._notices.status, self._view.spec
         return {
             "workload": self._view.workload,
             "namespace": self._view.namespace,
             "policy": spec.failure_policy_ref.name if spec is not None else "",
             "time": round(time.time(), 3),
-            "health": said.health,
-            "active": said.active,
-            "epoch": said.gate.epoch,
-            "strategy": said.strategy,
+            "health": published.health,
+            "active": published.active,
+            "epoch": published.gate.epoch,
+            "strategy": published.strategy,
             "conditions": [
-                {"type": c.type, "status": c.status, "reason": c.reason, "message": c.message} for c in said.conditions
+                {"type": c.type, "status": c.status, "reason": c.reason, "message": c.message} for c in published.conditions
             ],
-            "recoveries": said.count,
+            "recoveries": published.count,
             "tree": self._observer.snapshot(),
             "notes": [*self._observer.problems, *self._observer.waiting, *self._notes()],
         }

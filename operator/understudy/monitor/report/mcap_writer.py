@@ -179,9 +179,9 @@ def _log(at: float, level: int, name: str, text: str) -> bytes:
     return serialized(message)
 
 
-def text(said: str) -> bytes:
+def text(value: str) -> bytes:
     """A text as a message of TREE_TYPE, serialized."""
-    return serialized(message_class(TREE_TYPE)(data=said))
+    return serialized(message_class(TREE_TYPE)(data=value))
 
 
 def serialized(message: Any) -> bytes:

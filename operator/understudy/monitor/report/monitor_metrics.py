@@ -170,24 +170,24 @@ def _switched(recovery: Recovery, kind: str) -> None:
 
 
 class ObservationMetrics(Collector):
-    """Metrics that are read from the monitor's observations when Prometheus asks: a look at the health tree costs nothing more."""
+    """Metrics that are read from the monitor's observations when Prometheus asks: reading them costs no further evaluation of the health tree."""
 
-    def __init__(self, records: Callable[[], Mapping[str, TopicRecord]], looks: Callable[[], tuple[int, int]]) -> None:
-        """``records`` returns what was received, by topic; ``looks`` how many looks there were, and how many of them were overruns."""
-        self._records, self._looks = records, looks
+    def __init__(self, records: Callable[[], Mapping[str, TopicRecord]], evaluations: Callable[[], tuple[int, int]]) -> None:
+        """``records`` returns what was received, by topic; ``evaluations`` how many evaluations there were, and how many of them were overruns."""
+        self._records, self._evaluations = records, evaluations
 
     def describe(self) -> Iterable[Metric]:
         """The metrics without samples. prometheus_client calls this at registration."""
-        return [*_of_topics({}, 0.0), *_of_looks(0, 0)]
+        return [*_of_topics({}, 0.0), *_of_evaluations(0, 0)]
 
     def collect(self) -> Iterable[Metric]:
         """The metrics as of now."""
-        return [*_of_topics(self._records(), time.time()), *_of_looks(*self._looks())]
+        return [*_of_topics(self._records(), time.time()), *_of_evaluations(*self._evaluations())]
 
 
-def _of_looks(looks: int, overruns: int) -> list[Metric]:
+def _of_evaluations(evaluations: int, overruns: int) -> list[Metric]:
     return [
-        CounterMetricFamily("understudy_tree_evaluations", "Evaluations of the health tree.", value=looks),
+        CounterMetricFamily("understudy_tree_evaluations", "Evaluations of the health tree.", value=evaluations),
         CounterMetricFamily(
             "understudy_tree_overruns",
             "Evaluations of the health tree that came so late that the monitor does not treat silence as a failure at once.",

@@ -60,8 +60,8 @@ class RecordingArchive:
             size = fresh.stat().st_size
             if size > most_bytes:
                 raise TooBig(f"it has {size} bytes, and blackBox.maxSize is {most_bytes}")
-            said = {"messages": messages, "size": size, "sha256": hashing.digest}
-            described = recording.model_copy(update=said)
+            figures = {"messages": messages, "size": size, "sha256": hashing.digest}
+            described = recording.model_copy(update=figures)
             self._replace(path.with_suffix(".json"), described.model_dump_json().encode())
             os.replace(fresh, path)
         except BaseException:

@@ -41,7 +41,7 @@ once that a recovery is under way: the operator's storm guard and dependent work
 RETRY = 2.0  # seconds
 
 WATCH = 1.0
-"""Seconds between two looks whether somebody overwrote the status."""
+"""Seconds between two checks whether somebody overwrote the status."""
 
 AGAIN = 10.0
 """Least seconds between two repairs of an overwritten status, so that two monitors of one workload do not keep each other writing."""
@@ -60,7 +60,7 @@ class StatusWriter:
         """No recovery is under way."""
         self._free.set()
         self._applied = ""
-        self._said: Object = {}
+        self._written: Object = {}
         """The status that was applied last."""
         self._answer: Object | None = None
         """The object after that; None if it is not known."""
@@ -108,7 +108,7 @@ class StatusWriter:
         """
         if item is None or self._answer is None or version_of(item) <= version_of(self._answer):
             return
-        if _share(item, self._said) == _share(self._answer, self._said) or time.monotonic() < self._again_from:
+        if _share(item, self._written) == _share(self._answer, self._written) or time.monotonic() < self._again_from:
             return
         _logger.warning("the status of %s was overwritten: writing it again", self._view.workload)
         self._again_from = time.monotonic() + AGAIN
@@ -165,7 +165,7 @@ class StatusWriter:
         if unknown and unknown != self._unknown:
             _logger.warning("%s", lacking(WORKLOADS, unknown, "monitor"))
         self._unknown = unknown
-        self._applied, self._said, self._answer = text, body["status"], answer
+        self._applied, self._written, self._answer = text, body["status"], answer
 
 
 def _reference_to(item: Object) -> Object:
@@ -182,9 +182,9 @@ def _reference_to(item: Object) -> Object:
     }
 
 
-def _share(item: Object, said: Object) -> Object:
+def _share(item: Object, written: Object) -> Object:
     """The part of an object's status that the monitor applied: the rest is the operator's."""
     status = item.get("status") or {}
-    types = {c["type"] for c in said["conditions"]}
-    found = {key: status[key] for key in said if key in status}
+    types = {c["type"] for c in written["conditions"]}
+    found = {key: status[key] for key in written if key in status}
     return found | {"conditions": {c["type"]: c for c in status.get("conditions") or [] if c["type"] in types}}

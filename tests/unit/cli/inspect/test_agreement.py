@@ -82,11 +82,11 @@ def test_monitor_and_explain_agree_on_what_a_limit_prevents(
     reported = Notices()
     reported.set_spent([NOW - ago for ago in spent])
     limits = Limits(view, reported)
-    limits.retries.look(limits.spending.resumed, NOW - 2000)
+    limits.retries.update(limits.spending.resumed, NOW - 2000)
     if recovered is not None:
         with patch.object(retry_backoff, "time", Clock(NOW - recovered)):
             limits.retries.after_recovery(given_policy)
-    limits.pauses.look(NOW)
+    limits.pauses.update(NOW)
     limits.spending.say(NOW)
     decision = decide(Facts(NOW, (FAILURE,), limits.in_force(NOW), standby_ready=ready))
 
@@ -168,7 +168,7 @@ def test_monitor_and_explain_agree_on_which_strategies_can_run(
         context = Cluster(store).context()
         listed = choices(FailurePolicySpec.model_validate(policy["spec"]), settings, None)
         for choice in listed:
-            await choice.strategy.look(context)
+            await choice.strategy.refresh(context)
         return [choice.strategy.available(context) is None for choice in listed]
 
     assert [one.availability.available for one in found] == asyncio.run(by_the_monitor())

@@ -106,7 +106,7 @@ async def test_a_slow_mark_delays_nothing_and_is_requested_once_at_a_time(
 
     monkeypatch.setattr(GATE, "end_recovery", slow)
     for _ in range(3):
-        monitor.abandonment.look()
+        monitor.abandonment.update()
         await asyncio.sleep(0)
     assert asked == 1
     next_one = begun(STANDBY)

@@ -48,8 +48,8 @@ class Closed:
     async def look(self, now: float) -> bool:
         """Look once; whether the gate was opened."""
         before = len(self.objects.commits)
-        self._loop.decide.limits.pauses.look(now)
-        await self._loop.look(POLICY, now)
+        self._loop.decide.limits.pauses.update(now)
+        await self._loop.evaluate(POLICY, now)
         return len(self.objects.commits) > before
 
 

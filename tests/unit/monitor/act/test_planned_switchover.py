@@ -104,7 +104,7 @@ class Scene:
         self._garbage = GarbageCollection(pods, gate, self.told)
         cluster = Cluster(self.objects.view, pods, gate)
         self.switching = PlannedSwitchovers(
-            cluster, self._options, senses.keeping, senses.current, self._garbage, self.told
+            cluster, self._options, senses.state_manager, senses.current, self._garbage, self.told
         )
 
     @property
@@ -130,7 +130,7 @@ class Scene:
         self.objects.put_settings(drain=drain)
 
     def look(self, lacking: str = "") -> Preparation | None:
-        return self.switching.look(lacking)
+        return self.switching.advance(lacking)
 
     async def looked(self, within: float = 1.0) -> Preparation | None:
         """The result after a while, in which the loop looks again and again."""

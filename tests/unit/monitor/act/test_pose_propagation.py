@@ -24,7 +24,7 @@ from tests.unit.monitor.state_monitor import POSE, STANDBY, Monitor, next_monito
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.api.kinds.state_spec import RestoredState, State
 from understudy.api.protocol.kept_state import Motion
-from understudy.monitor.act.instances import state_keeping as module
+from understudy.monitor.act.instances import state_manager as module
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state.state_store import StateStore
 
@@ -101,7 +101,7 @@ async def monitor(graph: Graph, tmp_path: Path) -> Monitor:
 
 def motion(monitor: Monitor, onset: float | None = None) -> Motion | None:
     """What would carry the pose now."""
-    samples = monitor.keeping.select(time.time() if onset is None else onset).samples
+    samples = monitor.state_manager.select(time.time() if onset is None else onset).samples
     return samples[0].motion if samples else None
 
 
@@ -116,7 +116,7 @@ async def test_a_pose_is_kept_with_the_odometry_of_its_time(monitor: Monitor, ro
     await monitor.until(lambda: time.monotonic() > end and carried(monitor), each=robot.say)
     onset, end = time.time(), time.monotonic() + 1.0
     await monitor.until(lambda: time.monotonic() > end, each=robot.say)
-    (sample,) = monitor.keeping.select(onset).samples
+    (sample,) = monitor.state_manager.select(onset).samples
     found = sample.motion
     assert found is not None
     kept = deserialize_message(sample.data, PoseWithCovarianceStamped).pose.pose.position.x
@@ -150,7 +150,7 @@ async def test_odometry_is_watched_during_a_recovery(monitor: Monitor, robot: Ro
     onset = time.time()
     before = motion(monitor, onset)
     assert before is not None
-    async with monitor.keeping.recovering():
+    async with monitor.state_manager.recovering():
         end = time.monotonic() + 20
         while time.time() < onset + 2.5:  # nobody asks for the state meanwhile
             robot.say(Odometry)
@@ -177,7 +177,7 @@ async def test_the_odometry_of_a_pose_survives_a_restart_of_the_monitor(
 
     def persisted() -> bool:
         with next_monitor(tmp_path) as later:
-            later.keeping.take(STATE, {}, "w-1")
+            later.state_manager.take(STATE, {}, "w-1")
             found = motion(later, onset)
             return found is not None and found.then == wanted.then
 
@@ -209,14 +209,14 @@ async def test_a_standby_receives_propagated_poses(monitor: Monitor, robot: Robo
 async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) -> None:
     given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75, carried_metres=0.4321)
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
-    monitor.keeping.report_restored(recovery)
+    monitor.state_manager.report_restored(recovery)
     status, reason, message = monitor.told.conditions["StateRestored"]
     assert (status, reason) == ("True", "Restored")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m")
     uncertain = given.model_copy(
         update={"message": "no /odom was received for 4.0 s of the time over which the pose was propagated"}
     )
-    monitor.keeping.report_restored(recovery.model_copy(update={"state": [uncertain]}))
+    monitor.state_manager.report_restored(recovery.model_copy(update={"state": [uncertain]}))
     status, reason, message = monitor.told.conditions["StateRestored"]
     assert (status, reason) == ("True", "Restored")
     assert_golden("monitor", message, "w-2", "/amcl_pose", "0.8 s", "0.43 m", "/odom", "4.0 s")
@@ -224,7 +224,7 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
     missing = RestoredState(
         name="/amcl_pose", restored=True, age_seconds=0.75, message="the pose cannot be propagated by /odom"
     )
-    monitor.keeping.report_restored(recovery.model_copy(update={"state": [missing]}))
+    monitor.state_manager.report_restored(recovery.model_copy(update={"state": [missing]}))
     text = "w-2 was given /amcl_pose (0.8 s old). /amcl_pose: the pose cannot be propagated by /odom."
     assert monitor.told.conditions["StateRestored"] == ("False", "NotCarried", text)
     assert monitor.told.events == [("Warning", "StateNotCarried", text)]

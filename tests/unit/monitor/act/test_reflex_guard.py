@@ -221,25 +221,25 @@ async def test_a_standby_whose_packets_do_not_arrive_is_reported(world: World) -
 async def test_a_takeover_by_the_admitted_standby_is_detected(world: World) -> None:
     await world.keep()
     last = world.arrivals("w-1")[-1]
-    assert world.takeover.look(last + 0.2) is None, "silence alone is nothing"
+    assert world.takeover.detect(last + 0.2) is None, "silence alone is nothing"
     world.arrives("w-2", last + 0.12)
-    taken = world.takeover.look(last + 0.13)
+    taken = world.takeover.detect(last + 0.13)
     assert taken is not None
     assert (taken.standby.name, taken.last, taken.first) == ("w-2", last, last + 0.12)
 
 
 async def test_a_standby_that_is_not_admitted_cannot_take_over(world: World) -> None:
     world.arrives("w-2", world.arrivals("w-1")[-1] + 0.12)
-    assert world.takeover.look(world.arrivals("w-2")[-1] + 1) is None
+    assert world.takeover.detect(world.arrivals("w-2")[-1] + 1) is None
 
 
 async def test_a_takeover_is_looked_for_at_the_deadline_and_then_often_for_a_while(world: World) -> None:
-    assert world.takeover.next_look(NOW) is None, "nobody is let through"
+    assert world.takeover.next_check(NOW) is None, "nobody is let through"
     await world.keep()
     last = world.arrivals("w-1")[-1]
-    assert world.takeover.next_look(last + 0.02) == pytest.approx(last + 0.1)
-    assert world.takeover.next_look(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
-    assert world.takeover.next_look(last + 5) is None, "it may be at rest"
+    assert world.takeover.next_check(last + 0.02) == pytest.approx(last + 0.1)
+    assert world.takeover.next_check(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
+    assert world.takeover.next_check(last + 5) is None, "it may be at rest"
 
 
 async def test_a_clock_that_is_set_back_does_not_shut_out_a_standby(world: World) -> None:

@@ -27,7 +27,7 @@ from understudy.api.protocol.kept_state import NotRestored
 from understudy.api.protocol.monitor_settings import PoolChoice
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.monitor.act.instances import state_keeping as module
+from understudy.monitor.act.instances import state_manager as module
 from understudy.monitor.act.instances.standby_supervision import receivers
 from understudy.ros.runtime.graph_node import Graph
 from understudy.state import state_capture as pure
@@ -102,13 +102,13 @@ async def test_kept_state_survives_a_restart_of_the_monitor(
     say(1.0)
     await monitor.until(lambda: monitor.x() == 1.0)
     onset = time.time()
-    kept = monitor.keeping.select(onset)
+    kept = monitor.state_manager.select(onset)
 
     def outlasts() -> bool:
         with next_monitor(tmp_path) as later:
             later.health = "Starting"
-            later.keeping.take(STATE, {}, "w-1")
-            return later.x(onset) == 1.0 and later.keeping.select(onset) == kept
+            later.state_manager.take(STATE, {}, "w-1")
+            return later.x(onset) == 1.0 and later.state_manager.select(onset) == kept
 
     await monitor.until(outlasts)
 
@@ -120,7 +120,7 @@ async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_sta
     await monitor.until(lambda: monitor.x() == 1.0 and (tmp_path / "kept").exists() and StateStore(tmp_path).load())
     onset = time.time()
     later = Monitor(graph, tmp_path)
-    monitored = GivenMonitor(tmp_path, notices=later.told, keeping=later.keeping)
+    monitored = GivenMonitor(tmp_path, notices=later.told, state_manager=later.state_manager)
     monitored.objects.put_workload()
     monitored.objects.put_policy(policy_of(state=STATE.to_wire()))
     monitored.objects.put_settings()
@@ -131,7 +131,7 @@ async def test_kept_state_is_available_to_a_recovery_that_an_earlier_monitor_sta
     async with asyncio.timeout(25):
         while not monitored.objects.commits:
             await asyncio.sleep(0.01)
-    assert [sample.topic for sample in later.keeping.select(onset).samples] == ["/amcl_pose"]
+    assert [sample.topic for sample in later.state_manager.select(onset).samples] == ["/amcl_pose"]
     recovering.cancel()
 
 
@@ -144,7 +144,7 @@ async def test_a_topic_that_nobody_publishes_is_reported(monitor: Monitor, monke
     )
     assert monitor.told.conditions["StateKept"] == ("False", "NeverCame", told)
     assert monitor.told.events == [("Warning", "StateNeverCame", told)]
-    assert monitor.keeping.select(time.time()).left_out == (
+    assert monitor.state_manager.select(time.time()).left_out == (
         NotRestored("/amcl_pose", "nobody publishes it", failed=False),
     )
 
@@ -162,7 +162,7 @@ async def test_state_that_is_too_old_is_reported(monitor: Monitor, say: Callable
     say(1.0)
     await monitor.until(lambda: monitor.told.conditions.get("StateKept", ("", ""))[1] == "TooOld")
     assert "older than maxAge (500ms)" in monitor.told.conditions["StateKept"][2]
-    (left,) = monitor.keeping.select(time.time()).left_out
+    (left,) = monitor.state_manager.select(time.time()).left_out
     assert "more than maxAge (500ms)" in left.reason
 
 
@@ -189,8 +189,8 @@ async def test_parameters_and_lifecycle_states_are_requested_from_the_agent(moni
         "lifecycle": {"/amcl": "active"},
         "problems": [],
     }
-    await monitor.until(lambda: len(monitor.keeping.select(time.time()).lifecycle) == 1)
-    kept = monitor.keeping.select(time.time())
+    await monitor.until(lambda: len(monitor.state_manager.select(time.time()).lifecycle) == 1)
+    kept = monitor.state_manager.select(time.time())
     assert kept.parameters[0].values == {"speed": 0.3}
     assert (kept.lifecycle[0].node, kept.lifecycle[0].state) == ("/amcl", "active")
 
@@ -213,7 +213,7 @@ async def test_a_standby_receives_only_changed_state(monitor: Monitor, say: Call
     monitor.state = STATE.model_copy(update={"lifecycle": ["/amcl"]})
     monitor.agents.answer = {"parameters": {}, "lifecycle": {"/amcl": "active"}, "problems": []}
     say(1.0)
-    await monitor.until(lambda: monitor.agents.given and monitor.keeping.select(time.time()).lifecycle)
+    await monitor.until(lambda: monitor.agents.given and monitor.state_manager.select(time.time()).lifecycle)
     end = time.monotonic() + 1.0
     await monitor.until(lambda: time.monotonic() > end)
     ((name, first),) = monitor.agents.given
@@ -249,18 +249,18 @@ async def test_standbys_receive_no_state_while_the_workload_is_not_healthy(
 
 async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) -> None:
     monitor.state = State.model_validate({"keep": [{"topic": "/amcl_pose"}, {"topic": "/map"}]})
-    monitor.keeping.take(monitor.state, {}, ACTIVE.name)
+    monitor.state_manager.take(monitor.state, {}, ACTIVE.name)
     given = RestoredState(name="/amcl_pose", restored=True, age_seconds=0.75)
     missing = RestoredState(name="/map", restored=False, message="what is kept is 61.0 s old, more than maxAge (1m)")
     recovery = Recovery(id="1", reason="x", result="Recovered", to_pod="w-2", state=[given])
-    monitor.keeping.report_restored(recovery)
+    monitor.state_manager.report_restored(recovery)
     assert monitor.told.conditions["StateRestored"] == (
         "True",
         "Restored",
         "w-2 was given /amcl_pose (0.8 s old).",
     )
     assert not monitor.told.events
-    monitor.keeping.report_restored(recovery.model_copy(update={"state": [given, missing]}))
+    monitor.state_manager.report_restored(recovery.model_copy(update={"state": [given, missing]}))
     assert monitor.told.conditions["StateRestored"][:2] == ("False", "NotRestored")
     ((_, reason, message),) = monitor.told.events
     assert reason == "StateNotRestored"
@@ -270,9 +270,9 @@ async def test_the_state_restored_in_a_recovery_is_reported(monitor: Monitor) ->
 
 async def test_a_recovery_without_restored_state_withdraws_the_last_report(monitor: Monitor) -> None:
     monitor.told.condition("StateRestored", "False", "NotRestored", "w-2 was not given ...")
-    monitor.keeping.report_restored(Recovery(id="2", reason="x", result="Failed"))
+    monitor.state_manager.report_restored(Recovery(id="2", reason="x", result="Failed"))
     assert "StateRestored" in monitor.told.conditions
-    monitor.keeping.report_restored(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))
+    monitor.state_manager.report_restored(Recovery(id="2", reason="x", result="Recovered", to_pod="w-3"))
     assert "StateRestored" not in monitor.told.conditions
 
 
@@ -290,10 +290,10 @@ async def test_a_clock_step_changes_no_age(
         def time() -> float:
             return time.time() + step
 
-    (before,) = monitor.keeping.select(time.time()).samples
+    (before,) = monitor.state_manager.select(time.time()).samples
     monkeypatch.setattr(module, "time", Stepped)
-    monitor.keeping.take(STATE, {}, "w-1")
-    (after,) = monitor.keeping.select(time.time() + step).samples
+    monitor.state_manager.take(STATE, {}, "w-1")
+    (after,) = monitor.state_manager.select(time.time() + step).samples
     assert after.taken_at - before.taken_at == pytest.approx(step, abs=0.5)
 
 

@@ -154,7 +154,7 @@ async def test_a_pause_ends_safe_commands_of_a_held_recovery_and_takes_precedenc
 def test_a_failure_during_a_pause_is_reported_once_and_not_acted_on(world: World) -> None:
     world.pause(PAUSE)
     now = time.time()
-    world.loop.decide.limits.pauses.look(now)
+    world.loop.decide.limits.pauses.update(now)
     for _ in range(2):
         assert world.recovered(Failure("no /cmd_vel", now - 1, now), now) is None
     told = [message for kind, reason, message in world.notices.events if reason == "RecoveryPostponed"]
@@ -168,9 +168,9 @@ def test_a_failure_during_a_pause_is_reported_once_and_not_acted_on(world: World
 def test_after_a_pause_a_failure_counts_from_its_end(world: World) -> None:
     world.pause(PAUSE)
     now = time.time()
-    world.loop.decide.limits.pauses.look(now)
+    world.loop.decide.limits.pauses.update(now)
     world.pause(None)
-    world.loop.decide.limits.pauses.look(now + 0.1)
+    world.loop.decide.limits.pauses.update(now + 0.1)
     found = world.recovered(Failure("no /cmd_vel", now - 7200, now + 0.2), now + 0.2)
     assert found is not None
     assert found.onset == now

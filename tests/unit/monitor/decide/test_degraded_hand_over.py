@@ -168,7 +168,7 @@ class Deciding:
         observer.health, observer.well = HEALTHY, HEALTHY if well else SLOW
         self.levels, self.decide = self.monitor.loop.judge.levels, self.monitor.loop.decide
         self._world = world
-        self.decide.limits.pauses.look(time.time())
+        self.decide.limits.pauses.update(time.time())
         self.look(10)
 
     def look(self, seconds: float) -> None:
@@ -225,7 +225,7 @@ class Looked(Restart):
         super().__init__()
         self._takes, self._lacking = takes, lacking
 
-    async def look(self, context: StrategyContext) -> None:
+    async def refresh(self, context: StrategyContext) -> None:
         await asyncio.sleep(self._takes)
 
     def availability(self, context: StrategyContext, progress: Progress | None = None) -> Availability:

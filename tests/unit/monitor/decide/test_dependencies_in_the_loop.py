@@ -63,7 +63,7 @@ class Planning:
 
     async def look(self) -> Resolution:
         """Look once."""
-        return await self.monitor.loop.look(self.policy, self.now)
+        return await self.monitor.loop.evaluate(self.policy, self.now)
 
 
 async def test_a_held_failure_causes_no_recovery_and_is_evaluated_again_in_time(tmp_path: Path) -> None:

@@ -46,21 +46,21 @@ class World:
 
 def test_a_pause_is_reported_with_owner_reason_and_end() -> None:
     world = World(GIVEN)
-    world.pauses.look(1000.0)
+    world.pauses.update(1000.0)
     assert world.pauses.on == GIVEN
     assert world.said is not None
     status, reason, message = world.said
     assert (status, reason) == ("True", "Maintenance")
     assert_golden("monitor", message, "ann: a new gripper", "1970-01-01 00:20:00")
     assert "understudy resume -n fleet w" in message
-    world.pauses.look(1001.0)
+    world.pauses.update(1001.0)
     assert [reason for reason, _ in world.events] == ["Paused"]
 
 
 def test_a_pause_ends_at_its_time() -> None:
     world = World(GIVEN)
-    world.pauses.look(END - 0.1)
-    world.pauses.look(END)
+    world.pauses.update(END - 0.1)
+    world.pauses.update(END)
     assert world.pauses.on is None
     assert world.pauses.ended == END - 0.1
     assert world.said is not None
@@ -72,9 +72,9 @@ def test_a_pause_ends_at_its_time() -> None:
 
 def test_a_pause_ends_when_it_is_removed() -> None:
     world = World(Pause(reason="a new gripper", owner="ann"))
-    world.pauses.look(1000.0)
+    world.pauses.update(1000.0)
     world.pause(None)
-    world.pauses.look(5000.0)
+    world.pauses.update(5000.0)
     assert world.pauses.on is None
     assert world.said is None
     reason, message = world.events[-1]
@@ -95,26 +95,26 @@ def test_the_end_of_a_pause_is_reported_with_owner_and_reason_of_the_resume(
 ) -> None:
     world = World()
     world.pause(GIVEN, before)
-    world.pauses.look(1000.0)
+    world.pauses.update(1000.0)
     world.pause(None, after)
-    world.pauses.look(1001.0)
+    world.pauses.update(1001.0)
     assert world.events[-1][1].endswith(words)
 
 
 def test_an_earlier_resume_does_not_explain_the_end_of_a_pause() -> None:
     world, said = World(), {names.RESUMED: "1", names.RESUMED_FOR: "bob: it grips"}
     world.pause(GIVEN, said)
-    world.pauses.look(1000.0)
+    world.pauses.update(1000.0)
     world.pause(None, said)
-    world.pauses.look(1001.0)
+    world.pauses.update(1001.0)
     assert world.events[-1][1].endswith("spec.pause was removed")
 
 
 def test_a_changed_pause_is_reported_too() -> None:
     world = World(GIVEN)
-    world.pauses.look(1000.0)
+    world.pauses.update(1000.0)
     world.pause(Pause(reason="and a new arm", owner="bob"))
-    world.pauses.look(1001.0)
+    world.pauses.update(1001.0)
     assert [reason for reason, _ in world.events] == ["Paused", "Paused"]
     assert world.said is not None
     assert world.said[2].startswith("Paused by bob: and a new arm. ")
@@ -123,9 +123,9 @@ def test_a_changed_pause_is_reported_too() -> None:
 @pytest.mark.parametrize(("pause", "reasons"), [(GIVEN, []), (None, [])])
 def test_a_new_monitor_raises_no_second_event_for_a_pause(pause: Pause | None, reasons: list[str]) -> None:
     world = World(GIVEN)
-    world.pauses.look(1000.0)
+    world.pauses.update(1000.0)
     later = World(pause, world.notices.status.to_wire())
-    later.pauses.look(1001.0)
+    later.pauses.update(1001.0)
     assert later.said == (world.said if pause is not None else None)
     assert [reason for reason, _ in later.events] == reasons
 
@@ -138,6 +138,6 @@ def test_an_invalid_date_does_not_end_a_pause() -> None:
 
 def test_a_workload_without_a_pause_has_no_condition_about_it() -> None:
     world = World()
-    world.pauses.look(1000.0)
+    world.pauses.update(1000.0)
     assert world.said is None
     assert world.notices.changes == 0

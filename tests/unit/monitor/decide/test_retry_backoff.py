@@ -39,7 +39,7 @@ class World:
         self.objects.put_workload()
         self.objects.put_settings()
         self.retries = RetryBackoff(self.objects.view, self.told)
-        self.retries.look(None, NOW)
+        self.retries.update(None, NOW)
 
     def correct(self, what: str) -> None:
         """Change one of the objects that a failure may come from."""
@@ -85,7 +85,7 @@ def test_a_correction_ends_the_backoff(what: str) -> None:
     world = World()
     world.in_vain(3)
     world.correct(what)
-    world.retries.look(None, NOW + 1)
+    world.retries.update(None, NOW + 1)
     assert world.waits() == 1
     world.in_vain(1)
     assert world.waits() == BACKOFF_FIRST
@@ -96,7 +96,7 @@ def test_an_unchanged_object_does_not_end_the_backoff() -> None:
     world.in_vain(3)
     before = world.retries.not_before
     world.objects.put_policy(world.policy)  # as after a change of its status
-    world.retries.look(None, NOW)
+    world.retries.update(None, NOW)
     assert world.retries.not_before == before
 
 
@@ -104,7 +104,7 @@ def test_a_correction_does_not_end_the_cooldown() -> None:
     world = World()
     world.retries.after(60.0)
     world.correct("policy")
-    world.retries.look(None, NOW)
+    world.retries.update(None, NOW)
     assert world.waits() == 60
 
 
@@ -112,19 +112,19 @@ def test_a_resume_ends_the_backoff_once() -> None:
     world, now = World(), NOW
     world.in_vain(3)
     before = world.retries.not_before
-    world.retries.look(None, now)
+    world.retries.update(None, now)
     assert world.retries.not_before == before
-    world.retries.look(now, now)
+    world.retries.update(now, now)
     assert world.retries.not_before == now
     world.retries.after(10.0)
-    world.retries.look(now, now)
+    world.retries.update(now, now)
     assert world.retries.not_before == now + 10, "once"
 
 
 def test_a_clock_that_is_set_back_does_not_prolong_the_wait() -> None:
     world = World()
     world.retries.after(10.0)
-    world.retries.look(None, NOW - 3600)
+    world.retries.update(None, NOW - 3600)
     assert world.retries.not_before == NOW - 3600 + 10
 
 

@@ -143,8 +143,8 @@ async def test_degradation_neither_causes_nor_delays_a_failover(
     monitor.objects.put_gate(GateState(epoch=3, active="w-1", active_uid="uid-1"))
     monitor.observer.health, monitor.observer.well = health, well
     judged: list[str] = []
-    monkeypatch.setattr(monitor.keeping, "judge", lambda state, now: judged.append(state))
-    found = await monitor.loop.look(at_once, time.time())
+    monkeypatch.setattr(monitor.state_manager, "judge", lambda state, now: judged.append(state))
+    found = await monitor.loop.evaluate(at_once, time.time())
     assert isinstance(found.decision, Recover) == (health is FAILED)
     assert monitor.notices.status.health == level
     assert judged == [health.state], "state is kept of what is healthy, well or not"

@@ -92,16 +92,16 @@ def test_enforcement_is_judged_again_after_the_gate_admits_another_pod(
     last.update({"uid-w-1": NOW, "uid-w-2": NOW})
     monkeypatch.setattr(gate_enforcement, "time", clock)
     enforced = GateEnforcement(objects.gate, objects.proof, told, Readers())
-    enforced.look(NOW)
+    enforced.update(NOW)
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
     assert (found[1], told.conditions) == ("Settling", {})
     clock.now = last["uid-w-1"] = last["uid-w-2"] = NOW + SETTLE + 1
-    enforced.look(clock.now)
+    enforced.update(clock.now)
     enforced.say(enforced.judge([ACTIVE, STANDBY]))
     assert told.conditions["GateEnforced"][:2] == ("False", "NotEnforced")
     assert [reason for _, reason, _ in told.events] == ["GateNotEnforced"]
     objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-w-2"))
-    enforced.look(clock.now)
+    enforced.update(clock.now)
     enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
     assert found[1] == "Settling"
     assert told.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
@@ -116,7 +116,7 @@ def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
     last["uid-w-1"] = NOW + SETTLE
     monkeypatch.setattr(gate_enforcement, "time", clock)
     enforced = GateEnforcement(objects.gate, objects.proof, told, readers)
-    enforced.look(NOW)
+    enforced.update(NOW)
     clock.now = NOW + SETTLE + 1
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")
     readers.ungated = "The gate does not reach who reads /cmd_vel."
@@ -135,9 +135,9 @@ def test_a_clock_that_is_set_back_does_not_change_the_judgement(monkeypatch: pyt
     last.update({"uid-w-1": NOW + 3600, "uid-w-2": NOW + 3600})  # the standby's is of when it was let through
     monkeypatch.setattr(gate_enforcement, "time", clock)
     enforced = GateEnforcement(objects.gate, objects.proof, objects.notices, Readers())
-    enforced.look(NOW + 3600)
+    enforced.update(NOW + 3600)
     clock.now = NOW
-    enforced.look(NOW)
+    enforced.update(NOW)
     clock.now += SETTLE + 1
     last["uid-w-1"] = clock.now
     assert enforced.judge([ACTIVE, STANDBY])[:2] == ("True", "SeenFromPackets")

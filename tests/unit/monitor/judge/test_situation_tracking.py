@@ -115,7 +115,7 @@ class World:
         end = self.now + length
         while self.now < end:
             self.now += LOOK / 2
-            self.situations.look(asked, verdict, now=self.now + 1e9, since=1e9)
+            self.situations.update(asked, verdict, now=self.now + 1e9, since=1e9)
         return self.notices.status.situation.name if self.notices.status.situation is not None else ""
 
 

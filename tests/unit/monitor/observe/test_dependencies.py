@@ -33,9 +33,9 @@ async def test_a_failure_is_held_as_soon_as_the_gate_of_the_dependency_shows_its
     await world.said("Healthy")
     world.dependencies.notice(NOW - 0.5, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW) is not None
-    world.objects.wakeups.look.clear()
+    world.objects.wakeups.evaluation.clear()
     await world.committed(recovery("r1", onset=NOW - 0.52, result="Running"), NOW + 0.05)
-    assert world.objects.wakeups.look.is_set(), "and it is looked at once"
+    assert world.objects.wakeups.evaluation.is_set(), "and it is looked at once"
     assert world.dependencies.hold("no /plan for 500 ms", NOW - 0.5, NOW + 0.05) == pytest.approx(NOW + 120)
     status, reason, message = world.condition()
     assert (status, reason) == ("True", "Held")
@@ -105,7 +105,7 @@ async def test_without_dependencies_nothing_is_watched_reported_or_held() -> Non
     world = Upstream()
     await world.said("Failed", failing_since=rfc3339(NOW - 1))
     world.dependencies.follow(settings_of("planning"))
-    world.dependencies.look(NOW)
+    world.dependencies.update(NOW)
     world.dependencies.notice(NOW, NOW)
     assert world.dependencies.hold("no /plan for 500 ms", NOW, NOW) is None
     assert world.dependencies.due(active(), NOW) is None

@@ -67,7 +67,7 @@ def looking(graph: Graph, told: RecordedNotices, outputs: list[Output]) -> Robot
 def looks(one: RobotReaders, times: int) -> None:
     async def look() -> None:
         for _ in range(times):
-            await one.look()
+            await one.check()
 
     asyncio.run(look())
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import pytest
 
-from understudy.monitor.observe.wakeups import APART, STALL_MOST, STALLED, LookSchedule, Wakeups
+from understudy.monitor.observe.wakeups import APART, STALL_MOST, STALLED, EvaluationSchedule, Wakeups
 
 FAR = 60.0
 
@@ -43,15 +43,15 @@ async def ends(waiting: asyncio.Task[None]) -> None:
 
 
 async def test_the_monitor_waits_until_the_deadline(arrivals) -> None:
-    looks = LookSchedule(Wakeups(), arrivals)
-    moment = looks.begin() + 0.05
-    await looks.until(moment)
+    schedule = EvaluationSchedule(Wakeups(), arrivals)
+    moment = schedule.begin() + 0.05
+    await schedule.until(moment)
     assert time.time() >= moment
 
 
 async def test_a_message_ends_the_wait_before_the_deadline(arrivals) -> None:
-    looks = LookSchedule(Wakeups(), arrivals)
-    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    schedule = EvaluationSchedule(Wakeups(), arrivals)
+    waiting = asyncio.create_task(schedule.until(schedule.begin() + FAR))
     await asyncio.sleep(0.02)
     assert not waiting.done()
     arrivals.come()
@@ -59,30 +59,30 @@ async def test_a_message_ends_the_wait_before_the_deadline(arrivals) -> None:
 
 
 async def test_frequent_messages_leave_a_minimum_time_between_evaluations(arrivals) -> None:
-    looks = LookSchedule(Wakeups(), arrivals)
-    begun = [looks.begin()]
+    schedule = EvaluationSchedule(Wakeups(), arrivals)
+    begun = [schedule.begin()]
     for _ in range(10):
         arrivals.come()
-        await asyncio.wait_for(looks.until(begun[-1] + FAR), 20)
-        begun.append(looks.begin())
+        await asyncio.wait_for(schedule.until(begun[-1] + FAR), 20)
+        begun.append(schedule.begin())
     assert min(later - earlier for earlier, later in pairwise(begun)) >= APART - 0.001
 
 
 async def test_a_message_that_was_already_evaluated_causes_no_evaluation(arrivals) -> None:
-    looks = LookSchedule(Wakeups(), arrivals)
+    schedule = EvaluationSchedule(Wakeups(), arrivals)
     arrivals.come()
-    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    waiting = asyncio.create_task(schedule.until(schedule.begin() + FAR))
     await asyncio.sleep(5 * APART)
     assert not waiting.done()
     waiting.cancel()
 
 
 async def test_a_wait_that_ended_by_its_deadline_leaves_no_wakeup_behind(arrivals) -> None:
-    looks = LookSchedule(Wakeups(), arrivals)
-    begun = looks.begin()
+    schedule = EvaluationSchedule(Wakeups(), arrivals)
+    begun = schedule.begin()
     arrivals.come()
-    await looks.until(begun)  # the moment comes before the pause after the last look is over
-    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    await schedule.until(begun)  # the moment comes before the pause after the last look is over
+    waiting = asyncio.create_task(schedule.until(schedule.begin() + FAR))
     await asyncio.sleep(5 * APART)
     assert not waiting.done()
     waiting.cancel()
@@ -91,13 +91,13 @@ async def test_a_wait_that_ended_by_its_deadline_leaves_no_wakeup_behind(arrival
 @pytest.mark.parametrize("arrivals", [None, Told(asked=False)])
 async def test_without_topics_that_need_wakeups_messages_do_not_end_the_wait(arrivals) -> None:
     wakeups = Wakeups()
-    looks = LookSchedule(wakeups, arrivals)
-    waiting = asyncio.create_task(looks.until(looks.begin() + FAR))
+    schedule = EvaluationSchedule(wakeups, arrivals)
+    waiting = asyncio.create_task(schedule.until(schedule.begin() + FAR))
     if arrivals is not None:
         arrivals.come()
     await asyncio.sleep(5 * APART)
     assert not waiting.done()
-    wakeups.look.set()
+    wakeups.evaluation.set()
     await ends(waiting)
 
 
@@ -106,35 +106,35 @@ async def test_silence_is_not_trusted_after_a_stall(monkeypatch) -> None:
     monkeypatch.setattr(
         "understudy.monitor.observe.wakeups.time", type("Clock", (), {"time": staticmethod(lambda: now)})
     )
-    looks = LookSchedule(Wakeups(), None)
+    schedule = EvaluationSchedule(Wakeups(), None)
     for late, trusted in ((0.0, 0.0), (STALLED, 0.0), (0.1, 0.1), (3.0, STALL_MOST)):
-        looks.trusted_from = 0.0
+        schedule.trusted_from = 0.0
         now = 1000.0
-        looks.begin()
-        await looks.until(now)
+        schedule.begin()
+        await schedule.until(now)
         now += late
-        found = looks.begin()
-        assert looks.late == pytest.approx(late)
-        assert looks.trusted_from == (pytest.approx(found + trusted) if trusted else 0.0)
+        found = schedule.begin()
+        assert schedule.late == pytest.approx(late)
+        assert schedule.trusted_from == (pytest.approx(found + trusted) if trusted else 0.0)
 
 
 async def test_planned_work_between_evaluations_is_no_stall() -> None:
-    looks = LookSchedule(Wakeups(), None)
-    looks.begin()
-    await looks.until(time.time() - 1.0)
-    looks.restart()
-    looks.begin()
-    assert (looks.late, looks.trusted_from) == (0.0, 0.0)
+    schedule = EvaluationSchedule(Wakeups(), None)
+    schedule.begin()
+    await schedule.until(time.time() - 1.0)
+    schedule.restart()
+    schedule.begin()
+    assert (schedule.late, schedule.trusted_from) == (0.0, 0.0)
 
 
 async def test_a_clock_that_is_set_back_does_not_delay_verdicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks, clock = LookSchedule(Wakeups(), None), [1_000_000.0]
+    schedule, clock = EvaluationSchedule(Wakeups(), None), [1_000_000.0]
     monkeypatch.setattr(time, "time", lambda: clock[0])
-    looks.begin()
-    await looks.until(clock[0] - 1)
-    looks.begin()
-    assert looks.trusted_from > clock[0], "it was stalled"
+    schedule.begin()
+    await schedule.until(clock[0] - 1)
+    schedule.begin()
+    assert schedule.trusted_from > clock[0], "it was stalled"
     clock[0] -= 3600
-    looks.restart()
-    looks.begin()
-    assert looks.trusted_from <= clock[0] + STALL_MOST
+    schedule.restart()
+    schedule.begin()
+    assert schedule.trusted_from <= clock[0] + STALL_MOST

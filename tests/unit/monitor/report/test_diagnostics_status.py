@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 from tests.unit.monitor.diagnosed import TREE
 from understudy.api.kinds.robot_workload import GateStatus, Health, Moments, Parts, Recovery
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, Details, said, status
+from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, Details, workload_state, status
 from understudy.ros.actions.diagnostics_topic import Status
 
 NONE: Any = None
@@ -26,7 +26,7 @@ def notices() -> Notices:
 
 
 def told(notices: Notices, more: Details = MORE) -> Status:
-    return status("fleet", "robot-1-drive", said(notices.status, 100.0), notices.status, more)
+    return status("fleet", "robot-1-drive", workload_state(notices.status, 100.0), notices.status, more)
 
 
 def test_every_health_has_a_level() -> None:

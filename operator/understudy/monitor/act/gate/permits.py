@@ -200,9 +200,9 @@ class Permits:
             body: dict[str, Any] = {"witnesses": self._witnesses_of(instance, spec)}
             if status.cut_off is None:
                 self._back.pop(uid, None)
-            elif (said := self._word_for(instance, state, recovering)) is not None:
-                body["word"] = said
-                self._report(instance, status.cut_off, said)
+            elif (decision := self._word_for(instance, state, recovering)) is not None:
+                body["word"] = decision
+                self._report(instance, status.cut_off, decision)
             wanted = (self._agents.session(instance), body)
             sent, at = self._sent.get(uid, (None, 0.0))
             if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):

@@ -77,15 +77,15 @@ class ReflexGuard:
             if state.admitted:
                 self._write(None)
             return
-        chosen, said = self._choose(now, enforced) if not paused else (None, PAUSED)
+        chosen, report = self._choose(now, enforced) if not paused else (None, PAUSED)
         if (chosen.uid if chosen else "") != state.admitted_uid:
             self._write(chosen)
             if chosen is not None:
-                said = ("Unknown", "Arming", f"{chosen.name} is about to be admitted by the gate.")
-        if self._notices.condition("Reflex", *said):
-            kind = "Warning" if said[0] == "False" and said[1] != "NoStandby" else "Normal"
-            if said[1] in ("Armed", "DeadlineTooShort", "StandbyTooStrong", "Blocked", "Ambiguous"):
-                self._notices.event(kind, f"Reflex{said[1]}", said[2])
+                report = ("Unknown", "Arming", f"{chosen.name} is about to be admitted by the gate.")
+        if self._notices.condition("Reflex", *report):
+            kind = "Warning" if report[0] == "False" and report[1] != "NoStandby" else "Normal"
+            if report[1] in ("Armed", "DeadlineTooShort", "StandbyTooStrong", "Blocked", "Ambiguous"):
+                self._notices.event(kind, f"Reflex{report[1]}", report[2])
 
     def _choose(self, now: float, enforced: bool) -> tuple[Instance | None, ConditionReport]:
         state = self._gate.state

@@ -10,7 +10,7 @@ from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.interfaces import Agents, Instance
 from understudy.monitor.act.instances.standby_lifecycle import StandbyLifecycle
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.agent_connections import AgentConnections
@@ -27,11 +27,11 @@ class StandbySupervision:
         agents: AgentConnections,
         roles: InstanceRoles,
         current: CurrentRecovery,
-        keeping: StateKeeping,
+        state_manager: StateManager,
         notices: Notices,
     ) -> None:
         self._cluster, self._agents, self._roles, self._current = cluster, agents, roles, current
-        self._keeping = keeping
+        self._state_manager = state_manager
         self._bringing = StandbyLifecycle(cluster.pods, agents, roles, notices)
 
     def housekeeping(
@@ -43,7 +43,7 @@ class StandbySupervision:
             self._bring(instances, policy, settings)
         active_uid = self._cluster.gate.state.active_uid
         given = receivers(instances, settings, self._agents, active_uid=active_uid) if not paused else []
-        self._keeping.housekeeping(self._cluster.pods.find(active_uid), given)
+        self._state_manager.housekeeping(self._cluster.pods.find(active_uid), given)
 
     def _bring(self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings) -> None:
         if (spec := self._cluster.view.spec) is None:
@@ -51,7 +51,7 @@ class StandbySupervision:
         held = self._current.held
         cared = [i for i in instances if held is None or not held.has_failed(i.uid)]
         self._bringing.housekeeping(
-            cared, policy, spec, settings, self._roles.driver, lambda: self._keeping.select(time.time())
+            cared, policy, spec, settings, self._roles.driver, lambda: self._state_manager.select(time.time())
         )
 
 

@@ -94,7 +94,7 @@ class PodControl:
 
     def unclaimed(self, pool: str) -> Sequence[Instance]:
         """Pods of a shared pool that are ready at its present template and belong to nobody, oldest first; of those that were
-        looked for.
+        requested.
         """
         current = self._template_hashes
         if pool not in current:
@@ -111,13 +111,13 @@ class PodControl:
         ]
         return sorted(fitting, key=lambda i: (i.created, i.name))
 
-    async def look(self, pool: str, *, part: bool = False) -> None:
-        """Look which pods of a shared pool are unclaimed, or which of some of them."""
+    async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
+        """Request which pods of a shared pool are unclaimed, or which of one part of them."""
         asked = claims.part(self._settings.uid) if part else ""
-        await self._view.unclaimed(pool).look(asked, self._template_hashes.get(pool, ""))
+        await self._view.unclaimed(pool).refresh(asked, self._template_hashes.get(pool, ""))
 
     def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
-        """Go on looking, meanwhile."""
+        """Watch the unclaimed pods of a shared pool while the context is open."""
         return self._view.unclaimed(pool).followed()
 
     def stocked(self, pool: str) -> bool:

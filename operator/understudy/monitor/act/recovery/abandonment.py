@@ -53,17 +53,17 @@ class Abandonment:
             return  # it had not reached the gate
         # An earlier one may stand there still: this one need not have come further than to ask for a commit.
         record = self._gate.record
-        there = [one for one in self._known if record is not None and one.stands(record.epoch, record.recovery)]
+        there = [one for one in self._known if record is not None and one.matches(record.epoch, record.recovery)]
         self._keep([*(one for one in there if one.id != left.id), left])
 
-    def look(self) -> None:
+    def update(self) -> None:
         """Write the mark if the gate's record does not have it. Called at intervals while no recovery is in progress; returns at
         once."""
         self._forget_past_ones()
         record = self._gate.record
         if record is None or (self._status_conditions is not None and not self._status_conditions.done()):
             return
-        given_up = any(one.stands(record.epoch, record.recovery) for one in self._known)
+        given_up = any(one.matches(record.epoch, record.recovery) for one in self._known)
         if self._is_left(record.recovery) or given_up:
             self._status_conditions = asyncio.create_task(self._gate.end_recovery(record))
 
@@ -95,11 +95,11 @@ class Abandonment:
         if record is None or not self._known:
             return
         found = beside(record.recovery)
-        said = found.id if found is not None and found.result != "Running" else ""
+        concluded = found.id if found is not None and found.result != "Running" else ""
         left = [
             one
             for one in self._known
-            if one.id != said and (one.stands(record.epoch, record.recovery) or one.may_come(record.epoch))
+            if one.id != concluded and (one.matches(record.epoch, record.recovery) or one.may_still_commit(record.epoch))
         ]
         if left != self._known:
             self._keep(left)

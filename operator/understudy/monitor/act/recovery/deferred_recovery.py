@@ -21,7 +21,7 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 
 LOOK = 1.0
-"""Seconds between two looks whether the recovery may continue."""
+"""Seconds between two checks whether the recovery may continue."""
 
 
 class DeferredRecovery:
@@ -34,7 +34,7 @@ class DeferredRecovery:
         self._limits, self._current, self._journal = limits, current, journal
 
     async def until_allowed(self, progress: Progress) -> AsyncGenerator[None]:
-        """End once the recovery may be carried out. Yields at each look before that, so that other work continues.
+        """End once the recovery may be carried out. Yields at each check before that, so that other work continues.
 
         Raises Superseded, and what a request to the API server raises.
         """
@@ -70,7 +70,7 @@ class DeferredRecovery:
         return epoch
 
     def _must_wait(self, now: float) -> bool:
-        self._limits.pauses.look(now)
+        self._limits.pauses.update(now)
         if self._view.retired:
             return False
         return self._limits.hold(Trigger.HELD_RECOVERY, now)

@@ -25,7 +25,7 @@ from understudy.failover.strategies.restart import Restart
 from understudy.failover.switchover import Preparation
 from understudy.kube.client import FAILURES
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.decide.strategy_options import StrategyOptions
 from understudy.monitor.notices import Notices
@@ -43,10 +43,10 @@ PATIENCE = 30.0
 as long as the drain lasts."""
 
 LOOK = 1.0
-"""Seconds between two looks whether a waiting request can begin."""
+"""Seconds between two checks whether a waiting request can begin."""
 
 REPORT_PERIOD = 5.0
-"""Seconds between two updates of why a request waits. Figures in that message may change at every look."""
+"""Seconds between two updates of why a request waits. Figures in that message may change at every evaluation."""
 
 AGAIN = 30.0
 """Seconds after which a drain tries again if an understudy existed but did not come into control."""
@@ -82,13 +82,13 @@ class PlannedSwitchovers:
         self,
         cluster: Cluster,
         options: StrategyOptions,
-        keeping: StateKeeping,
+        state_manager: StateManager,
         current: CurrentRecovery,
         garbage: GarbageCollection,
         notices: Notices,
     ) -> None:
         self._view, self._fleet, self._gate = cluster.view, cluster.pods, cluster.gate
-        self._options, self._keeping, self._current = options, keeping, current
+        self._options, self._state_manager, self._current = options, state_manager, current
         self._garbage, self._notices = garbage, notices
         self._task: asyncio.Task[Preparation] | None = None
         self._wanted: Wanted | None = None
@@ -105,10 +105,10 @@ class PlannedSwitchovers:
         target = self._progress.target if self._progress is not None else None
         return target.uid if target is not None else ""
 
-    def look(self, lacking: str) -> Preparation | None:
+    def advance(self, lacking: str) -> Preparation | None:
         """Return the understudy that can drive instead of the active instance, once there is one that should.
 
-        ``lacking`` is why none can be prepared now, if so. Called at every look while nothing has failed, and returns
+        ``lacking`` is why none can be prepared now, if so. Called at every evaluation while nothing has failed, and returns
         at once.
         """
         wanted = self._asked(time.time())
@@ -158,7 +158,7 @@ class PlannedSwitchovers:
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         try:
             with self._current.during(progress):
-                async with self._keeping.recovering():
+                async with self._state_manager.recovering():
                     if progress.former is None:
                         await switchover.switch(prepared, context)
                     else:
@@ -214,8 +214,8 @@ class PlannedSwitchovers:
         return Wanted("Drain", f"node {drain.node} is being drained (it is cordoned)", drain=drain)
 
     def _was_handled(self, text: str) -> bool:
-        said = self._notices.status.switchover
-        return said is not None and said.handled == text
+        published = self._notices.status.switchover
+        return published is not None and published.handled == text
 
     def _requested(self, text: str, now: float) -> Wanted | None:
         """The switchover that a request asks for; None if the request has no effect, which is reported."""
@@ -304,8 +304,8 @@ class PlannedSwitchovers:
         if new:
             kind = "Warning" if wanted.drain is not None else "Normal"
             self._notices.event(kind, "SwitchoverWaits", f"{wanted.reason}: {reason}")
-        said = self._notices.status.switchover
-        if new or (said is not None and said.phase != "Waiting") or now - self._reported_at >= REPORT_PERIOD:
+        published = self._notices.status.switchover
+        if new or (published is not None and published.phase != "Waiting") or now - self._reported_at >= REPORT_PERIOD:
             self._reported_at = now
             self._report(wanted.kind, wanted.request, "Waiting", f"{reason}.")
 
@@ -319,10 +319,10 @@ class PlannedSwitchovers:
 
     def _over_and_done(self) -> None:
         """Close the report about a request that waited or was being prepared by an earlier monitor: nobody requests a switchover now."""
-        said = self._notices.status.switchover
-        if said is not None and said.phase not in ENDED:
+        published = self._notices.status.switchover
+        if published is not None and published.phase not in ENDED:
             message = "Nothing was changed: the request was withdrawn."
-            self._report(said.kind, said.request, "NotDone", message, target=said.target, recovery=said.recovery)
+            self._report(published.kind, published.request, "NotDone", message, target=published.target, recovery=published.recovery)
 
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
         """An understudy that something was done to is not needed. A pod of the workload's own controller is that one's business."""
@@ -342,8 +342,8 @@ class PlannedSwitchovers:
 
     def _is_new(self, wanted: Wanted) -> bool:
         """Whether the last report is about another request."""
-        said = self._notices.status.switchover
-        return said is None or said.phase in ENDED or (said.kind, said.request) != (wanted.kind, wanted.request)
+        published = self._notices.status.switchover
+        return published is None or published.phase in ENDED or (published.kind, published.request) != (wanted.kind, wanted.request)
 
     def _say(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
         target = progress.target.name if progress.target is not None else ""

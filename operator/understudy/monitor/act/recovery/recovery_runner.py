@@ -15,7 +15,7 @@ from understudy.failover.protocol import recover
 from understudy.failover.strategies.base import Choice
 from understudy.kube.client import ApiError
 from understudy.monitor.act.instances.garbage_collection import GarbageCollection
-from understudy.monitor.act.instances.state_keeping import StateKeeping
+from understudy.monitor.act.instances.state_manager import StateManager
 from understudy.monitor.act.objects.cluster import Cluster
 from understudy.monitor.act.recovery.abandonment import Abandonment
 from understudy.monitor.act.recovery.planned_switchover import PlannedSwitchovers
@@ -86,12 +86,12 @@ class RecoveryRunner:
         self,
         view: ClusterView,
         options: StrategyOptions,
-        keeping: StateKeeping,
+        state_manager: StateManager,
         current: CurrentRecovery,
         abandonment: Abandonment,
         notices: Notices,
     ) -> None:
-        self._view, self._options, self._keeping = view, options, keeping
+        self._view, self._options, self._state_manager = view, options, state_manager
         self._current, self._abandonment, self._notices = current, abandonment, notices
 
     async def carry_out(self, progress: Progress, policy: FailurePolicySpec) -> Outcome:
@@ -101,7 +101,7 @@ class RecoveryRunner:
             self._notices.condition("Recovering", "True", progress.occasion, progress.reason)
             self._notices.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
             try:
-                async with self._keeping.recovering():
+                async with self._state_manager.recovering():
                     done = await self._recovered(progress, self._options.choices())
             except ENDS as error:
                 if isinstance(error, Superseded) or progress.result != "Recovered":

@@ -124,7 +124,7 @@ class ClusterView:
         spec = self.spec
         if self._group is None or spec is None or spec.failure_policy_ref.name == self._referred:
             return
-        self._take_in(self.policies.items.get(self._referred))
+        self._read_policy(self.policies.items.get(self._referred))
         self._referred = spec.failure_policy_ref.name
         if self._policy_watch is not None:
             self._policy_watch.cancel()
@@ -205,7 +205,7 @@ class ClusterView:
         If there is no earlier policy, one with a recovery that does not load is better than none: then that strategy fails, and
         the workload is watched nevertheless.
         """
-        given, settings = self._given_policy(), self.settings
+        given, settings = self._written_policy(), self.settings
         if given is None or not given.varies:
             self._followed = (given, settings, given)
         elif self._followed[0] is not given or self._followed[1] is not settings:
@@ -220,13 +220,13 @@ class ClusterView:
             self._followed = (given, settings, before if found is None or found == before else found)
         return self._followed[2]
 
-    def _given_policy(self) -> FailurePolicySpec | None:
+    def _written_policy(self) -> FailurePolicySpec | None:
         """The last good policy, as it was written."""
         spec = self.spec
-        self._take_in(self.policies.items.get(spec.failure_policy_ref.name) if spec else None)
+        self._read_policy(self.policies.items.get(spec.failure_policy_ref.name) if spec else None)
         return self._policy
 
-    def _take_in(self, item: Object | None) -> None:
+    def _read_policy(self, item: Object | None) -> None:
         if item is not None and (version := item["metadata"]["uid"] + item["metadata"]["resourceVersion"]) != (
             self._policy_version
         ):

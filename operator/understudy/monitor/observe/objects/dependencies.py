@@ -108,7 +108,7 @@ class Dependencies:
         self._noticed: float | None = None
         """Since when it has failed without a break."""
         self._reason = ""
-        """The reason as it was first reported: a figure in it may change with every look, and the message should not."""
+        """The reason as it was first reported: a figure in it may change with every evaluation, and the message should not."""
 
     # -- watching them --------------------------------------------------------------------------------------------------
 
@@ -130,16 +130,16 @@ class Dependencies:
             self._report()
             self._notices.withdraw(CONDITION)
 
-    def look(self, now: float) -> None:
-        """Take in how they are."""
+    def update(self, now: float) -> None:
+        """Note how they are now."""
         if not self._watched:
             return
         for name, watched in self._watched.items():
             if watched.synced and (found := outage(self._outages.get(name), watched.seen, now)) is not None:
                 self._outages[name] = found
-        self._begin_to_follow()
+        self._skip_earlier_recoveries()
 
-    def _begin_to_follow(self) -> None:
+    def _skip_earlier_recoveries(self) -> None:
         """What was recovered before it was first seen asks for nothing: the instance in control began after it, or without it."""
         followed = self._known()
         before = dict(followed)
@@ -180,7 +180,7 @@ class Dependencies:
             self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} no longer fails.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
-        """Return when to look again at a failure that is held; None if it is not held."""
+        """Return when to check again a failure that is held; None if it is not held."""
         if not self._watched:
             return None
         noticed = min(self._noticed, now) if self._noticed is not None else now

@@ -34,7 +34,7 @@ class Unclaimed:
         """The pods of the last list, or those of the watch while one runs."""
         return self._watched.items if self._watched.synced.is_set() else self._found
 
-    async def look(self, part: str = "", template_hash: str = "") -> None:
+    async def refresh(self, part: str = "", template_hash: str = "") -> None:
         """Ask which there are, of all or of one part of them (claims.part), of any template or one. Waits while the API server is
         away. Raises ApiError.
         """

@@ -25,7 +25,7 @@ class SituationState(NamedTuple):
     so: bool | None
     """None if it is unknown."""
     reason: str
-    """By what it is known, without figures: they would be another with every look."""
+    """By what it is known, without figures: they would differ at every evaluation."""
 
 
 @dataclass
@@ -79,7 +79,7 @@ class ContextDetection:
             if sign.task is not None:
                 found.append(WatchedTopic(sign.task.topic, STATUS_TYPE, 0.0, None, task=True))
             elif sign.tree is not None:
-                # Situations are not urgent: a message does not cause a look.
+                # Situations are not urgent: a message does not cause an evaluation.
                 found += [replace(topic, prompt=False) for topic in sign.tree.topics]
         return found
 

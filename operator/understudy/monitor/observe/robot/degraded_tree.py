@@ -81,7 +81,7 @@ class DegradedTrees:
         """The topics to watch; some may be listed more than once."""
         trees = [tree for tree in (self._well, self._idle) if tree is not None]
         statuses = [WatchedTopic(task.topic, STATUS_TYPE, 0.0, None, task=True) for task in self._tasks]
-        # Degradation is not urgent: a message does not cause a look.
+        # Degradation is not urgent: a message does not cause an evaluation.
         return [*(replace(topic, prompt=False) for tree in trees for topic in tree.topics), *statuses]
 
     def leave_out(self, topics: Collection[str]) -> None:

@@ -32,7 +32,7 @@ REMEMBERED = 60.0
 """Seconds for which samples are still attributed to a pod whose object is gone: its process may outlive it."""
 
 LOOK = 0.002
-"""Seconds between looks while a switch is being verified."""
+"""Seconds between checks while a switch is being verified."""
 
 POD_LOOK = 0.1
 """Seconds after which the state of the active pod is passed on again: another pod may have become active."""
@@ -45,7 +45,7 @@ class HealthObserver:
         """``meter`` measures what the pod in control uses of its node; without one, no leaf can judge that."""
         self.graph = Graph("understudy_monitor")
         self.coming = ArrivalWakeups()
-        """Reports messages that must be looked at as they arrive."""
+        """Reports messages that must be evaluated when they arrive."""
         self._watching = TopicWatch(self.graph, arrivals=self.coming)
         self._tree: HealthTree | None = None
         self._loaded: tuple[Monitoring, list[Output]] | None = None
@@ -117,7 +117,7 @@ class HealthObserver:
         return self._watching
 
     @property
-    def heard(self) -> dict[str, TopicRecord]:
+    def records(self) -> dict[str, TopicRecord]:
         """What was received of each topic that the health tree judges, of what counts for the instance in control."""
         judged = self._tree.judged if self._tree is not None else []
         found = {topic.name: self._watching.topic(topic.name) for topic in judged if topic.subscribed}
@@ -186,14 +186,14 @@ class HealthObserver:
         self.addresses = {name: ip for name, (ip, _) in self._addresses.items()}
         self._watching.attribute(self.addresses, active)
         self._watching.drain()
-        self._look_at_pod(instances, active)
+        self._update_pod_state(instances, active)
         unwatchable = self._watching.unwatchable
         if self._tree is not None:
             self._tree.leave_out(unwatchable - self._aside)
         self._wellness.leave_out(unwatchable)
         self._situating.leave_out(unwatchable)
 
-    def _look_at_pod(self, instances: Sequence[Instance], active: str) -> None:
+    def _update_pod_state(self, instances: Sequence[Instance], active: str) -> None:
         """Pass the state of the active pod's object to the trees, if one of them needs it."""
         watching, before, wanted = self._watching, self._pod, self._asked
         self._pod = next((i for i in instances if i.name == active), None) if wanted is not None else None

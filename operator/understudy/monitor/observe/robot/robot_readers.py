@@ -21,7 +21,7 @@ from understudy.ros.rmw import MIDDLEWARE
 _logger = logging.getLogger(__name__)
 
 PERIOD = 2.0
-"""Seconds between looks at who reads. DDS is asked for those only that were not there at the last one."""
+"""Seconds between checks of who reads. DDS is asked for those only that were not there at the last one."""
 
 WITHIN = 5.0
 """Most seconds that an answer is waited for."""
@@ -47,25 +47,25 @@ class RobotReaders:
         self._asked: set[bytes] = set()
         self._again = 0.0
         self._judged: tuple[ConditionReport | None, float] = (None, 0.0)
-        said = notices.status.find(CONDITION)
-        self.ungated = said.message if said is not None and said.reason == UNGATED else ""
+        published = notices.status.find(CONDITION)
+        self.ungated = published.message if published is not None and published.reason == UNGATED else ""
         """What is wrong with the readers that the gate does not reach; empty for nothing."""
 
     async def run(self) -> None:
-        """Look until cancelled. What goes wrong here must not end the monitor."""
+        """Check until cancelled. What goes wrong here must not end the monitor."""
         while True:
             try:
-                await self.look()
+                await self.check()
             except Exception:
-                _logger.exception("looking who reads the outputs")
+                _logger.exception("checking who reads the outputs")
                 self._notices.condition(
                     CONDITION, "Unknown", "ReadersUnknown", "Checking the readers failed: see the monitor's log."
                 )
                 await asyncio.sleep(AGAIN)
             await asyncio.sleep(PERIOD)
 
-    async def look(self) -> None:
-        """Look once, and say what has stood for long enough."""
+    async def check(self) -> None:
+        """Check once, and report what has lasted for long enough."""
         spec = self._view.spec
         if spec is None or self._view.retired:
             return

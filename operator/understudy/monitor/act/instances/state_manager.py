@@ -33,11 +33,11 @@ from understudy.state.state_store import StateStore
 _logger = logging.getLogger(__name__)
 
 LEAST_LOOK = 0.05
-"""Minimum seconds between two looks at the kept topics, if the policy's period is shorter. Messages in between are left
+"""Minimum seconds between two reads of the kept topics, if the policy's period is shorter. Messages in between are left
 to the middleware, which keeps the last."""
 
 LOOK_AT_ODOMETRY = 0.1
-"""Seconds between two looks at odometry. Only the last message of each interval counts: at 0.5 m/s and 1 rad/s the path between
+"""Seconds between two reads of odometry. Only the last message of each interval counts: at 0.5 m/s and 1 rad/s the path between
 two of them is known to a millimetre, and a jump can be distinguished from driving.
 """
 
@@ -65,7 +65,7 @@ REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked",
 Health = Literal["Starting", "Healthy", "Failed"]
 
 
-class StateKeeping:
+class StateManager:
     """The kept state of one workload."""
 
     def __init__(self, graph: Graph, shelf: StateStore, agents: AgentConnections, notices: Notices) -> None:
@@ -79,7 +79,7 @@ class StateKeeping:
         self._state: State | None = None
         self._adopted = shelf.load()
         self._offset = time.time() - time.monotonic()
-        self._period = self._next_look = 0.0
+        self._period = self._next_take = 0.0
         self._active = ""
         self._persisted = self._keeper.revision
         self._persisting: asyncio.Task[None] | None = None
@@ -93,10 +93,10 @@ class StateKeeping:
         self._next_report = 0.0
         self._upkeep: dict[str, _Upkeep] = {}
 
-    # -- each look --------------------------------------------------------------------------------------------------
+    # -- each evaluation --------------------------------------------------------------------------------------------
 
     def take(self, state: State, instances: Mapping[str, str], active: str) -> None:
-        """Take in what has come of what the policy keeps. ``instances`` has their IPs; ``active`` is in control."""
+        """Capture what has arrived of what the policy keeps. ``instances`` has their IPs; ``active`` is in control."""
         if state is not self._state:  # comparing them costs more than all else here
             self.follow(state)
         if not self._keeper.keys:
@@ -106,8 +106,8 @@ class StateKeeping:
             self._active = active
             self._keeper.forget_offers()
         now = time.monotonic()
-        if now >= self._next_look:
-            self._next_look = now + max(LEAST_LOOK, self._period)
+        if now >= self._next_take:
+            self._next_take = now + max(LEAST_LOOK, self._period)
             self._take_messages()
         if self._carrier.topics:
             # After the poses: most of them are of a moment from which odometry has come by now.
@@ -176,7 +176,7 @@ class StateKeeping:
         """Leave ages as they are when the clock is set."""
         before, now, after = time.monotonic(), time.time(), time.monotonic()
         if after - before > CLOCK_STEP / 4:
-            return  # this process was stalled between the three readings: the next look repeats them
+            return  # this process was stalled between the three readings: the next evaluation repeats them
         step, self._offset = now - before - self._offset, now - before
         if abs(step) > CLOCK_STEP:
             self._keeper.shift(step)
@@ -201,7 +201,7 @@ class StateKeeping:
                 )  # the report about an earlier recovery does not apply to this one
             return
         missing = [entry for entry in recovery.state if not entry.restored]
-        given = ", ".join(f"{e.name} ({_given(e)})" for e in recovery.state if e.restored)
+        given = ", ".join(f"{e.name} ({_age_text(e)})" for e in recovery.state if e.restored)
         notes = "; ".join(f"{e.name}: {e.message}" for e in recovery.state if e.restored and e.message)
         uncarried = [e for e in recovery.state if e.restored and e.message and e.carried_metres is None]
         if not missing:
@@ -268,7 +268,7 @@ class StateKeeping:
 
     def _inspect(self, now: float, active: Instance | None) -> None:
         state = self._state
-        assert state is not None, "it is looked at before"
+        assert state is not None, "it was checked before"
         if not (state.parameters or state.lifecycle) or now < self._next_inspect:
             return
         if self._inspecting is not None and not self._inspecting.done():
@@ -366,7 +366,7 @@ class StateKeeping:
     def _keep_up(self, waiting: Sequence[tuple[Instance, float]], now: float) -> None:
         """Give waiting standbys what is newer than what they were given last."""
         state = self._state
-        assert state is not None, "it is looked at before"
+        assert state is not None, "it was checked before"
         known = {instance.uid for instance, _ in waiting}
         for uid in [uid for uid in self._upkeep if uid not in known]:
             self._upkeep.pop(uid).cancel()
@@ -375,21 +375,21 @@ class StateKeeping:
             if now >= upkeep.due and not upkeep.busy and self._keeper.healthy_since is not None:
                 upkeep.due = now + period
                 # Not the lifecycle states: they would make the standby drive before its time.
-                fresh = replace(self.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.given)
+                fresh = replace(self.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.restored)
                 if fresh:
-                    upkeep.begin(self._hand(instance, fresh, upkeep, seconds(state.within)))
+                    upkeep.begin(self._restore(instance, fresh, upkeep, seconds(state.within)))
 
-    async def _hand(self, instance: Instance, fresh: KeptState, upkeep: _Upkeep, within: float) -> None:
+    async def _restore(self, instance: Instance, fresh: KeptState, upkeep: _Upkeep, within: float) -> None:
         report = await self._agents.restore(instance, fresh, within)
         given = {entry.name for entry in report.restored}
-        upkeep.given |= {name: content for name, content in fresh.contents().items() if name in given}
+        upkeep.restored |= {name: content for name, content in fresh.contents().items() if name in given}
         if report.problem != upkeep.problem:
             upkeep.problem = report.problem
             if report.problem:
                 self._notices.event("Warning", "StandbyNotKeptUp", f"{instance.name}: {report.problem}")
 
 
-def _given(entry: RestoredState) -> str:
+def _age_text(entry: RestoredState) -> str:
     """How old the state was, and how far it was carried."""
     age = f"{entry.age_seconds:.1f} s old"
     return age if entry.carried_metres is None else f"{age}, carried by {entry.carried_metres:.2f} m"
@@ -415,12 +415,12 @@ def _status(entry: Entry) -> KeptStatus:
 
 
 class _Upkeep:
-    """What a waiting standby was given."""
+    """The restoration of a waiting standby."""
 
     def __init__(self) -> None:
         self.due = 0.0
-        self.given: dict[str, object] = {}
-        """What it was given last, by name."""
+        self.restored: dict[str, object] = {}
+        """What was restored last, by name."""
         self.problem = ""
         self._task: asyncio.Task[None] | None = None
 
