@@ -39,7 +39,7 @@ class Listener(Protocol):
     def found(self, uid: str, goal: Mapping[str, Any]) -> None:
         """Called for a goal that the instance has, maybe from an earlier proxy."""
 
-    def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
+    def goal_reported(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         """Called with the state of one of its goals."""
 
     def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
@@ -104,20 +104,20 @@ class InstanceLink:
             found = event["feedback"]
             self._listener.fed_back(self.peer.uid, found["id"], base64.b64decode(found["data"]))
         elif "goal" in event:
-            self._said(event["goal"])
+            self._goal_reported(event["goal"])
         elif "resendGoals" in event:
             self._invitations.append(event["resendGoals"])
             self._listener.invited(self.peer.uid)
             self._wake.set()
 
-    def _said(self, found: Mapping[str, Any]) -> None:
+    def _goal_reported(self, found: Mapping[str, Any]) -> None:
         at = _STATES.get(found["state"])
         if at is None:
             return
         if at is not AttemptState.RUNNING:
             self._sent.pop(found["id"], None)
             self._mine.discard(found["id"])
-        self._listener.said(self.peer.uid, found["id"], at, int(found["status"]), found["result"])
+        self._listener.goal_reported(self.peer.uid, found["id"], at, int(found["status"]), found["result"])
 
     async def _run(self) -> None:
         while True:
@@ -142,7 +142,7 @@ class InstanceLink:
                 if found["state"] in ("waiting", "running"):
                     self._sent[found["id"]] = found.get("note", "")
                 self._listener.found(self.peer.uid, found)
-                self._said(found)
+                self._goal_reported(found)
         orders = self._listener.orders(self.peer.uid)
         for id in self._mine - {order.id for order in orders}:
             await self._link.request("cancel", {"goal": id}, within=WITHIN)
@@ -195,4 +195,4 @@ class InstanceLink:
         if answer.get("known"):
             self._listener.answered_cancel(self.peer.uid, order.id, bool(answer.get("accepted")))
         else:
-            self._listener.said(self.peer.uid, order.id, AttemptState.LOST, 0, "")
+            self._listener.goal_reported(self.peer.uid, order.id, AttemptState.LOST, 0, "")

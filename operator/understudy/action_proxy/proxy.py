@@ -133,7 +133,7 @@ class Proxy:
         except (KeyError, TypeError, ValueError) as error:
             _logger.error("goal %s of an earlier proxy cannot be adopted: %r", goal["id"], error)
 
-    def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
+    def goal_reported(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         """Record the state of one of the instance's goals."""
         self._ledger.report(uid, id, at, time.time(), status=status, result=result)
         self._conclude()

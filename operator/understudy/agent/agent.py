@@ -71,7 +71,7 @@ class Agent:
         self.publish: Callable[[Mapping[str, Any]], None] = lambda event: None
         """Sends an event to every connected monitor."""
         self._configuring = asyncio.Lock()
-        self._looking: asyncio.Task[None] | None = None
+        self._health_task: asyncio.Task[None] | None = None
         self._version = 0
         self._changed = asyncio.Event()
 
@@ -95,12 +95,12 @@ class Agent:
             self._memory.standby = None
         if self._memory.workload and self._identity.held:
             self._holds.start(self._memory.variables(self._identity.held))
-            self._look()
+            self._start_health()
         elif not self._identity.held:
             if self._memory.started_at is None:
                 self._memory.started_at = time.time()
                 self._save()
-            self._look()
+            self._start_health()
 
     async def end(self) -> None:
         """Stop evaluating the instance."""
@@ -108,9 +108,9 @@ class Agent:
         await self._goals.close()
         if self._caller is not None:
             self._caller.close()
-        if self._looking is not None:
-            self._looking.cancel()
-            await asyncio.wait([self._looking])
+        if self._health_task is not None:
+            self._health_task.cancel()
+            await asyncio.wait([self._health_task])
 
     # -- what a monitor sees ----------------------------------------------------------------------------------------
 
@@ -236,7 +236,7 @@ class Agent:
         except OSError as error:
             raise Refused(f"cannot start the held containers: {error}") from error
         self._notify()
-        self._look()
+        self._start_health()
 
     def _bound(self, body: Mapping[str, Any], peer: Peer) -> AgentMemory:
         """Return the memory of an agent whose pod is bound to the workload that starts it.
@@ -344,11 +344,11 @@ class Agent:
         except (TypeError, ValueError) as error:
             raise Refused(str(error)) from error
 
-    def _look(self) -> None:
+    def _start_health(self) -> None:
         """Evaluate the instance from now on, as part of its robot's graph."""
-        if self._looking is None:
+        if self._health_task is None:
             _enter(self._memory.ros)
-            self._looking = asyncio.create_task(self._health.run(), name="health")
+            self._health_task = asyncio.create_task(self._health.run(), name="health")
 
     def _health_changed(self) -> None:
         judgement, memory = self._health.judgement, self._memory

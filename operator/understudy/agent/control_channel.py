@@ -128,7 +128,7 @@ class _Session:
         self.abort()
 
     @property
-    def taken_in(self) -> bool:
+    def delivered(self) -> bool:
         """Whether the other side's kernel has received all that was sent."""
         sock, transport = self._writer.get_extra_info("socket"), self._writer.transport
         if transport.is_closing() or transport.get_write_buffer_size():
@@ -166,9 +166,9 @@ class ControlChannel:
                 _logger.warning("session of %s does not receive its events", session.peer.host)
                 session.abort()
 
-    def taken_in(self) -> bool:
+    def delivered(self) -> bool:
         """Whether the other side of a session has received all that was sent to it."""
-        return any(session.taken_in for session in self._sessions)
+        return any(session.delivered for session in self._sessions)
 
     def abort(self) -> None:
         """End all sessions at once."""

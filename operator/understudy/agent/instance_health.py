@@ -164,7 +164,7 @@ class InstanceHealth:
         self._new_plan = asyncio.Event()
         self._keep_ready = False
         self._since = 0.0
-        self._looked_for_presence = 0.0
+        self._presence_checked_at = 0.0
         self._present = False
         self._joined: tuple[Graph, TopicWatch, bytes] | None = None
         self._own: _OwnOutputs | None = None
@@ -238,9 +238,9 @@ class InstanceHealth:
                 continue
             try:
                 self._joined = graph, watching, host
-                await self._look(graph, watching, host)
+                await self._observe(graph, watching, host)
             except Exception as error:
-                _logger.exception("looking at the instance")
+                _logger.exception("observing the instance")
                 self._say(False, f"evaluating the instance failed: {error!r}")
                 await asyncio.sleep(RETRY)
             finally:
@@ -248,7 +248,7 @@ class InstanceHealth:
                 watching.close()
                 graph.close()
 
-    async def _look(self, graph: Graph, watching: TopicWatch, host: bytes) -> None:
+    async def _observe(self, graph: Graph, watching: TopicWatch, host: bytes) -> None:
         if self._plan is None:
             self._say(False, "waiting for the monitor's health tree")
             await self._new_plan.wait()
@@ -285,7 +285,7 @@ class InstanceHealth:
         self, graph: Graph, watching: TopicWatch, host: bytes, plan: HealthPlan, own: _OwnOutputs, now: float
     ) -> None:
         judgement = self.judgement
-        self._look_for_presence(graph, host, plan)
+        self._update_presence(graph, host, plan)
         up = self._present or (plan.managed and judgement.process_up_at is None and _application(graph, host))
         if up and judgement.process_up_at is None:
             judgement.process_up_at = now
@@ -306,14 +306,14 @@ class InstanceHealth:
             self._keep_ready = False
             self._say(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
 
-    def _look_for_presence(self, graph: Graph, host: bytes, plan: HealthPlan) -> None:
+    def _update_presence(self, graph: Graph, host: bytes, plan: HealthPlan) -> None:
         """Check whether this pod's application has an endpoint for an output. Once it has had one, check seldom."""
         from understudy.ros.rmw import MIDDLEWARE
 
         now = time.monotonic()
-        if self._present and now < self._looked_for_presence + PRESENCE_PERIOD:
+        if self._present and now < self._presence_checked_at + PRESENCE_PERIOD:
             return
-        self._looked_for_presence = now
+        self._presence_checked_at = now
         found = [
             (output, end)
             for output in plan.outputs

@@ -59,7 +59,7 @@ class MonitorSessions(Protocol):
     def count(self) -> int:
         """The number of sessions."""
 
-    def taken_in(self) -> bool:
+    def delivered(self) -> bool:
         """Return whether the other side of a session has received everything that was sent."""
 
     def abort(self) -> None:
@@ -195,7 +195,7 @@ class Isolation:
     def _evaluate(self, now: float) -> None:
         permit, contacts = self.permit, self.contacts
         self._take_answers(now)
-        if permit.rounds and permit.state != "Idle" and contacts is not None and contacts.taken_in():
+        if permit.rounds and permit.state != "Idle" and contacts is not None and contacts.delivered():
             permit.answered(now)
         permit.evaluate(now)
         self._apply()

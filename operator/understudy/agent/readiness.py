@@ -57,7 +57,7 @@ class StandbyReadiness:
         on_change: Callable[[], None],
     ) -> None:
         self._actions, self._watch, self._on_change = actions, watch, on_change
-        self._standing: StandbyExpectation | None = None
+        self._expectation: StandbyExpectation | None = None
         self._checking: ReadinessCheck | None = None
         self._task: asyncio.Task[None] | None = None
 
@@ -66,17 +66,17 @@ class StandbyReadiness:
         """Why the check does not succeed; empty if it does or there is none."""
         return self._checking.reason if self._checking is not None else ""
 
-    def expect(self, standing: StandbyExpectation | None) -> None:
+    def expect(self, expectation: StandbyExpectation | None) -> None:
         """Judge by this expectation from now on. Raises ValueError if its check does not load."""
-        if standing == self._standing:
+        if expectation == self._expectation:
             return
         checking = None
-        if standing is not None and standing.check is not None:
+        if expectation is not None and expectation.check is not None:
             from understudy.trees.languages.short.procedure_loader import load_check
 
-            tree = load_check(standing.check, path="readinessCheck", places=standing.places)
-            checking = ReadinessCheck(tree, standing.period, self._actions)
-        self._standing = standing
+            tree = load_check(expectation.check, path="readinessCheck", places=expectation.places)
+            checking = ReadinessCheck(tree, expectation.period, self._actions)
+        self._expectation = expectation
         if self._task is not None:
             self._task.cancel()
             self._task = None
@@ -88,16 +88,16 @@ class StandbyReadiness:
 
         ``ready`` and ``reason`` are the health tree's. ``busy`` says which procedure runs, or how it failed.
         """
-        standing = self._standing
-        if standing is None:
+        expectation = self._expectation
+        if expectation is None:
             return ready, reason
-        if standing.brought and brought != standing.brought:
+        if expectation.brought and brought != expectation.brought:
             return False, f"not initialized{': ' if busy else ' yet'}{busy}"
         if self._checking is not None:
             if self._task is None:
                 self._task = asyncio.create_task(self._checking.run(self._on_change), name="check")
             return not self._checking.reason, self._checking.reason
-        return (ready, reason) if standing.tree else (True, "")
+        return (ready, reason) if expectation.tree else (True, "")
 
     async def end(self) -> None:
         """Stop evaluating."""

@@ -15,7 +15,7 @@ from itertools import pairwise
 from understudy.failover.availability import INSTANCE_GONE, Availability
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import StrategyContext, Strategy
+from understudy.failover.strategies.base import Strategy, StrategyContext
 from understudy.failover.strategies.steps import PROBE_SECONDS
 
 FENCE_QUIET = 0.03

@@ -13,29 +13,29 @@ def series(registry: CollectorRegistry) -> tuple[Counter, Gauge]:
         ["method", "resource", "code"],
         registry=registry,
     )
-    heard = Gauge(
+    last_event = Gauge(
         "understudy_watch_last_event_timestamp_seconds",
         "When watches of a resource last received an event (Unix time in seconds). The API server sends a bookmark about once a minute.",
         ["resource"],
         registry=registry,
     )
-    return requests, heard
+    return requests, last_event
 
 
 class Traffic:
     """Implements :class:`understudy.kube.client.Listener`."""
 
-    def __init__(self, requests: Counter, heard: Gauge) -> None:
-        self._requests, self._heard = requests, heard
+    def __init__(self, requests: Counter, last_event: Gauge) -> None:
+        self._requests, self._last_event = requests, last_event
 
     def asked(self, method: str, path: str, status: int | None) -> None:
         """Count a request."""
         code = "error" if status is None else str(status)
         self._requests.labels(method=method, resource=plural(path), code=code).inc()
 
-    def heard(self, resource: str) -> None:
+    def event_received(self, resource: str) -> None:
         """Note that a watch received something."""
-        self._heard.labels(resource=resource).set_to_current_time()
+        self._last_event.labels(resource=resource).set_to_current_time()
 
 
 def plural(path: str) -> str:

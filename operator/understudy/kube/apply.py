@@ -88,7 +88,7 @@ async def establish(client: Client, resource: Resource, namespace: str, body: Ob
     live = await client.find(resource, namespace, name)
     if live is None:
         path = resource.path(namespace, name)
-        # Not forced: if another writer's object appears between the look and the write, fields in conflict are refused.
+        # Not forced: if another writer's object appears between the read and the write, fields in conflict are refused.
         return await client.request("PATCH", path, params={"fieldManager": manager}, body=body, content_type=APPLY)
     refuse_foreign(live, body)
     return await overwrite(client, resource, namespace, body, live=live, manager=manager)

@@ -236,7 +236,7 @@ class Listener(Protocol):
         """A request has ended; ``status`` is None if there was no answer."""
         ...
 
-    def heard(self, resource: str) -> None:
+    def event_received(self, resource: str) -> None:
         """A watch of this resource has received something."""
         ...
 
@@ -479,7 +479,7 @@ class Client:
             buffer = b""
             async for chunk in response.content.iter_any():
                 if self._listener is not None:
-                    self._listener.heard(resource.plural)
+                    self._listener.event_received(resource.plural)
                 *lines, buffer = (buffer + chunk).split(b"\n")
                 for line in lines:
                     event = json.loads(line)

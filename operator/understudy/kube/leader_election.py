@@ -114,7 +114,7 @@ class Lease:
 
     async def _attempt(self) -> bool:
         """Acquire or renew the lease if that is allowed. Returns whether this candidate holds it now."""
-        begun = self._clock()
+        started = self._clock()
         lease = await self._client.find(LEASES, self._namespace, self._name)
         if lease is None:
             try:
@@ -123,16 +123,16 @@ class Lease:
                 if error.conflict:
                     return False
                 raise
-            self._renewed = begun
+            self._renewed = started
             return True
         spec = lease.get("spec") or {}
         holder = spec.get("holderIdentity") or ""
         transitions = spec.get("leaseTransitions") or 0
         record = (holder, spec.get("renewTime") or "", transitions)
         if record != self._record:
-            self._record, self._seen = record, begun
+            self._record, self._seen = record, started
         lasts = float(spec.get("leaseDurationSeconds") or self._timing.lasts)
-        if holder not in ("", self._identity) and begun - self._seen < lasts:
+        if holder not in ("", self._identity) and started - self._seen < lasts:
             return False
         try:
             await self._write(
@@ -145,7 +145,7 @@ class Lease:
             if error.conflict:  # another candidate came first; the next attempt sees its record
                 return False
             raise
-        self._renewed = begun
+        self._renewed = started
         return True
 
     async def _write(self, lease: Object, *, holder: str, lasts: float, transitions: int) -> None:

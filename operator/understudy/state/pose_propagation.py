@@ -38,7 +38,7 @@ class _Odometry:
     track: Track = field(default_factory=Track)
     problem: str = _NOTHING
     """Why nothing is known of it; empty where something is."""
-    begun: str = ""
+    restart: str = ""
     """Why it counts from its last beginning only."""
 
 
@@ -98,16 +98,16 @@ class Carrier:
         if odometry is None:
             return
         try:
-            said = read(type_name, data)
+            reading = read(type_name, data)
         except ValueError as error:
             odometry.problem = f"{_UNREADABLE}: {error}"
             return
         odometry.problem = ""
-        point = Point(said.pose, said.stamp, round(received_at / _SECOND), said.frame, said.child, writer)
+        point = Point(reading.pose, reading.stamp, round(received_at / _SECOND), reading.frame, reading.child, writer)
         if reason := odometry.track.add(point):
-            if reason != odometry.begun:
+            if reason != odometry.restart:
                 _logger.warning("odometry on %s begins anew: %s", topic, reason)
-            odometry.begun = reason
+            odometry.restart = reason
             for pose in self._poses.values():
                 if pose.by.topic == topic:
                     pose.moments.clear()
@@ -179,8 +179,8 @@ class Carrier:
             missing = odometry.problem or _NOTHING
         elif moment is None:
             missing = (
-                f"the odometry started again after the pose: {odometry.begun}"
-                if odometry.begun
+                f"the odometry started again after the pose: {odometry.restart}"
+                if odometry.restart
                 else "no odometry is known for the time of the pose"
             )
         if missing or last is None or present is None or moment is None:

@@ -114,7 +114,7 @@ class _Item:
 class Keeper:
     """Holds what a policy's ``state`` asks for, within its bounds.
 
-    After each look: :meth:`offer` what has come, then :meth:`judge` with the verdict of the same look.
+    After each evaluation: :meth:`offer` what has arrived, then :meth:`judge` with the verdict of the same evaluation.
     """
 
     def __init__(self, state: State | None = None) -> None:
@@ -264,12 +264,12 @@ class Keeper:
                 largest = next((i for i in by_size if len(i.versions) > 1), newcomer or by_size[0])
                 gone = largest.versions.pop()
                 largest.count()
-                said = (
+                message = (
                     f"a message of {len(gone.data)} bytes did not fit: {total} bytes would have been kept, and "
                     f"state.maxBytes is {self._state.max_bytes}"
                 )
                 # Without a newcomer the policy has changed, and what comes next decides.
-                largest.squeezed = (now if newcomer else -math.inf, said)
+                largest.squeezed = (now if newcomer else -math.inf, message)
                 untouched = False
         return untouched
 

@@ -159,17 +159,17 @@ def _is_camera(path: str) -> bool:
 
 def refused(path: str, error: OSError) -> str:
     """Return why a camera cannot be opened, and how to correct that."""
-    said = f"camera.device.path: {path} cannot be opened: {error.strerror}"
+    problem = f"camera.device.path: {path} cannot be opened: {error.strerror}"
     match error.errno:
         case errno.ENOENT | errno.ENXIO | errno.ENODEV:
-            return f"{said}. Check that the camera is connected, and that a container has its device{_cameras()}"
+            return f"{problem}. Check that the camera is connected, and that a container has its device{_cameras()}"
         case errno.EACCES:
-            return f"{said}: user {os.getuid()} may not; add the group that the device belongs to (in a pod, supplementalGroups)"
+            return f"{problem}: user {os.getuid()} may not; add the group that the device belongs to (in a pod, supplementalGroups)"
         case errno.EPERM:
-            return f"{said}: this container may not use devices; have a device plugin give it to the pod, or make it privileged"
+            return f"{problem}: this container may not use devices; have a device plugin give it to the pod, or make it privileged"
         case errno.EBUSY:
-            return f"{said}: another program has it"
-    return said
+            return f"{problem}: another program has it"
+    return problem
 
 
 def _cameras() -> str:

@@ -71,7 +71,7 @@ class Tracker:
             self._subscribe()
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._said: dict[str, float] = {}
+        self._reported_at: dict[str, float] = {}
         self._placed = self._locator.view is not None
         self._info: tuple[Any, ...] | None = None
         self._without_image = 0
@@ -163,15 +163,15 @@ class Tracker:
     def _publish(self, sighting: DetectedRobot, stamp: Any) -> None:
         on_pose, on_odometry = self._publishers[sighting.marker.id]
         on_pose.publish(pose_of(sighting, self._camera.frame, stamp))
-        if (said := odometry_of(sighting, self._camera.frame, stamp)) is not None:
-            on_odometry.publish(said)
+        if (odometry := odometry_of(sighting, self._camera.frame, stamp)) is not None:
+            on_odometry.publish(odometry)
 
     def _problem(self, text: str) -> None:
         """Log a problem, but not with every image."""
         now, kind = time.monotonic(), _FIGURE.sub("", text)
-        if now - self._said.get(kind, float("-inf")) >= SAY_AGAIN:
-            self._said = {said: when for said, when in self._said.items() if now - when < SAY_AGAIN}
-            self._said[kind] = now
+        if now - self._reported_at.get(kind, float("-inf")) >= SAY_AGAIN:
+            self._reported_at = {kind: when for kind, when in self._reported_at.items() if now - when < SAY_AGAIN}
+            self._reported_at[kind] = now
             _logger.warning("%s", text)
 
 

@@ -81,7 +81,7 @@ class Heard:
     def found(self, uid: str, goal: Mapping[str, Any]) -> None:
         self.taken_up.append(goal["id"])
 
-    def said(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
+    def goal_reported(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         self.states.append((id, at))
 
     def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:

@@ -152,7 +152,7 @@ class Session:
     def __init__(self) -> None:
         self.aborted = 0
 
-    def taken_in(self) -> bool:
+    def delivered(self) -> bool:
         return False
 
     def abort(self) -> None:
@@ -323,14 +323,14 @@ async def test_a_session_shows_whether_sent_data_was_received_and_ends_at_once()
     sessions = ControlChannel(Pretending())
     server = await sessions.serve(0, host="127.0.0.1")
     reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname(), limit=1024)
-    assert not sessions.taken_in(), "there is none"
+    assert not sessions.delivered(), "there is none"
     nonce = json.loads(await reader.readline())["nonce"]
     writer.write(wire.encode({"workload": "w", "claim": "", "mac": wire.mac(b"token", nonce, "w", "")}))
-    await eventually(lambda: sessions.count == 1 and sessions.taken_in(), 25)
+    await eventually(lambda: sessions.count == 1 and sessions.delivered(), 25)
     # Who doesn't read doesn't take in what doesn't fit into the kernels' buffers.
     for _ in range(64):
         sessions.publish({"filling": "x" * 262144})
-    await eventually(lambda: not sessions.taken_in(), 25)
+    await eventually(lambda: not sessions.delivered(), 25)
     sessions.abort()
     with pytest.raises(ConnectionResetError):
         await asyncio.wait_for(reader.read(-1), 25)

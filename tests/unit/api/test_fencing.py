@@ -80,7 +80,7 @@ class Container:
         (self.folder / freeze_script.HELD_NAME).touch()
         self.wake()
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         (self.folder / freeze_script.HELD_NAME).unlink()
         self.wake()
 
@@ -159,7 +159,7 @@ def test_all_processes_stop_and_the_same_processes_continue(container: Container
     stopped = container.written()
     time.sleep(0.2)
     assert container.written() == stopped, "nothing comes of a held one"
-    container.let_go()
+    container.release()
     container.goes_on()
     assert container.application() == processes, "nothing was begun anew"
 
@@ -169,7 +169,7 @@ def test_an_application_that_starts_while_it_is_held_waits(container: Container)
     container.start(begun=False)
     time.sleep(0.4)
     assert not container.application()
-    container.let_go()
+    container.release()
     container.goes_on()
 
 
@@ -178,7 +178,7 @@ def test_the_last_of_several_changes_counts(container: Container) -> None:
     container.goes_on()
     for _ in range(3):
         container.hold()
-        container.let_go()
+        container.release()
     container.goes_on()
     container.hold()
     within(lambda: all(state(pid) == "T" for pid in container.application()))
@@ -243,7 +243,7 @@ def test_in_a_shared_process_namespace_only_own_control_groups_stop(tmp_path: Pa
         container.hold()
         within(lambda: all(state(pid) == "T" for pid in processes))
         assert state(os.getpid()) != "T", "this process is in other ones"
-        container.let_go()
+        container.release()
         container.goes_on()
         assert container.application() == processes
     finally:

@@ -84,7 +84,7 @@ def test_batches_contain_everything_once() -> None:
 
 
 def test_the_report_about_state_that_was_not_given_lists_all_of_it() -> None:
-    report = KEPT.not_given("gone")
+    report = KEPT.none_restored("gone")
     assert_golden("api", report.problem, "/amcl_pose", "/controller")
     assert OLD in report.not_restored
 

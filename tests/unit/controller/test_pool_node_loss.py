@@ -184,30 +184,30 @@ class TestEvictions:
         unrelated = [{"spec": {"selector": {"matchLabels": {"app": "other"}}}}, {"spec": {}}]
         assert self.budget(replace(observe(pool), budgets=unrelated)) is not None
 
-    def let_go(self, observed: pool_pods.Observed) -> bool:
+    def release(self, observed: pool_pods.Observed) -> bool:
         live = {("poddisruptionbudgets", "spare-held"): {"metadata": {"name": "spare-held"}}}
         return "spare-held" in deleted(plan(replace(observed, owned=live)))
 
     def test_the_budget_is_removed_if_a_replacement_cannot_start(self) -> None:
         pool = spare(replicas=1)
         coming = held_pod("new", of=pool, template_hash=present(pool), ready=False, waiting="ErrImageNeverPull")
-        assert self.let_go(leaving(observe(pool, [*held(pool, "n"), coming]), "n"))
-        assert not self.let_go(observe(pool, [*held(pool, "n"), coming])), "nothing is moved"
+        assert self.release(leaving(observe(pool, [*held(pool, "n"), coming]), "n"))
+        assert not self.release(observe(pool, [*held(pool, "n"), coming])), "nothing is moved"
 
     def test_the_budget_is_removed_after_two_minutes(self) -> None:
         pool = spare(replicas=1)
         late = self.moving(pool, since=NOW - 119)
         observed = leaving(observe(late, held(pool, "n"), expected=1), "n")
-        assert not self.let_go(observed)
+        assert not self.release(observed)
         assert plan(observed).again_after == pytest.approx(1)
-        assert self.let_go(leaving(observe(self.moving(pool, since=NOW - 120), held(pool, "n")), "n"))
+        assert self.release(leaving(observe(self.moving(pool, since=NOW - 120), held(pool, "n")), "n"))
 
     def test_the_budget_is_removed_if_the_pool_creates_no_pods(self) -> None:
         pool = spare(replicas=1)
         pods = held(pool, "n")
         del pool["spec"]["template"]["spec"]["containers"][0]["command"]
-        assert self.let_go(leaving(observe(pool, pods), "n"))
-        assert not self.let_go(observe(pool, pods))
+        assert self.release(leaving(observe(pool, pods), "n"))
+        assert not self.release(observe(pool, pods))
 
     async def test_the_operator_observes_budgets_of_others(self) -> None:
         client: Any = None

@@ -202,7 +202,9 @@ async def test_a_recovery_interrupted_at_any_step_is_finished_by_the_next_monito
 async def test_a_held_strategy_is_skipped_and_claims_nothing() -> None:
     store = protected(pool="spare", held=True)
     world = World(store)
-    context = replace(world.context(), holds=lambda strategy: "others fail too" if not strategy.standing else None)
+    context = replace(
+        world.context(), holds=lambda strategy: "others fail too" if not strategy.has_own_instance else None
+    )
     done = await recover(failure(world), choices(UninitializedFallback("spare"), Restart()), context)
     assert done.result == "Failed"
     assert [(a.result, a.message) for a in done.attempts] == [("NotAvailable", "others fail too")] * 2

@@ -152,7 +152,9 @@ async def test_state_is_restored_before_the_procedure_unless_the_procedure_resto
     world = World(store)
     kept = KeptState(samples=(KeptSample("/amcl_pose", "a/msg/B", 0.0, b"x", to="/initialpose"),))
     context = replace(world.context(), kept=lambda onset: kept)
-    done = await recover(failure(world), choices(InitializedFallback("warm", recovery=bring_up("r", procedure))), context)
+    done = await recover(
+        failure(world), choices(InitializedFallback("warm", recovery=bring_up("r", procedure))), context
+    )
     assert done.result == "Recovered"
     told = [(entry.name, entry.message) for entry in done.state]
     if procedure is RESTORING:

@@ -285,7 +285,7 @@ class _Agents(_Part):
         self.store.given[instance.name] = state
         self.world.effect()
         if self.store.refusal:
-            return state.not_given(self.store.refusal)
+            return state.none_restored(self.store.refusal)
         items = (*state.restored_samples, *state.parameters, *state.lifecycle)
         return RestoreReport(tuple(Restored(item.name, item.taken_at) for item in items), state.left_out)
 
@@ -302,7 +302,7 @@ class _Agents(_Part):
         if instance.name in self.store.unwilling:
             raise NotVerified(f"agent {instance.name}: procedure: {procedure.name}.set_lifecycle: node /amcl is gone")
         self.world.effect()
-        return state.not_given("not tried") if state else RestoreReport()
+        return state.none_restored("not tried") if state else RestoreReport()
 
     def follow(self, instances: Sequence[Instance]) -> None:
         self.store.followed = {instance.name for instance in instances}

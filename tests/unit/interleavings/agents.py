@@ -61,7 +61,7 @@ class Sessions:
     def count(self) -> int:
         return int(self.there())
 
-    def taken_in(self) -> bool:
+    def delivered(self) -> bool:
         return self.there()
 
     def abort(self) -> None:

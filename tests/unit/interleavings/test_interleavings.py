@@ -133,7 +133,7 @@ def test_a_status_that_a_dead_monitor_overwrites_is_detected() -> None:
 
 
 def test_a_recovery_that_stays_at_the_gate_for_ever_is_detected() -> None:
-    with mock.patch.object(Abandonment, "look"):
+    with mock.patch.object(Abandonment, "update"):
         assert found("as though it were under way", EXECUTING, "second_monitor", "all_fail")
 
 

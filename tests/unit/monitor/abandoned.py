@@ -17,7 +17,7 @@ from understudy.failover.dependency import UpstreamState
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.journal import Journal
 from understudy.failover.progress import PodIdentity, Progress, beside
-from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
+from understudy.failover.strategies.base import Choice, Strategy, StrategyContext
 from understudy.kube.client import ApiError, Object
 from understudy.kube.gates.base import GateRecord
 from understudy.monitor.act.recovery.abandonment import Abandonment

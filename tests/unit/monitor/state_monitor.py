@@ -46,7 +46,7 @@ class Agents:
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
         self.given.append((instance.name, state))
         if self.refusal:
-            return state.not_given(self.refusal)
+            return state.none_restored(self.refusal)
         return RestoreReport(tuple(Restored(s.name, s.taken_at) for s in state.restored_samples))
 
     async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> Mapping[str, Any]:

@@ -129,7 +129,7 @@ async def activate(states: LifecycleStates) -> None:
             while states.of(NODE).state != "inactive":
                 await change(1)
                 for _ in range(50):
-                    states.look()
+                    states.refresh()
                     await asyncio.sleep(0.02)
         await change(3)
     finally:
@@ -159,7 +159,7 @@ def test_answers_of_equally_named_nodes_in_several_pods_count_only_if_they_agree
     states = LifecycleStates(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
     try:
         states.follow([NODE])
-        eventually(lambda: states.look() or (states.of(NODE) and states.of(NODE).state == "unconfigured"))
+        eventually(lambda: states.refresh() or (states.of(NODE) and states.of(NODE).state == "unconfigured"))
         assert states.problems == [], "both say the same"
         asyncio.run(activate(states))
     finally:
@@ -167,14 +167,14 @@ def test_answers_of_equally_named_nodes_in_several_pods_count_only_if_they_agree
     states = LifecycleStates(graph, lambda gid: gid[:12] == own, lambda topic: record, alone=False)
     try:
         states.follow([NODE])
-        eventually(lambda: states.look() or states.problems)
+        eventually(lambda: states.refresh() or states.problems)
         assert_golden("ros", states.problems, "/managed", "2 nodes", "active", "inactive")
         assert states.of(NODE).state is None
         record.contents.append(Told(time.time(), "active"))
-        states.look()
+        states.refresh()
         assert (states.of(NODE).state, states.problems) == ("active", [])
         before = states.of(NODE).received
-        eventually(lambda: states.look() or states.of(NODE).received > before + 1.0)
+        eventually(lambda: states.refresh() or states.of(NODE).received > before + 1.0)
         assert (states.of(NODE).state, states.problems) == ("active", []), "what it told stands"
     finally:
         states.close()
@@ -192,18 +192,18 @@ def test_the_state_of_a_replacement_process_is_known_only_from_its_own_events(gr
     try:
         states.follow([NODE])
         record.contents.append(Told(time.time(), "active"))
-        states.look()
-        states.look()
+        states.refresh()
+        states.refresh()
         assert states.of(NODE).state == "active"
         servers[:] = [replace(node, gid=b"b" * 16)]
-        states.look()
+        states.refresh()
         assert states.of(NODE) is None
         record.contents.append(Told(time.time(), "inactive"))
         servers[:] = [replace(node, gid=b"c" * 16)]
-        states.look()
+        states.refresh()
         assert states.of(NODE).state == "inactive", "it was told by the new one"
         servers.clear()
-        states.look()
+        states.refresh()
         assert states.of(NODE).state == ""
     finally:
         states.close()

@@ -163,12 +163,12 @@ def test_answers_of_equally_named_nodes_in_several_pods_count_only_if_they_agree
     speed, label = (NODE, "speed"), (NODE, "label")
     try:
         parameters.follow([speed, label])
-        eventually(lambda: parameters.look() or (parameters.problems and parameters.of(label)))
+        eventually(lambda: parameters.refresh() or (parameters.problems and parameters.of(label)))
         assert parameters.of(label).value == "a", "both say the same"
         assert_golden("ros", parameters.problems, "/driver", "1.5", "2.5")
         assert not parameters.of(speed).is_known
         record.contents.append(Told(time.time(), 1.75))
-        parameters.look()
+        parameters.refresh()
         assert (parameters.of(speed).value, parameters.problems) == (1.75, [])
     finally:
         parameters.close()

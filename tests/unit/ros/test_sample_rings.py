@@ -76,7 +76,7 @@ def test_a_held_ring_forgets_nothing() -> None:
     for number in range(20, 300):
         track.add(number * 0.1, 0.0, number, KILO)
     assert received(ring, 1.0)["/cmd_vel"][0] == pytest.approx(1.0)
-    ring.let_go()
+    ring.release()
     track.add(30.0, 0.0, 300, KILO)
     assert received(ring)["/cmd_vel"][0] == pytest.approx(29.0)
 

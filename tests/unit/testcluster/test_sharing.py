@@ -42,7 +42,7 @@ class Holder:
         assert self._end.poll(60)
         assert self._end.recv() == "held"
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         self._end.send("end")
         self.process.join(60)
         assert self.process.exitcode == 0
@@ -59,16 +59,16 @@ def _notes(folder: Path) -> list[str]:
 
 def test_the_first_process_creates_the_resource_and_the_last_one_restores_the_previous_state(tmp_path: Path) -> None:
     first, second = Holder(tmp_path, "first"), Holder(tmp_path, "second")
-    first.let_go()
+    first.release()
     assert _notes(tmp_path) == ["first makes"]
-    second.let_go()
+    second.release()
     assert _notes(tmp_path) == ["first makes", "second puts back what was before first"]
 
 
 def test_a_killed_process_no_longer_holds_the_resource(tmp_path: Path) -> None:
     first, second = Holder(tmp_path, "first"), Holder(tmp_path, "second")
     first.kill()
-    second.let_go()
+    second.release()
     assert _notes(tmp_path) == ["first makes", "second puts back what was before first"]
 
 
@@ -78,5 +78,5 @@ def test_a_failed_creation_is_not_undone_and_the_next_process_tries_again(tmp_pa
 
     with pytest.raises(ValueError, match="no"), shared(tmp_path, "thing", fail, lambda _: pytest.fail("put back")):
         pytest.fail("held")
-    Holder(tmp_path, "next").let_go()
+    Holder(tmp_path, "next").release()
     assert _notes(tmp_path) == ["next makes", "next puts back what was before next"]

@@ -78,7 +78,7 @@ class PosePublication:
 
     def _carried(self, motion: Motion, came: Sample) -> tuple[bytes, float]:
         """Return the propagated message, and the distance. Raises ValueError."""
-        said = read(motion.type, came.data)
+        reading = read(motion.type, came.data)
         before = Point(
             motion.last, motion.stamp, round(motion.received / _SECOND), motion.frame, motion.child, motion.writer
         )
@@ -86,11 +86,11 @@ class PosePublication:
         received = max(round(came.received / _SECOND), before.received)
         track = Track()
         track.add(before)
-        if reason := track.add(Point(said.pose, said.stamp, received, said.frame, said.child, came.gid)):
+        if reason := track.add(Point(reading.pose, reading.stamp, received, reading.frame, reading.child, came.gid)):
             raise ValueError(f"the odometry started again after the pose: {reason}")
-        driven = motion.driven + motion.last.distance(said.pose)
-        turned = motion.turned + motion.last.to(said.pose).angle
-        return composed(self._sample, motion.then, said, driven=driven, turned=turned), driven
+        driven = motion.driven + motion.last.distance(reading.pose)
+        turned = motion.turned + motion.last.to(reading.pose).angle
+        return composed(self._sample, motion.then, reading, driven=driven, turned=turned), driven
 
 
 def composed(sample: KeptSample, then: Pose, now: Reading, *, driven: float, turned: float) -> bytes:

@@ -144,14 +144,14 @@ class ProcedureRunner:
         return {"report": actions.report.to_wire()}
 
     async def _run(self, tree: ProcedureTree, actions: InstanceActions, within: float, name: str, token: str) -> None:
-        begun = asyncio.get_running_loop().time()
+        started = asyncio.get_running_loop().time()
         self.doing, self.failure = name, ""
         self._on_begin(name, token)
         self._watch("procedure", tree.topics)
         _logger.info("%s begins", name)
         try:
             await tree.run(actions, within)
-            _logger.info("%s done in %.2f s", name, asyncio.get_running_loop().time() - begun)
+            _logger.info("%s done in %.2f s", name, asyncio.get_running_loop().time() - started)
             self._on_success(name, token)
         except Exception as error:
             _logger.warning("%s failed: %s", name, error)
@@ -180,7 +180,7 @@ class ReadinessCheck:
 
         failures = 0
         while True:
-            begun = asyncio.get_running_loop().time()
+            started = asyncio.get_running_loop().time()
             try:
                 await self.tree.run(self._actions(), max(self._period, CHECKED_WITHIN))
                 reason = ""
@@ -193,4 +193,4 @@ class ReadinessCheck:
             if reason != self.reason and (not reason or self.reason or failures > 1):
                 self.reason = reason
                 on_change()
-            await asyncio.sleep(max(0.05, begun + self._period - asyncio.get_running_loop().time()))
+            await asyncio.sleep(max(0.05, started + self._period - asyncio.get_running_loop().time()))

@@ -115,20 +115,22 @@ class StateRestorer:
         end = time.monotonic() + within
         caller = self._caller()
         await rclpy_imported()  # the message needs rclpy for its stamp, perhaps while this process joins the ROS graph
-        async with present(caller, sample, max(0.0, end - time.monotonic())) as said:
-            await self._publish(caller, sample, said, end)
-            return said.outcome
+        async with present(caller, sample, max(0.0, end - time.monotonic())) as publication:
+            await self._publish(caller, sample, publication, end)
+            return publication.outcome
 
-    async def _publish(self, caller: InstanceCaller, sample: KeptSample, said: PosePublication, end: float) -> None:
+    async def _publish(
+        self, caller: InstanceCaller, sample: KeptSample, publication: PosePublication, end: float
+    ) -> None:
         within = max(0.0, end - time.monotonic())
         if not sample.confirm:
-            await caller.publish(sample.to, sample.type, said.message, within)
+            await caller.publish(sample.to, sample.type, publication.message, within)
             return
         since = time.time()
         confirmed = asyncio.create_task(self._confirmed(sample, since, within))
         try:
             while True:
-                await caller.publish(sample.to, sample.type, said.message, max(0.0, end - time.monotonic()))
+                await caller.publish(sample.to, sample.type, publication.message, max(0.0, end - time.monotonic()))
                 last = time.monotonic() + SAY_AGAIN >= end
                 await asyncio.wait([confirmed], timeout=None if last else SAY_AGAIN)
                 if confirmed.done():

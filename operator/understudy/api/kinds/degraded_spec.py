@@ -27,7 +27,7 @@ class InlineTree(Written):
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
-        if self.given != 1:
+        if self.languages != 1:
             raise ValueError(f"a tree is required: {_ONE_TREE}")
         return self
 

@@ -94,7 +94,7 @@ class Monitoring(Written):
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
-        if self.given + (self.config_map_key_ref is not None) != 1:
+        if self.languages + (self.config_map_key_ref is not None) != 1:
             raise ValueError("give exactly one of yaml, xml, osc and configMapKeyRef")
         return self
 

@@ -32,7 +32,7 @@ class _Tree(Written):
 
     @model_validator(mode="after")
     def _one_tree(self) -> Self:
-        if self.given != 1:
+        if self.languages != 1:
             raise ValueError("give exactly one of yaml, xml and osc")
         return self
 

@@ -37,7 +37,7 @@ class When(Written):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if self.given + (self.task is not None) != 1:
+        if self.languages + (self.task is not None) != 1:
             raise ValueError(_ONE)
         return self
 

@@ -27,7 +27,7 @@ class Written(Model):
     osc: Text | None = None
 
     @property
-    def given(self) -> int:
+    def languages(self) -> int:
         """Number of languages in which a tree is given."""
         return sum(one is not None for one in (self.yaml, self.xml, self.osc))
 

@@ -247,7 +247,7 @@ class KeptState:
         first, *others = parts
         return [replace(self, samples=tuple(first)), *(KeptState(tuple(part)) for part in others)]
 
-    def not_given(self, reason: str) -> RestoreReport:
+    def none_restored(self, reason: str) -> RestoreReport:
         """Return the report of an agent that could restore nothing."""
         names = [s.name for s in self.restored_samples]
         names += [p.name for p in self.parameters] + [n.name for n in self.lifecycle]

@@ -64,10 +64,10 @@ def under_way(status: RobotWorkloadStatus, gate: Object | None, now: float) -> U
     found = recoveries.beside(notes.get(names.RECOVERY, ""))
     if found is None or found.switchover is not None or found.held:
         return None
-    said = status.health == "Recovering"
-    if said and status.failing_since is not None:
+    is_recovering = status.health == "Recovering"
+    if is_recovering and status.failing_since is not None:
         # The recovery in the status may not have committed yet, and the gate may record an earlier one that was abandoned.
-        said = found.moments.get("last_healthy", 0.0) >= unix(status.failing_since) - _ROUNDING
+        is_recovering = found.moments.get("last_healthy", 0.0) >= unix(status.failing_since) - _ROUNDING
     listed_ones = recoveries.listed_recoveries(status.recoveries or [])
-    under_way = recoveries.under_way(Committed.of(found), listed_ones, None if said else now)
+    under_way = recoveries.under_way(Committed.of(found), listed_ones, None if is_recovering else now)
     return UnderWay.of(found) if under_way else None

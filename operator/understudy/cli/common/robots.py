@@ -165,8 +165,8 @@ def status_of(item: Object) -> RobotWorkloadStatus:
 def robot(item: Object, gate: dict[str, Any] | None = None, now: float = 0.0) -> Robot:
     """Summarize a RobotWorkload, with its ``gate`` if it could be read, at ``now`` (unix seconds). Raises CommandError."""
     status, metadata, spec = status_of(item), item["metadata"], item.get("spec") or {}
-    said = {condition.type: condition for condition in status.conditions or []}
-    protected = said.get("Protected")
+    conditions = {condition.type: condition for condition in status.conditions or []}
+    protected = conditions.get("Protected")
     unwatched = protected is not None and protected.status == "False" and protected.reason in _UNWATCHED
     recovering = under_way(status, gate, now) if not unwatched else None
     active, epoch = status.active or "", status.gate.epoch if status.gate is not None else 0
@@ -254,8 +254,8 @@ def is_reported(problem: Problem, messages: Iterable[str]) -> bool:
 
 def _status_has_details(conditions: Iterable[Condition], recovering: UnderWay) -> bool:
     """Return whether the status says more about a recovery than that it is under way, such as what it waits for."""
-    said = next((condition for condition in conditions if condition.type == "Recovering"), None)
-    return said is not None and said.status == "True" and said.reason != recovering.occasion
+    reported = next((condition for condition in conditions if condition.type == "Recovering"), None)
+    return reported is not None and reported.status == "True" and reported.reason != recovering.occasion
 
 
 def _unobserved(item: Object, seen: int | None) -> Iterator[Problem]:

@@ -111,8 +111,8 @@ def complete_for_kubectl() -> int:
         }
         subprocess.run([sys.executable, "-m", "understudy"], env={**os.environ, **asked}, check=False)
         found = answer.read_text().split("\n") if answer.exists() else []
-    said = [line.strip() for line in found if line.strip()]
-    goes_on = any(word.endswith("/") for word in said)
-    last = KUBECTL_NO_FILES_AND_NO_SPACE if goes_on else KUBECTL_NO_FILES if said else KUBECTL_FILES_TOO
-    print("\n".join([*said, last]))
+    candidates = [line.strip() for line in found if line.strip()]
+    goes_on = any(word.endswith("/") for word in candidates)
+    last = KUBECTL_NO_FILES_AND_NO_SPACE if goes_on else KUBECTL_NO_FILES if candidates else KUBECTL_FILES_TOO
+    print("\n".join([*candidates, last]))
     return 0

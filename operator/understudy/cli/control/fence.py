@@ -22,7 +22,7 @@ from understudy.kube.gates.base import GateKind, GateRecord
 FENCED, UNSURE = 0, 1
 """Exit statuses besides ERROR."""
 
-HEARD_WITHIN = 30.0
+CONFIRM_WITHIN = 30.0
 """Seconds for which this command keeps the gate closed until the monitor reports the pause. A monitor that is recovering the workload
 finishes the recovery first.
 """
@@ -55,16 +55,16 @@ def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
     fenced, epoch = _close(kubectl, name, kind)
     where = f"{item['metadata']['namespace']}/{name}"
     _say(f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was active'}).")
-    heard = robot(item).health == UNWATCHED or _heard(kubectl, name, kind)
+    reported = robot(item).health == UNWATCHED or _monitor_reports_pause(kubectl, name, kind)
     _close(kubectl, name, kind)
     _say(
         f"The workload is {pause.words}. WARNING: no safe command is sent to the robot. Make sure that the robot stands still. After "
         f"understudy resume {name}, the gate opens for an instance, and the robot can move at once."
     )
-    if heard:
+    if reported:
         return FENCED
     print(
-        f"understudy fence: the gate is closed, but the monitor did not confirm the pause within {HEARD_WITHIN:g} s. If a recovery is in "
+        f"understudy fence: the gate is closed, but the monitor did not confirm the pause within {CONFIRM_WITHIN:g} s. If a recovery is in "
         f"progress, the monitor may open the gate again. Run understudy explain {name}, and then understudy fence {name} again",
         file=sys.stderr,
     )
@@ -99,13 +99,13 @@ def _close(kubectl: Kubectl, name: str, kind: GateKind) -> tuple[tuple[str, ...]
     )
 
 
-def _heard(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
+def _monitor_reports_pause(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
     """Keep the gate closed until the monitor reports the pause, and return whether it did in time."""
-    end = time.monotonic() + HEARD_WITHIN
+    end = time.monotonic() + CONFIRM_WITHIN
     while time.monotonic() < end:
         _close(kubectl, name, kind)
-        said = status_of(kubectl.get(WORKLOADS, name)).conditions or []
-        if any((one.type, one.status) == ("Paused", "True") and "fenced: " in one.message for one in said):
+        conditions = status_of(kubectl.get(WORKLOADS, name)).conditions or []
+        if any((one.type, one.status) == ("Paused", "True") and "fenced: " in one.message for one in conditions):
             return True
         time.sleep(LOOK)
     return False

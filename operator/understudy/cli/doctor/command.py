@@ -98,7 +98,7 @@ class _Examination:
         workloads = self._workloads(namespace)
         lost = list(discovery_check.servers(self._api, namespace, workloads))
         self.found += lost
-        self.found += said_by_monitors(workloads)
+        self.found += monitor_findings(workloads)
         if not self._given.no_pods:
             failed = {finding.check for finding in lost}
             try:
@@ -146,7 +146,7 @@ class _Examination:
         self.found.append(clock_check.judge(clocks, clock_check.of_api_server(self._api)))
 
 
-def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
+def monitor_findings(workloads: Sequence[Object]) -> Iterator[Finding]:
     """Yield what the monitors report: their versions, whether the network enforces their gates, and who reads the
     outputs."""
     for workload in workloads:
@@ -158,12 +158,16 @@ def said_by_monitors(workloads: Sequence[Object]) -> Iterator[Finding]:
                 "from this version (docs/how-to/custom-messages.md)"
             )
             yield Finding(f"monitor of {name}", "WARN", f"{found}, but this command has version {__version__}", cure)
-        for said in status.get("conditions") or []:
-            message = said["message"]
-            if (said["type"], said["status"]) == (_ENFORCED, "False"):
-                page = "robot-outside-the-cluster" if said["reason"] == "ReaderWithoutProfile" else "network-policies"
+        for condition in status.get("conditions") or []:
+            message = condition["message"]
+            if (condition["type"], condition["status"]) == (_ENFORCED, "False"):
+                page = (
+                    "robot-outside-the-cluster" if condition["reason"] == "ReaderWithoutProfile" else "network-policies"
+                )
                 yield Finding(f"gate of {name}", "FAIL", message, f"docs/how-to/{page}.md")
-            elif said["type"] == _READ and said["status"] != "False" and said["reason"] != "AtGatedPorts":
+            elif (
+                condition["type"] == _READ and condition["status"] != "False" and condition["reason"] != "AtGatedPorts"
+            ):
                 page = "docs/explanation/network-policies.md#who-reads-the-outputs"
                 yield Finding(f"outputs of {name}", "WARN", message, page)
 

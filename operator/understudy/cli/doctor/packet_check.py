@@ -130,20 +130,20 @@ class _Measurement:
 
     def _begins(self, since: float, port: int, uid: str, within: float = WITHIN) -> float | None:
         """Return how many seconds after a time the first packet arrived; None if none did."""
-        for heard in self._heard(since, uid, port, within):
-            if heard["first"] is not None:
-                return max(0.0, self._ours(heard["first"]) - since)
+        for arrivals in self._poll(since, uid, port, within):
+            if arrivals["first"] is not None:
+                return max(0.0, self._ours(arrivals["first"]) - since)
         return None
 
     def _ends(self, since: float) -> float | None:
         """Return how many seconds after a time the last packet arrived; None if packets went on arriving."""
-        for heard in self._heard(since, self._uid, names.PROBE_PORT, WITHIN):
-            last = heard["last"]
-            if last is not None and heard["now"] - last > QUIET and self._ours(heard["now"]) - since > QUIET:
+        for arrivals in self._poll(since, self._uid, names.PROBE_PORT, WITHIN):
+            last = arrivals["last"]
+            if last is not None and arrivals["now"] - last > QUIET and self._ours(arrivals["now"]) - since > QUIET:
                 return max(0.0, self._ours(last) - since)
         return None
 
-    def _heard(self, since: float, uid: str, port: int, within: float) -> Iterator[dict[str, Any]]:
+    def _poll(self, since: float, uid: str, port: int, within: float) -> Iterator[dict[str, Any]]:
         end = time.monotonic() + within
         while time.monotonic() < end:
             yield self._receiver.ask("heard", uid=uid, port=port, since=since + self._clock.ahead)

@@ -104,13 +104,15 @@ def _container(kubectl: Kubectl, pod: str) -> str:
 def _stop(kubectl: Kubectl, pod: str, container: str, length: float, percent: int) -> None:
     """Stop the processes all or part of the time, and wait until the fault is over. Raises CommandError."""
     given = [f"{value:g}" for value in fault_commands.cycles(length, percent)]
-    said = kubectl.execute(pod, container, "sh", "-c", fault_commands.FREEZE_AND_SLOW, "sh", *given).split()
+    stopped = kubectl.execute(pod, container, "sh", "-c", fault_commands.FREEZE_AND_SLOW, "sh", *given).split()
     share = "" if percent >= 100 else f" {percent} % of the time"
-    print(f"{pod}: {len(said) - 1} processes of container {container} are stopped{share}, for {length:g} s", flush=True)
+    print(
+        f"{pod}: {len(stopped) - 1} processes of container {container} are stopped{share}, for {length:g} s", flush=True
+    )
     try:
         time.sleep(length)
     except KeyboardInterrupt:
-        kubectl.execute(pod, container, "sh", "-c", fault_commands.UNDO, "sh", *said)
+        kubectl.execute(pod, container, "sh", "-c", fault_commands.UNDO, "sh", *stopped)
         print(f"\n{pod}: its processes continue", flush=True)
         return
     print(f"{pod}: its processes continue, if the pod still exists", flush=True)

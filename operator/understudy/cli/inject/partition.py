@@ -152,15 +152,15 @@ def _wait_started(api: Api, namespace: str, pod: str, name: str) -> None:
             return
         if time.monotonic() > end:
             waiting = state.get("waiting") or {}
-            said = ": ".join(filter(None, (waiting.get("reason"), waiting.get("message")))) or "no reason is reported"
+            text = ": ".join(filter(None, (waiting.get("reason"), waiting.get("message")))) or "no reason is reported"
             raise CommandError(
-                f"container {name} of pod {pod} did not start within {START_WITHIN:g} s ({said}), and does nothing now"
+                f"container {name} of pod {pod} did not start within {START_WITHIN:g} s ({text}), and does nothing now"
             )
         time.sleep(LOOK)
 
 
-def _not_cut_off(pod: str, said: str) -> str:
-    return f"pod {pod} was not cut off: {said.strip() or 'its container ended without a message'}"
+def _not_cut_off(pod: str, text: str) -> str:
+    return f"pod {pod} was not cut off: {text.strip() or 'its container ended without a message'}"
 
 
 def _follow(kubectl: Kubectl, pod: str, name: str, length: float, where: str) -> None:

@@ -127,11 +127,11 @@ def _wanted(found: Recordings, wanted: str) -> Recording:
     for one in found.recordings:
         if str(one.number) == wanted:
             return one
-    begun = [one for one in found.recordings if one.id.startswith(wanted)]
-    if len(begun) == 1:
-        return begun[0]
-    there = ", ".join(f"{one.id} (failure {one.number})" for one in begun or found.recordings)
-    if begun:
+    matches = [one for one in found.recordings if one.id.startswith(wanted)]
+    if len(matches) == 1:
+        return matches[0]
+    there = ", ".join(f"{one.id} (failure {one.number})" for one in matches or found.recordings)
+    if matches:
         raise CommandError(f"{wanted} matches several recordings of {found.workload}: {there}")
     raise CommandError(f"there is no recording {wanted} of {found.workload}; available: {there}")
 

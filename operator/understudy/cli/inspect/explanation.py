@@ -58,7 +58,7 @@ class Facts:
     observed: Observed
     workload_plan: WorkloadPlan
     status: RobotWorkloadStatus
-    said: Robot
+    robot: Robot
     """The summary of the status and the gate."""
     protected: Condition
     """The condition as it is now by the operator's rules. The status may be older, or the operator may not be
@@ -77,8 +77,8 @@ class Facts:
         protected = protection.protected(observed, workload_plan)
         item = observed.workload
         others = {kube_objects.name(one): one for one in around.workloads}
-        said = robot(item, observed.gate, observed.now)
-        return cls(observed, workload_plan, status_of(item), said, protected, around.events, others, around.gates)
+        summary = robot(item, observed.gate, observed.now)
+        return cls(observed, workload_plan, status_of(item), summary, protected, around.events, others, around.gates)
 
     @property
     def considered(self) -> Sequence[StrategyAvailability]:
@@ -120,7 +120,7 @@ class Facts:
         """The health that its monitor reports, or UNWATCHED."""
         if not self.is_watched:
             return UNWATCHED
-        return "Recovering" if self.said.recovering is not None else self.status.health or "Unknown"
+        return "Recovering" if self.robot.recovering is not None else self.status.health or "Unknown"
 
     @property
     def is_well(self) -> bool:
@@ -163,7 +163,7 @@ def lines(known: Facts, *, columns: int | None, colours: bool) -> Iterator[str]:
     """Format the whole explanation."""
     colour = "Failed" if known.health == UNWATCHED else known.health
     health = coloured(plain(known.health), colour, colours=colours)
-    yield f"{known.said.namespace}/{known.said.name}  {health}{_for(known)}"
+    yield f"{known.robot.namespace}/{known.robot.name}  {health}{_for(known)}"
     for entry in _state(known):
         yield from _drawn(entry, columns, colours)
     for heading, entries in _sections(known).items():
@@ -189,8 +189,8 @@ def for_scripts(known: Facts) -> dict[str, Any]:
     ]
     sections = {"State": list(_state(known)), **_sections(known)}
     return {
-        "namespace": known.said.namespace,
-        "name": known.said.name,
+        "namespace": known.robot.namespace,
+        "name": known.robot.name,
         "health": known.health,
         "protected": known.protected.status == "True",
         "reason": known.protected.reason,
@@ -227,9 +227,9 @@ def _drawn(entry: _Entry, columns: int | None, colours: bool) -> Iterator[str]:
 
 
 def _for(known: Facts) -> str:
-    if known.is_watched and known.said.recovering is not None:
-        return f" for {age(known.said.recovering.since, known.observed.now)}"
-    found = decisive(known.health, known.said.active, known.status.conditions or [])
+    if known.is_watched and known.robot.recovering is not None:
+        return f" for {age(known.robot.recovering.since, known.observed.now)}"
+    found = decisive(known.health, known.robot.active, known.status.conditions or [])
     return f" for {age(found.last_transition_time, known.observed.now)}" if found is not None else ""
 
 
@@ -237,13 +237,13 @@ def _state(known: Facts) -> Iterator[_Entry]:
     """Explain the present state, and name the active instance."""
     status, observed = known.status, known.observed
     if not known.is_watched:
-        said = f"; the last reported health is {status.health}" if status.health else ""
-        yield _Entry(f"No monitor watches the workload, so its health is unknown{said}.")
+        last = f"; the last reported health is {status.health}" if status.health else ""
+        yield _Entry(f"No monitor watches the workload, so its health is unknown{last}.")
     elif known.health != "Healthy":
-        recovering = known.said.recovering
-        reason = recovering.message if recovering else why(known.health, known.said.active, status.conditions or [])
+        recovering = known.robot.recovering
+        reason = recovering.message if recovering else why(known.health, known.robot.active, status.conditions or [])
         yield _Entry(f"{reason.rstrip('.')}.")
-        yield _Entry(f"Its health tree leaf by leaf: understudy tree -n {known.said.namespace} {known.said.name}")
+        yield _Entry(f"Its health tree leaf by leaf: understudy tree -n {known.robot.namespace} {known.robot.name}")
     name, uid = kube_objects.active(observed.gate)
     epoch = kube_objects.notes(observed.gate).get(names.EPOCH, "0") if observed.gate is not None else "0"
     if not name:
@@ -268,13 +268,13 @@ def _state(known: Facts) -> Iterator[_Entry]:
 def _situation(known: Facts) -> Iterator[_Entry]:
     """Name the situation of its policy that applies, and what is in force because of it."""
     conditions = known.status.conditions or []
-    said = next((one for one in conditions if one.type == situation_strategies.CONDITION), None)
-    if known.policy is None or not known.policy.situations or said is None:
+    covered = next((one for one in conditions if one.type == situation_strategies.CONDITION), None)
+    if known.policy is None or not known.policy.situations or covered is None:
         return
     present = known.status.situation
     line = f"Situation: {present.name} for {age(present.since, known.observed.now)}" if present else "Situation: none"
     why_ = f" ({present.reason})" if present is not None and present.reason else ""
-    yield _Entry(f"{line}{why_}. {said.message}")
+    yield _Entry(f"{line}{why_}. {covered.message}")
 
 
 def _where(pod: Object) -> str:
@@ -330,8 +330,8 @@ def _limits(known: Facts) -> Iterator[_Entry]:
     """List the limits that would prevent or delay it."""
     item, now, policy = known.observed.workload, known.observed.now, known.policy
     policy_item = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
-    limits = limit_text.limits_in_force(known.spec, policy, policy_item, known.status, item, known.said, now)
-    for text, prevents in limit_text.sentences(limits, known.said.name, now, standby_ready=known.standby_ready):
+    limits = limit_text.limits_in_force(known.spec, policy, policy_item, known.status, item, known.robot, now)
+    for text, prevents in limit_text.sentences(limits, known.robot.name, now, standby_ready=known.standby_ready):
         yield _Entry(text, "Degraded" if prevents else "")
     yield from map(_Entry, limit_text.budget_left(policy, known.status, item, now))
 
@@ -365,14 +365,14 @@ def _recorded(strategy: Strategy, observed: Observed) -> str:
 
 def _otherwise(known: Facts, considered: Sequence[StrategyAvailability]) -> Iterator[_Entry]:
     """Report a different choice of the monitor, which knows the standbys' agents; this command does not."""
-    said = known.status.strategy
-    if not said or not considered or known.health in (UNWATCHED, "Recovering"):
+    reported = known.status.strategy
+    if not reported or not considered or known.health in (UNWATCHED, "Recovering"):
         return
     first = next((one.strategy for one in considered if one.availability.available), None)
     found = _recorded(first, known.observed).rpartition("/")[2] if first is not None else "None"
-    if said != found:
+    if reported != found:
         yield _Entry(
-            f"Its monitor says {said}. It knows more than the pods' readiness, such as whether their agents are connected; in a few "
+            f"Its monitor says {reported}. It knows more than the pods' readiness, such as whether their agents are connected; in a few "
             "seconds both should say the same.",
             "Degraded",
         )
@@ -400,7 +400,7 @@ def _dependencies(known: Facts) -> Iterator[_Entry]:
         health = "Recovering" if recovering else status.health or "Unknown"
         state = "Healthy" if health in DRIVEN else "Failed"
         yield _Entry(f"on {one.name} ({health}); {after}", state)
-    found = [name for name, one in known.workloads.items() if known.said.name in dependency_graph.named(one)]
+    found = [name for name, one in known.workloads.items() if known.robot.name in dependency_graph.named(one)]
     if found:
         line = (
             f"These depend on this one: {listed(sorted(found))}. While this one is not healthy, a failure of "
@@ -459,7 +459,7 @@ def _pod(pod: Object) -> _Entry:
 def _missing(known: Facts) -> Iterator[_Entry]:
     """List what is not as it should be, with the remedy that the reporting component wrote."""
     observed = known.observed
-    found = [problem for problem in known.said.problems if problem.type != "Protected"]
+    found = [problem for problem in known.robot.problems if problem.type != "Protected"]
     if known.protected.status != "True":
         yield _Entry(_unprotected(known), "Failed")
     refused = known.workload_plan.problem
@@ -487,12 +487,14 @@ def _missing(known: Facts) -> Iterator[_Entry]:
 def _unprotected(known: Facts) -> str:
     """Explain why it is not protected, in short if an unavailable strategy above explains it already."""
     found = known.protected
-    said = next((problem for problem in known.said.problems if problem.type == "Protected"), None)
-    since = f", {age(said.since, known.observed.now)}" if said is not None and said.since else ""
+    problem = next((problem for problem in known.robot.problems if problem.type == "Protected"), None)
+    since = f", {age(problem.since, known.observed.now)}" if problem is not None and problem.since else ""
     first = next((one.availability for one in known.considered), None)
     seen = first is not None and not first.available and found.reason == first.reason
     words = "the first strategy of its policy cannot run, see above." if seen else found.message
-    stale = " Its status says that it is: that is a moment old, or the operator is not running." if said is None else ""
+    stale = (
+        " Its status says that it is: that is a moment old, or the operator is not running." if problem is None else ""
+    )
     return f"not protected ({found.reason}{since}): {words}{stale}"
 
 

@@ -114,7 +114,7 @@ def _once(reader: _ClusterReader, output: str) -> int:
         written = {"robots": [one.to_wire() for one in robots], "pools": [one.to_wire() for one in pools]}
         print(structured(written, output))
     else:
-        print("\n".join(status_screen.lines(robots, pools, _look(sys.stdout, reader, wide=output == "wide"))))
+        print("\n".join(status_screen.lines(robots, pools, _layout(sys.stdout, reader, wide=output == "wide"))))
     return _exit_status(robots)
 
 
@@ -167,11 +167,11 @@ class _Screen:
 
     def tick(self) -> None:
         """Update ages and window size."""
-        look = _look(sys.stdout, self._reader, wide=self._wide)
-        look = replace(look, columns=terminal.size()[0] - 1)  # a full row loses its last character
+        layout = _layout(sys.stdout, self._reader, wide=self._wide)
+        layout = replace(layout, columns=terminal.size()[0] - 1)  # a full row loses its last character
         written = [*([self._warning, ""] if self._warning else [])]
         if self._robots:
-            written += status_screen.screenful(self._robots, self._pools, look, terminal.rows() - len(written))
+            written += status_screen.screenful(self._robots, self._pools, layout, terminal.rows() - len(written))
         screen = (tuple(written), terminal.size())
         if screen != self._drawn:
             terminal.draw(sys.stdout, written)
@@ -205,7 +205,7 @@ class _Lines:
         print(time.strftime("%H:%M:%SZ", time.gmtime()), line, flush=True)
 
 
-def _look(out: TextIO, reader: _ClusterReader, *, wide: bool) -> Layout:
+def _layout(out: TextIO, reader: _ClusterReader, *, wide: bool) -> Layout:
     return Layout(
         now=time.time(),
         columns=terminal.columns(out),

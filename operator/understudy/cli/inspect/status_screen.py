@@ -36,31 +36,31 @@ class Layout:
     wide: bool = False
 
 
-def lines(robots: Sequence[Robot], pools: Sequence[Pool], look: Layout) -> Iterator[str]:
+def lines(robots: Sequence[Robot], pools: Sequence[Pool], layout: Layout) -> Iterator[str]:
     """Format everything."""
-    yield from _body(robots, pools, look)
+    yield from _body(robots, pools, layout)
     yield ""
-    yield from wrapped(summary(robots), look.columns, indent=0, hanging=2)
+    yield from wrapped(summary(robots), layout.columns, indent=0, hanging=2)
 
 
-def screenful(robots: Sequence[Robot], pools: Sequence[Pool], look: Layout, rows: int) -> list[str]:
+def screenful(robots: Sequence[Robot], pools: Sequence[Pool], layout: Layout, rows: int) -> list[str]:
     """Format what fits into so many rows. If not everything fits, robots with problems come first."""
-    shown = list(lines(robots, pools, look))
+    shown = list(lines(robots, pools, layout))
     if len(shown) <= rows:
         return shown
     ordered = sorted(robots, key=lambda robot: robot.is_well)
-    head = [*wrapped(summary(robots), look.columns, indent=0, hanging=2), ""]
-    shown = [*head, *_body(ordered, pools, look)]
+    head = [*wrapped(summary(robots), layout.columns, indent=0, hanging=2), ""]
+    shown = [*head, *_body(ordered, pools, layout)]
     hidden = len(shown) - (rows - 1)
     return [*shown[: rows - 1], f"… {counted(hidden, 'more line')}: enlarge the window, or name robots"]
 
 
-def _body(robots: Sequence[Robot], pools: Sequence[Pool], look: Layout) -> Iterator[str]:
-    yield from _rows(robots, look)
+def _body(robots: Sequence[Robot], pools: Sequence[Pool], layout: Layout) -> Iterator[str]:
+    yield from _rows(robots, layout)
     if pools:
         yield ""
         known = [problem.message for robot in robots for problem in robot.problems]
-        yield from _pools(pools, known, look)
+        yield from _pools(pools, known, layout)
 
 
 def in_a_line(robot: Robot) -> str:
@@ -78,62 +78,62 @@ def in_a_line(robot: Robot) -> str:
     return plain("; ".join(parts))
 
 
-def _rows(robots: Sequence[Robot], look: Layout) -> Iterator[str]:
-    """Format the widest layout that fits, with the problems of each robot below its row."""
-    layouts = [_WIDE] if look.wide else [_FULL, _MIDDLE, _NARROW, _NARROWEST]
-    for layout in layouts:
+def _rows(robots: Sequence[Robot], layout: Layout) -> Iterator[str]:
+    """Format the widest set of columns that fits, with the problems of each robot below its row."""
+    column_sets = [_WIDE] if layout.wide else [_FULL, _MIDDLE, _NARROW, _NARROWEST]
+    for columns in column_sets:
         rows = [
-            [Cell(head) for head, _ in layout],
-            *([draw(robot, look) for _, draw in layout] for robot in robots),
+            [Cell(head) for head, _ in columns],
+            *([draw(robot, layout) for _, draw in columns] for robot in robots),
         ]
-        if look.namespaces:
+        if layout.namespaces:
             rows = [
                 [Cell(name), *row]
                 for name, row in zip(["NAMESPACE", *(r.namespace for r in robots)], rows, strict=True)
             ]
-        if look.wide or look.columns is None or text_tables.width(rows) <= look.columns:
-            head, *body = text_tables.format_table(rows, colours=look.colours)
+        if layout.wide or layout.columns is None or text_tables.width(rows) <= layout.columns:
+            head, *body = text_tables.format_table(rows, colours=layout.colours)
             yield head
             for robot, line in zip(robots, body, strict=True):
                 yield line
-                yield from _problem_lines(robot.problems, look)
+                yield from _problem_lines(robot.problems, layout)
             return
     for robot in robots:
-        yield from _stacked(robot, look)
+        yield from _stacked(robot, layout)
 
 
-def _stacked(robot: Robot, look: Layout) -> Iterator[str]:
+def _stacked(robot: Robot, layout: Layout) -> Iterator[str]:
     """Format a robot for a narrow terminal."""
-    name = f"{robot.namespace}/{robot.name}" if look.namespaces else robot.name
-    yield f"{plain(name)}  {_health(robot, look).format(0, colours=look.colours).rstrip()}"
+    name = f"{robot.namespace}/{robot.name}" if layout.namespaces else robot.name
+    yield f"{plain(name)}  {_health(robot, layout).format(0, colours=layout.colours).rstrip()}"
     parts = [
         "protected" if robot.protected else "NOT PROTECTED",
         f"active {_active(robot, in_short=True)}",
         f"standby {robot.standby}",
-        f"last recovery {_last(robot, look.now, _time)}" if robot.last_recovery else "",
+        f"last recovery {_last(robot, layout.now, _time)}" if robot.last_recovery else "",
     ]
-    yield from wrapped(listed(parts), look.columns, indent=2)
-    yield from _problem_lines(robot.problems, look)
+    yield from wrapped(listed(parts), layout.columns, indent=2)
+    yield from _problem_lines(robot.problems, layout)
 
 
-def _problem_lines(problems: Sequence[Problem], look: Layout) -> Iterator[str]:
+def _problem_lines(problems: Sequence[Problem], layout: Layout) -> Iterator[str]:
     for problem in problems:
-        since = f", {age(problem.since, look.now)}" if problem.since else ""
+        since = f", {age(problem.since, layout.now)}" if problem.since else ""
         head = f"{problem.about} ({problem.reason}{since}):"
-        shown = wrapped(f"{head} {problem.message}", look.columns, indent=2, hanging=4)
-        if look.columns is not None and len(shown) > MOST_LINES:
-            last = f"{shown[MOST_LINES - 1]} "[: look.columns - 2]
+        shown = wrapped(f"{head} {problem.message}", layout.columns, indent=2, hanging=4)
+        if layout.columns is not None and len(shown) > MOST_LINES:
+            last = f"{shown[MOST_LINES - 1]} "[: layout.columns - 2]
             shown = [*shown[: MOST_LINES - 1], f"{last.rpartition(' ')[0]} …"]
         state = "Degraded" if problem.type == "Degraded" else "Failed"
         yield from (
-            line.replace(head, coloured(head, state, colours=look.colours), 1) if index == 0 else line
+            line.replace(head, coloured(head, state, colours=layout.colours), 1) if index == 0 else line
             for index, line in enumerate(shown)
         )
 
 
-def _pools(pools: Sequence[Pool], known: Sequence[str], look: Layout) -> Iterator[str]:
+def _pools(pools: Sequence[Pool], known: Sequence[str], layout: Layout) -> Iterator[str]:
     """Format a table of pools with their problems, except those ``known`` from a robot: pools report their pods' problems too."""
-    names = [f"{pool.namespace}/{pool.name}" if look.namespaces else pool.name for pool in pools]
+    names = [f"{pool.namespace}/{pool.name}" if layout.namespaces else pool.name for pool in pools]
     rows = [
         [Cell("POOL"), Cell("READINESS"), Cell("READY"), Cell("CLAIMED")],
         *(
@@ -146,14 +146,14 @@ def _pools(pools: Sequence[Pool], known: Sequence[str], look: Layout) -> Iterato
             for name, pool in zip(names, pools, strict=True)
         ),
     ]
-    head, *body = text_tables.format_table(rows, colours=look.colours)
-    if look.columns is not None and text_tables.width(rows) > look.columns:
+    head, *body = text_tables.format_table(rows, colours=layout.colours)
+    if layout.columns is not None and text_tables.width(rows) > layout.columns:
         body = [f"pool {name}: {pool.ready} of {pool.desired} ready" for name, pool in zip(names, pools, strict=True)]
     else:
         yield head
     for pool, line in zip(pools, body, strict=True):
         yield line
-        yield from _problem_lines([problem for problem in pool.problems if not is_reported(problem, known)], look)
+        yield from _problem_lines([problem for problem in pool.problems if not is_reported(problem, known)], layout)
 
 
 def _active(robot: Robot, *, in_short: bool = False) -> str:
@@ -163,11 +163,11 @@ def _active(robot: Robot, *, in_short: bool = False) -> str:
     return f"{name or NO_INSTANCE} ({robot.epoch})"
 
 
-def _health(robot: Robot, look: Layout) -> Cell:
+def _health(robot: Robot, layout: Layout) -> Cell:
     return Cell(robot.health.ljust(_LONGEST_HEALTH), "Failed" if robot.health == UNWATCHED else robot.health)
 
 
-def _protected(robot: Robot, look: Layout) -> Cell:
+def _protected(robot: Robot, layout: Layout) -> Cell:
     return Cell("yes", "Healthy") if robot.protected else Cell("NO", "Failed")
 
 
@@ -193,38 +193,38 @@ def _time(last: LastRecovery) -> str:
     return length(last.recovery_seconds) if last.recovery_seconds is not None else _how(last)
 
 
-_Layout = Sequence[tuple[str, Callable[[Robot, Layout], Cell]]]
+_Columns = Sequence[tuple[str, Callable[[Robot, Layout], Cell]]]
 
-_SHORT: _Layout = [
-    ("ROBOT", lambda robot, look: Cell(robot.name)),
+_SHORT: _Columns = [
+    ("ROBOT", lambda robot, layout: Cell(robot.name)),
     ("HEALTH", _health),
-    ("ACTIVE", lambda robot, look: Cell(_active(robot, in_short=True))),
-    ("STANDBY", lambda robot, look: Cell(robot.standby.replace("(", "").replace(")", ""))),
+    ("ACTIVE", lambda robot, layout: Cell(_active(robot, in_short=True))),
+    ("STANDBY", lambda robot, layout: Cell(robot.standby.replace("(", "").replace(")", ""))),
 ]
-_LAST: _Layout = [("LAST", lambda robot, look: Cell(_last(robot, look.now, _time)))]
-_WHEN: _Layout = [
-    ("LAST", lambda robot, look: Cell(_ended(robot.last_recovery, look.now) if robot.last_recovery else "none"))
+_LAST: _Columns = [("LAST", lambda robot, layout: Cell(_last(robot, layout.now, _time)))]
+_WHEN: _Columns = [
+    ("LAST", lambda robot, layout: Cell(_ended(robot.last_recovery, layout.now) if robot.last_recovery else "none"))
 ]
 
-_MIDDLE: _Layout = [*_SHORT[:2], ("PROTECTED", _protected), *_SHORT[2:], *_LAST]
+_MIDDLE: _Columns = [*_SHORT[:2], ("PROTECTED", _protected), *_SHORT[2:], *_LAST]
 # The problems below say which robots are not protected.
-_NARROW: _Layout = [*_SHORT, *_LAST]
-_NARROWEST: _Layout = [*_SHORT, *_WHEN]
+_NARROW: _Columns = [*_SHORT, *_LAST]
+_NARROWEST: _Columns = [*_SHORT, *_WHEN]
 
-_FULL: _Layout = [
-    ("ROBOT", lambda robot, look: Cell(robot.name)),
+_FULL: _Columns = [
+    ("ROBOT", lambda robot, layout: Cell(robot.name)),
     ("HEALTH", _health),
     ("PROTECTED", _protected),
-    ("ACTIVE (EPOCH)", lambda robot, look: Cell(_active(robot))),
-    ("STANDBY", lambda robot, look: Cell(robot.standby)),
-    ("LAST RECOVERY", lambda robot, look: Cell(_last(robot, look.now, _how))),
+    ("ACTIVE (EPOCH)", lambda robot, layout: Cell(_active(robot))),
+    ("STANDBY", lambda robot, layout: Cell(robot.standby)),
+    ("LAST RECOVERY", lambda robot, layout: Cell(_last(robot, layout.now, _how))),
 ]
 
-_WIDE: _Layout = [
+_WIDE: _Columns = [
     *_FULL,
-    ("RECOVERIES", lambda robot, look: Cell(str(robot.recovery_count))),
-    ("NEXT", lambda robot, look: Cell(robot.strategy or "Unknown")),
-    ("SITUATION", lambda robot, look: Cell(robot.situation or "none")),
-    ("POLICY", lambda robot, look: Cell(robot.policy)),
-    ("AGE", lambda robot, look: Cell(age(robot.created, look.now) if robot.created else "")),
+    ("RECOVERIES", lambda robot, layout: Cell(str(robot.recovery_count))),
+    ("NEXT", lambda robot, layout: Cell(robot.strategy or "Unknown")),
+    ("SITUATION", lambda robot, layout: Cell(robot.situation or "none")),
+    ("POLICY", lambda robot, layout: Cell(robot.policy)),
+    ("AGE", lambda robot, layout: Cell(age(robot.created, layout.now) if robot.created else "")),
 ]

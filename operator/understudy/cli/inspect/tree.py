@@ -91,10 +91,10 @@ def _once(kubectl: Kubectl, workload: str, output: str) -> int:
     with kubectl.forwarded(monitor_pod(kubectl, workload), names.METRICS_PORT) as port:
         state = fetch_json(port)
         if output == "text":
-            rates.look(state)
+            rates.update(state)
             time.sleep(PERIOD)  # rates need two states
             state = fetch_json(port)
-            rates.look(state)
+            rates.update(state)
     if output == "text":
         print("\n".join(lines(state, rates, colours=terminal.colours(sys.stdout))))
     else:
@@ -115,7 +115,7 @@ def _watch(kubectl: Kubectl, workload: str) -> int:
                         while True:
                             state = fetch_json(port)
                             answered = time.monotonic()
-                            rates.look(state)
+                            rates.update(state)
                             health = state["health"]
                             _draw(list(lines(state, rates, colours=colours)), screen)
                             time.sleep(PERIOD)

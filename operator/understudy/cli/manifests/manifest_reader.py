@@ -215,15 +215,15 @@ class _Reader:
 
     def _broken(self, error: yaml.MarkedYAMLError) -> None:
         mark = error.problem_mark or error.context_mark
-        said = ", ".join(part for part in (error.context, error.problem) if part)
+        problem = ", ".join(part for part in (error.context, error.problem) if part)
         begun, beyond = error.context_mark, error.problem_mark
         if begun and beyond and begun.line != beyond.line:
-            said += f" (started in line {begun.line + 1}, column {begun.column + 1})"
-        hint = next((hint for found, hint in _HINTS.items() if found in said), "correct the YAML here")
+            problem += f" (started in line {begun.line + 1}, column {begun.column + 1})"
+        hint = next((hint for found, hint in _HINTS.items() if found in problem), "correct the YAML here")
         if mark and any("{{" in line for line in self._lines[max(mark.line - 1, 0) : mark.line + 1]):
             hint = "render a Helm template first: helm template ... | understudy check -"
         self._note(
-            Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1), f"this is not valid YAML: {said}; {hint}"
+            Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1), f"this is not valid YAML: {problem}; {hint}"
         )
 
     def _note(self, place: Place, message: str, *, warning: bool = False) -> None:

@@ -15,7 +15,7 @@ class Span:
     """An interval in which a leaf, or the tree, was in one state. Times are unix seconds."""
 
     state: Shown
-    begun: float
+    started: float
     ended: float | None = None
     """None while it continues."""
     reason: str = ""
@@ -64,7 +64,7 @@ class Evaluation:
         """The failures that were detected."""
         return [failure for failure in self.failures if failure.detected is not None]
 
-    def look(self, observations: Observations, now: float) -> Verdict:
+    def evaluate(self, observations: Observations, now: float) -> Verdict:
         """Evaluate the tree at a time and record the verdict."""
         verdict = self.tree.evaluate(observations, now=now, since=self.since)
         self._note("", verdict.state, now, verdict.reason)
@@ -95,7 +95,7 @@ class Evaluation:
         if now >= counts:
             last.detected, self._counts = now, None
 
-    def next_look(self, observations: Observations, now: float) -> float | None:
+    def next_evaluation(self, observations: Observations, now: float) -> float | None:
         """Return the next time at which the result may change without a further message; None for never."""
         change = self.tree.next_change(observations, now=now, since=self.since)
         moments = [moment for moment in (change, self._counts) if moment is not None]

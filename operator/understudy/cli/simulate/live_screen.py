@@ -37,7 +37,7 @@ class Lines:
         for path, spans in sorted(evaluation.spans.items()):
             for span in spans[self._shown.get(path, 0) :]:
                 why = f": {span.reason}" if span.reason else ""
-                self._line(span.begun, f"{path or 'the tree'} is {WORDS[span.state]}{why}")
+                self._line(span.started, f"{path or 'the tree'} is {WORDS[span.state]}{why}")
             self._shown[path] = len(spans)
         for failure in evaluation.detections[self._detected :]:
             self._line(failure.detected or now, f"DETECTED {failure.leaf}: {failure.reason}")
@@ -69,7 +69,7 @@ class Screen:
         tree = snapshot(evaluation.tree, observations, now)
         if now - self._counted >= COUNTED:
             self._counted = now
-            self._rates.look({"tree": tree, "time": now})
+            self._rates.update({"tree": tree, "time": now})
         lines = [plain(self._title), *_summary(evaluation, now), "", *tree_lines(tree, self._rates, colours=True)]
         lines += ["", *(plain(note) for note in notes)] if notes else []
         terminal.draw(self._out, lines)
@@ -86,7 +86,7 @@ Display = Lines | Screen
 def _summary(evaluation: Evaluation, now: float) -> Iterator[str]:
     span = evaluation.spans[""][-1]
     why = f": {plain(span.reason)}" if span.reason else ""
-    yield f"{coloured(WORDS[span.state], span.state, colours=True)} for {rough(now - span.begun)}{why}"
+    yield f"{coloured(WORDS[span.state], span.state, colours=True)} for {rough(now - span.started)}{why}"
     failures, watched = evaluation.detections, rough(now - evaluation.since)
     if failures:
         count = f"{len(failures)} {'failure' if len(failures) == 1 else 'failures'}"

@@ -60,9 +60,9 @@ def draw(file: str, title: str, replay: Replay, start: float, end: float, onsets
 def _bands(axes: Any, row: int, spans: Sequence[Span], start: float, height: float) -> None:
     """Draw the states of a leaf."""
     for span in spans:
-        ended = span.ended if span.ended is not None else span.begun
+        ended = span.ended if span.ended is not None else span.started
         axes.broken_barh(
-            [(span.begun - start, ended - span.begun)],
+            [(span.started - start, ended - span.started)],
             (row - height / 2, height),
             facecolors=_COLOURS[span.state],
             edgecolors=_COLOURS[span.state],

@@ -107,8 +107,8 @@ def _run(evaluation: Evaluation, received: _Received, bag: Bag, types: Mapping[s
         while coming is not None and coming.received <= now:
             received.take(coming)
             coming = next(following, None)
-        evaluation.look(observations, now)
-        change = evaluation.next_look(observations, now)
+        evaluation.evaluate(observations, now)
+        change = evaluation.next_evaluation(observations, now)
         moments = [moment for moment in (change, coming.received if coming else None) if moment is not None]
         if not moments or min(moments) > bag.end:
             return

@@ -102,7 +102,7 @@ class Report:
         for path, topic in self._replay.topics.items():
             times, spans = self._replay.received(path), self._replay.evaluation.spans[path]
             failed = [span for span in spans if span.state == "Failed"]
-            total = sum(_ended(span) - span.begun for span in failed)
+            total = sum(_ended(span) - span.started for span in failed)
             rows.append(
                 (
                     path,
@@ -110,7 +110,7 @@ class Report:
                     str(len(times)),
                     _rate(times),
                     _gap(times),
-                    f"{len(failed)}x, {_length(total)}, first at {self._at(failed[0].begun)}" if failed else "-",
+                    f"{len(failed)}x, {_length(total)}, first at {self._at(failed[0].started)}" if failed else "-",
                     spans[-1].state,
                 )
             )
@@ -153,7 +153,7 @@ class Report:
                     "states": [
                         {
                             "state": span.state,
-                            "fromAt": self._seconds(span.begun),
+                            "fromAt": self._seconds(span.started),
                             "toAt": self._seconds(span.ended),
                             "reason": span.reason,
                         }
@@ -186,7 +186,7 @@ def _exact(length: float) -> float:
 
 
 def _ended(span: Span) -> float:
-    return span.ended if span.ended is not None else span.begun
+    return span.ended if span.ended is not None else span.started
 
 
 def _rate(times: array[float]) -> str:

@@ -96,15 +96,15 @@ def _watch(policy: Policy, watching: TopicWatch, length: float | None) -> Evalua
             f"no leaf of the policy's tree can be evaluated here: {', '.join(sorted(unseen))} {OF_CLUSTER}"
         )
     watching.follow(tree.topics)
-    begun = time.time()
-    tree.begin(begun)
-    evaluation = Evaluation(tree, policy.debounce, begun)
+    started = time.time()
+    tree.begin(started)
+    evaluation = Evaluation(tree, policy.debounce, started)
     end = time.monotonic() + length if length is not None else None
     display = _display(policy)
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
-            _look(evaluation, watching, display, end, unseen)
+            _evaluate(evaluation, watching, display, end, unseen)
     finally:
         signal.signal(signal.SIGTERM, before)
         with contextlib.suppress(BrokenPipeError):
@@ -112,7 +112,9 @@ def _watch(policy: Policy, watching: TopicWatch, length: float | None) -> Evalua
     return evaluation
 
 
-def _look(evaluation: Evaluation, watching: TopicWatch, display: Display, end: float | None, unseen: set[str]) -> None:
+def _evaluate(
+    evaluation: Evaluation, watching: TopicWatch, display: Display, end: float | None, unseen: set[str]
+) -> None:
     from understudy.monitor.observe.wakeups import STALL_MOST, STALLED, TICK, WAKE_LATE
 
     due, trusted = time.time(), 0.0
@@ -127,9 +129,9 @@ def _look(evaluation: Evaluation, watching: TopicWatch, display: Display, end: f
         now = time.time()
         due = now + TICK
         if now >= trusted:
-            evaluation.look(watching, now)
+            evaluation.evaluate(watching, now)
             display.show(evaluation, watching, now, [*watching.problems, *watching.waiting, *notes])
-            if (change := evaluation.next_look(watching, now)) is not None:
+            if (change := evaluation.next_evaluation(watching, now)) is not None:
                 due = min(due, change + WAKE_LATE)
         rest = max(LEAST_REST, due - time.time())
         if end is not None:

@@ -175,9 +175,9 @@ def asks_by_name(workload: Object, *deployments: Object | None) -> bool:
     an upgrade of the operator, and without that right it would watch nothing after its next start. So this relies on
     the image that the monitor reports in the workload's status.
     """
-    said = ((workload.get("status") or {}).get("monitor") or {}).get("image")
+    reported = ((workload.get("status") or {}).get("monitor") or {}).get("image")
     images = {item["spec"]["template"]["spec"]["containers"][0].get("image") for item in deployments if item}
-    return bool(said) and images == {said}
+    return bool(reported) and images == {reported}
 
 
 def access(

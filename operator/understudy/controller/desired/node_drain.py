@@ -92,7 +92,7 @@ def budget(workload: str, active: Object) -> Object:
     anyway.
     """
     chosen = {names.WORKLOAD: workload, names.INSTANCE: kube_objects.name(active)}
-    return pool_evictions.keeping(names.in_control(workload), 1, chosen)
+    return pool_evictions.disruption_budget(names.in_control(workload), 1, chosen)
 
 
 def conditions(observed: Observed, workload_plan: WorkloadPlan) -> list[Condition]:

@@ -13,7 +13,7 @@ from understudy.controller.observed import (
     kube_objects,
     leaving_nodes,
     ownership,
-    stand_ins,
+    replacement_standbys,
 )
 from understudy.controller.observed.observation import Observed
 from understudy.controller.plan import Create, Delete, Patch, Plan
@@ -39,9 +39,9 @@ def _kept(observed: Observed, pool: str) -> int:
     return kept
 
 
-def own_stands_by(observed: Observed) -> bool:
+def own_pod_may_replace(observed: Observed) -> bool:
     """Whether a pod of the workload's own controller waits as a standby while another pod is active."""
-    return stand_ins.may_stand_in(observed.workload, observed.policy)
+    return replacement_standbys.may_replace(observed.workload, observed.policy)
 
 
 def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str, fresh: UniqueValues) -> None:
@@ -58,7 +58,7 @@ def keep(made: Plan, observed: Observed, workload_plan: WorkloadPlan, pool: str,
         and ownership.controls(kube_objects.uid(workload), pod)
     ]
     want, spared = wanted(observed, pool), 0
-    if not own_stands_by(observed):
+    if not own_pod_may_replace(observed):
         # The pod with which a referred controller replaces the failed one has no agent, so it cannot be the standby.
         want += sum(kube_objects.is_active(pod, gate) for pod in mine) if want else 0
     elif want:
@@ -99,9 +99,9 @@ def _renewed(
     gate, present = observed.gate, instance_pod.template_hash(workload_plan.builts[pool])
     if observed.active is None or kube_objects.labels(observed.active).get(names.SOURCE) == "workload":
         return 0, []
-    displaced = stand_ins.displaced(gate, observed.pods)
+    displaced = replacement_standbys.displaced(gate, observed.pods)
     own = instance_pod.template_hash(workload_plan.builts[""])
-    found = [pod for pod in observed.pods if stand_ins.is_own(pod)]
+    found = [pod for pod in observed.pods if replacement_standbys.is_own(pod)]
     outdated = [pod for pod in found if pod_counts.hash_of(pod) != own]
     moving = [
         pod for pod in found if pool == displaced and leaving_nodes.on(pod, observed.leaving) and pod not in outdated
@@ -138,9 +138,9 @@ def _spared(observed: Observed, pool: str) -> int:
 
     The number of standbys does not show this: while one is being replaced on another node, both exist.
     """
-    if stand_ins.displaced(observed.gate, observed.pods) != pool:
+    if replacement_standbys.displaced(observed.gate, observed.pods) != pool:
         return 0
-    return int(not any(kube_objects.ready(pod) for pod in observed.pods if stand_ins.is_own(pod)))
+    return int(not any(kube_objects.ready(pod) for pod in observed.pods if replacement_standbys.is_own(pod)))
 
 
 def _first_kept(observed: Observed, workload_plan: WorkloadPlan, displaced: str) -> str:
@@ -175,7 +175,7 @@ def scale(made: Plan, observed: Observed) -> None:
         return
     driving = [p for p in observed.pods if kube_objects.is_active(p, observed.gate) and kube_objects.alive(p)]
     foreign = any(kube_objects.labels(pod).get(names.SOURCE) != "workload" for pod in driving)
-    standing_by = sum(wanted(observed, pool) for pool in observed.standby_pools) if own_stands_by(observed) else 0
+    standing_by = sum(wanted(observed, pool) for pool in observed.standby_pools) if own_pod_may_replace(observed) else 0
     replicas = 0 if foreign and not standing_by else 1
     if (live.get("spec") or {}).get("replicas", 1) != replicas:
         made.writes.append(Patch(REPLICA_SETS, live, {"spec": {"replicas": replicas}}, subresource="scale"))

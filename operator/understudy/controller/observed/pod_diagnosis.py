@@ -74,8 +74,8 @@ def _diagnosis(pod: Object, reason: str, container: str, what: str, found: Objec
     name, namespace = kube_objects.name(pod), pod["metadata"].get("namespace", "")
     words = _steady(found.get("message", ""), name)
     advice = _ADVICE[reason].format(namespace=namespace, pod=name, container=container)
-    said = f": {words}" if words else ""
-    return Diagnosis(reason, f"pod {name}: {what} cannot start, {reason}{said}. {advice}.")
+    detail = f": {words}" if words else ""
+    return Diagnosis(reason, f"pod {name}: {what} cannot start, {reason}{detail}. {advice}.")
 
 
 def _steady(words: str, pod: str) -> str:

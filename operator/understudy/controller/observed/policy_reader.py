@@ -90,7 +90,7 @@ def _tree_problem(form: str, tree: str, grace: float, path: str | None = None) -
 def _inline_trees(parsed: FailurePolicySpec) -> Iterator[tuple[str, Written]]:
     """Yield the trees of ``spec.situations`` and ``spec.degraded`` with their paths."""
     for index, situation in enumerate(parsed.situations):
-        if situation.when.given:
+        if situation.when.languages:
             yield f"spec.situations[{index}].when", situation.when
     if parsed.degraded is None:
         return

@@ -24,8 +24,8 @@ def has_some(policy: Object) -> bool:
 
 def asked(workload: Object, policy: Object) -> str:
     """Return the situation that the monitor reports, if the policy has it; empty otherwise."""
-    said = ((workload.get("status") or {}).get("situation") or {}).get("name", "")
-    return known(policy, said)
+    reported = ((workload.get("status") or {}).get("situation") or {}).get("name", "")
+    return known(policy, reported)
 
 
 def known(policy: Object, name: str | None) -> str:

@@ -21,10 +21,10 @@ PATIENCE = 120.0
 
 def budget(pool: str, least: int) -> Object:
     """Return the budget that keeps at least ``least`` waiting pods. A pod that is not ready may always be evicted."""
-    return keeping(names.held(pool), least, {names.POOL: pool, names.HELD: "true"})
+    return disruption_budget(names.held(pool), least, {names.POOL: pool, names.HELD: "true"})
 
 
-def keeping(name: str, least: int, chosen: Mapping[str, str]) -> Object:
+def disruption_budget(name: str, least: int, chosen: Mapping[str, str]) -> Object:
     """Return a budget that keeps at least ``least`` pods with these labels.
 
     Pods that are not ready may always be evicted.

@@ -47,7 +47,7 @@ class Observed:
     """Selector of that workload's referred controller, if it has one."""
     active: frozenset[str] = frozenset()
     """UIDs of all active pods, of any workload."""
-    stand_ins: Sequence[Object] = ()
+    replacement_standbys: Sequence[Object] = ()
     """Pods of its workloads' own controllers that stand by while a pod of this pool is active."""
     expected: int = 0
     """Number of pods that were created but not yet observed."""
@@ -166,7 +166,7 @@ def plan(observed: Observed, pool_plan: PoolPlan, fresh: UniqueValues) -> Plan:
     if pool_plan.problem is not None or spec is None or built is None or kube_objects.deleted(observed.pool):
         made.writes += claim_tokens.release(kube_objects.name(observed.pool), observed.secret)
         if any(leaving_nodes.on(pod, observed.leaving) for pod in observed.pods):
-            _let_go(made, observed)  # there will be no replacements
+            _permit_evictions(made, observed)  # there will be no replacements
         return made
     pool, name = observed.pool, kube_objects.name(observed.pool)
     owner = kube_objects.owner("FallbackPool", pool)
@@ -215,7 +215,7 @@ def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Objec
     coming = [pod for pod in living if not kube_objects.ready(pod) and not leaving_nodes.on(pod, observed.leaving)]
     left = pool_evictions.patience(coming, _moving_since(observed), observed.now) if moving else pool_evictions.PATIENCE
     if not want or not left or pool_evictions.decided_elsewhere(observed.budgets, built["metadata"]["labels"]):
-        _let_go(made, observed)
+        _permit_evictions(made, observed)
         return
     owner = kube_objects.owner("FallbackPool", observed.pool)
     made.writes.append(
@@ -228,11 +228,11 @@ def _hold(made: Plan, observed: Observed, living: Sequence[Object], built: Objec
 def _moving_since(observed: Observed) -> float:
     """Return since when pods are being replaced on other nodes, from the pool's status; now if it is not there yet."""
     conditions = (observed.pool.get("status") or {}).get("conditions") or []
-    said = next((one["lastTransitionTime"] for one in conditions if one["type"] == MOVING), None)
-    return datetime.fromisoformat(said).timestamp() if said is not None else observed.now
+    since = next((one["lastTransitionTime"] for one in conditions if one["type"] == MOVING), None)
+    return datetime.fromisoformat(since).timestamp() if since is not None else observed.now
 
 
-def _let_go(made: Plan, observed: Observed) -> None:
+def _permit_evictions(made: Plan, observed: Observed) -> None:
     """Permit evictions of waiting pods."""
     live = observed.owned.get((DISRUPTION_BUDGETS.plural, names.held(kube_objects.name(observed.pool))))
     if live is not None and not kube_objects.deleted(live):

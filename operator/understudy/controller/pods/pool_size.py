@@ -48,7 +48,7 @@ class Sized:
     spec: Sizing
     rate: Rate
     decision: Decision
-    said: SizingStatus
+    status: SizingStatus
     before: CurrentSize | None
     short: bool
     """Whether its maximum is too small for the risk."""
@@ -90,10 +90,10 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
     )
     before = _held(pool)
     decision = decide_size(aim, found.robots, rate, before, now)
-    said = _settled(_stored(pool), _said(found, rate, decision))
+    status = _settled(_stored(pool), _status(found, rate, decision))
     # Reported until it certainly no longer holds, in the same way as the size is kept.
     short = decision.needed > sizing.max or (_was_short(pool) and decision.safe > sizing.max)
-    return Sized(sizing, rate, decision, said, before, short)
+    return Sized(sizing, rate, decision, status, before, short)
 
 
 def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> RobotHistory:
@@ -154,10 +154,10 @@ def last(pool: Object) -> Object:
 
 def status(found: Sized) -> Object:
     """Return the size part of the status."""
-    return {"sizing": found.said.to_wire()}
+    return {"sizing": found.status.to_wire()}
 
 
-def _said(of: RobotHistory, rate: Rate, decision: Decision) -> SizingStatus:
+def _status(of: RobotHistory, rate: Rate, decision: Decision) -> SizingStatus:
     return SizingStatus(
         size=decision.size,
         last_change=datetime.fromtimestamp(decision.since, UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
@@ -199,12 +199,12 @@ def judged(found: Sized) -> Condition:
 
 def _reason(found: Sized) -> str:
     """Return the rate and its source, as text."""
-    spec, said = found.spec, found.said
-    robots = "1 robot" if said.robots == 1 else f"{said.robots} robots"
-    hours = "1 robot hour" if said.robot_hours == 1 else f"{said.robot_hours:g} robot hours"
-    figures = f"{said.failures_per_robot_hour:g} requests per robot and hour ({said.low:g} to {said.high:g})"
-    if said.failures:
-        times = "once" if said.failures == 1 else f"{said.failures} times"
+    spec, status = found.spec, found.status
+    robots = "1 robot" if status.robots == 1 else f"{status.robots} robots"
+    hours = "1 robot hour" if status.robot_hours == 1 else f"{status.robot_hours:g} robot hours"
+    figures = f"{status.failures_per_robot_hour:g} requests per robot and hour ({status.low:g} to {status.high:g})"
+    if status.failures:
+        times = "once" if status.failures == 1 else f"{status.failures} times"
         source = f"{robots} asked for a pod {times} in {hours}"
     else:
         source = (

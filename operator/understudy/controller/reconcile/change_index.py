@@ -16,7 +16,7 @@ from understudy.controller.observed import (
     kube_objects,
     leaving_nodes,
     policy_reader,
-    stand_ins,
+    replacement_standbys,
 )
 from understudy.controller.pods import pool_pods
 from understudy.controller.reconcile.object_store import ObservedChange, Store
@@ -93,10 +93,10 @@ def _keys(change: ObservedChange, store: Store, plenty: Collection[str]) -> Iter
         if _spec_changed(change):
             yield from _after_spec(change, store, namespace)
         elif plural == WORKLOADS.plural:
-            if _chosen_anew(change):
+            if _strategies_changed(change):
                 for name in store.in_namespace(POOLS, namespace):  # the number of its standbys in each pool
                     yield Key(POOLS.plural, namespace, name)
-            elif _recovered_anew(change):
+            elif _recoveries_changed(change):
                 yield from _sized(store, namespace)
             yield from _after_health(change, store, namespace)
     elif plural == PODS.plural:
@@ -126,11 +126,11 @@ def _spec_changed(change: ObservedChange) -> bool:
     return any(old.get(key) != new.get(key) for key in ("uid", "generation", "labels", "deletionTimestamp"))
 
 
-def _chosen_anew(change: ObservedChange) -> bool:
+def _strategies_changed(change: ObservedChange) -> bool:
     return change.old is not None and change.new is not None and chosen(change.old) != chosen(change.new)
 
 
-def _recovered_anew(change: ObservedChange) -> bool:
+def _recoveries_changed(change: ObservedChange) -> bool:
     counts = [((item or {}).get("status") or {}).get("recoveryCount") for item in (change.old, change.new)]
     return counts[0] != counts[1]
 
@@ -142,7 +142,7 @@ def _sized(store: Store, namespace: str) -> Iterator[Key]:
             yield Key(POOLS.plural, namespace, name)
 
 
-def _depends_anew(change: ObservedChange) -> bool:
+def _dependencies_changed(change: ObservedChange) -> bool:
     """Whether a workload was created or deleted, or its dependencies have changed."""
     if change.old is None or change.new is None or kube_objects.deleted(change.old) != kube_objects.deleted(change.new):
         return True
@@ -190,10 +190,12 @@ def _after_spec(change: ObservedChange, store: Store, namespace: str) -> Iterato
                 yield Key(POLICIES.plural, namespace, policy)
         for name in store.in_namespace(POOLS, namespace):
             yield Key(POOLS.plural, namespace, name)
-        anew = _depends_anew(change)
+        dependencies_changed = _dependencies_changed(change)
         for name, other in store.in_namespace(WORKLOADS, namespace).items():
             rival = reference(other) and reference(other) == reference(found)
-            if rival or (anew and dependency_graph.named(other)):  # it may depend on this one, or be in a cycle with it
+            if rival or (
+                dependencies_changed and dependency_graph.named(other)
+            ):  # it may depend on this one, or be in a cycle with it
                 yield Key(WORKLOADS.plural, namespace, name)
     elif change.resource.plural == POLICIES.plural:
         yield from users(kube_objects.name(found), store, namespace)
@@ -225,7 +227,7 @@ def _stood_in_for(workload: str, store: Store, namespace: str) -> Iterator[Key]:
     gate = store.gate(item) if item is not None else None
     if not kube_objects.active(gate)[1]:
         return
-    pool = stand_ins.displaced(gate, store.labelled(PODS, namespace, names.WORKLOAD, workload))
+    pool = replacement_standbys.displaced(gate, store.labelled(PODS, namespace, names.WORKLOAD, workload))
     if pool:
         yield Key(POOLS.plural, namespace, pool)
 

@@ -118,14 +118,14 @@ def _restarting(container: Object) -> set[str]:
 def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> ResizeOutcome:
     """Return the outcome that the kubelet reports in the pod's status."""
     status = pod.get("status") or {}
-    said = {c["type"]: c for c in status.get("conditions") or [] if c["status"] == "True"}
-    if (pending := said.get("PodResizePending")) is not None:
+    conditions = {c["type"]: c for c in status.get("conditions") or [] if c["status"] == "True"}
+    if (pending := conditions.get("PodResizePending")) is not None:
         reason = pending.get("reason") or "Deferred"
         advice = f". {_ADVICE[reason]}" if reason in _ADVICE else ""
         return ResizeOutcome(
             reason, f"{begun}, but not now: {pending.get('message', '').rstrip('.') or reason}{advice}"
         )
-    if (doing := said.get("PodResizeInProgress")) is not None:
+    if (doing := conditions.get("PodResizeInProgress")) is not None:
         failed = f": {doing['message'].rstrip('.')}" if doing.get("message") else ""
         return ResizeOutcome("ResizeError" if doing.get("reason") == "Error" else "InProgress", f"{begun}{failed}")
     statuses = {one["name"]: one for one in status.get("containerStatuses") or []}

@@ -15,7 +15,7 @@ from understudy.controller.observed import (
     leaving_nodes,
     policy_reader,
     pool_reader,
-    stand_ins,
+    replacement_standbys,
     workload_reference,
 )
 from understudy.controller.observed.observation import Observed
@@ -210,7 +210,7 @@ class Observer:
             source=template,
             source_selector=selector,
             active=active,
-            stand_ins=self._standing_in(item, found, made, active),
+            replacement_standbys=self._replacement_standbys(item, found, made, active),
             expected=self._expected(Key(POOLS.plural, namespace, name), name),
             prewarmed=sum(
                 pool_reader.serves(item, workload)
@@ -246,7 +246,7 @@ class Observer:
             self._looked[place] = kube_objects.uid(pool), kube_objects.uid(live)
         return self._store.get(SECRETS, *place)
 
-    def _standing_in(
+    def _replacement_standbys(
         self, pool: Object, workloads: Mapping[str, Object], pods: Sequence[Object], active: Collection[str]
     ) -> list[Object]:
         """Return the pods of the workloads' own controllers that stand by while one of the pool's pods is active."""
@@ -258,10 +258,10 @@ class Observer:
             if workload is None or not pool_reader.serves(pool, workload):
                 continue
             policy = self._store.get(POLICIES, namespace, change_index.used_policy(workload))
-            if stand_ins.may_stand_in(workload, policy):
+            if replacement_standbys.may_replace(workload, policy):
                 gate = self._store.gate(workload)
                 its = self._store.labelled(PODS, namespace, names.WORKLOAD, name)
-                found += stand_ins.standing_in(kube_objects.name(pool), gate, its)
+                found += replacement_standbys.of_pool(kube_objects.name(pool), gate, its)
         return found
 
     def _asks(self, pool: Object, workload: Object) -> bool:

@@ -266,9 +266,9 @@ class Reconciler:
             return None, None
         found = self._store.in_namespace(WORKLOADS, namespace)
         fleet = [(found[name], self._store.gate(found[name])) for name in users]
-        said, again = storm_detection.judge(policy, guard, fleet, time.time())
-        operator_metrics.storm(namespace, kube_objects.name(policy), said.status == "True")
-        return said, again
+        condition, again = storm_detection.judge(policy, guard, fleet, time.time())
+        operator_metrics.storm(namespace, kube_objects.name(policy), condition.status == "True")
+        return condition, again
 
     async def _count(self, key: Key, pool: Object, status: Object) -> float | None:
         """Do as :meth:`_tell`, but at most once in COUNT_SECONDS."""

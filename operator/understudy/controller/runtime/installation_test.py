@@ -154,9 +154,9 @@ async def _held_back(client: Client, place: Place) -> str | None:
     return "a monitor could delete a pod of another workload: the ValidatingAdmissionPolicy is not in effect"
 
 
-Look = Callable[[Client, Place], Awaitable[str | None]]
+Check = Callable[[Client, Place], Awaitable[str | None]]
 
-_LOOKS: dict[str, Look] = {
+_CHECKS: dict[str, Check] = {
     "the operator is running": _operator,
     "the three kinds match this version": _definitions,
     "a RobotWorkload is accepted": _accepted,
@@ -166,19 +166,19 @@ _LOOKS: dict[str, Look] = {
 
 async def verify(access: Access, place: Place) -> dict[str, str | None]:
     """Return all checks, each with the problem that remains after ``WITHIN`` seconds, or None."""
-    looks = dict(_LOOKS) | ({"monitors can delete only their own pods": _held_back} if place.admission else {})
+    checks = dict(_CHECKS) | ({"monitors can delete only their own pods": _held_back} if place.admission else {})
     end = time.monotonic() + WITHIN
     async with Client(access) as client:
         while True:
-            found = {what: await _problem(look, client, place) for what, look in looks.items()}
+            found = {what: await _problem(check, client, place) for what, check in checks.items()}
             if not any(found.values()) or time.monotonic() >= end:
                 return found
             await asyncio.sleep(_AGAIN)
 
 
-async def _problem(look: Look, client: Client, place: Place) -> str | None:
+async def _problem(check: Check, client: Client, place: Place) -> str | None:
     try:
-        return await look(client, place)
+        return await check(client, place)
     except FAILURES as error:
         return str(error) or type(error).__name__
 

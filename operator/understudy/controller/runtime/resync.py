@@ -156,21 +156,21 @@ class ListCycle:
         # The version of the first list: an object that was created between two lists is newer, and is kept.
         version: int | None = None
         for selector in selectors:
-            begun = time.monotonic()
+            started = time.monotonic()
             async for part in self._client.parts(resource, namespace, labels=selector):
                 version = int(part.head["metadata"]["resourceVersion"]) if version is None else version
                 digest = hashlib.blake2b(part.body, digest_size=16).digest()
                 found[digest] = known.get(digest) or [slim(resource, item) for item in part.items()]
                 if gently:
-                    await self._stand_back(time.monotonic() - begun)
-                    begun = time.monotonic()
+                    await self._yield_to_others(time.monotonic() - started)
+                    started = time.monotonic()
         assert version is not None, "every list has a part"
         covered = functools.partial(listed, resource)
         changes = self._store.replace(resource, itertools.chain(*found.values()), version, namespace, covered=covered)
         self._known[place] = {digest: self._stored(resource, items) for digest, items in found.items()}
         return changes
 
-    async def _stand_back(self, took: float) -> None:
+    async def _yield_to_others(self, took: float) -> None:
         """Give way to other clients after a part that took ``took`` seconds."""
         await asyncio.sleep(min(REST_MOST, REST * took))
         while self._patience > 0 and self._store.quiet < QUIET:

@@ -98,16 +98,16 @@ class Operator:
                 retry = min(retry * 2, self._resync_every)
 
     async def _list(self, *, report: bool) -> None:
-        begun = time.time()
+        started = time.time()
         for change in await self._lists.resync(gently=report):
-            if report and change.resource.plural in resync.WATCHED and _aged(change, begun):
+            if report and change.resource.plural in resync.WATCHED and _aged(change, started):
                 operator_metrics.MISSED.labels(change.resource.plural).inc()
         for key in change_index.unlisted(self._store):
             self._add(key)
         self._strays()
         self._resynced = time.monotonic()
         operator_metrics.RESYNCED.set_to_current_time()
-        operator_metrics.RESYNC_SECONDS.set(time.time() - begun)
+        operator_metrics.RESYNC_SECONDS.set(time.time() - started)
 
     def _strays(self) -> None:
         """Enqueue missing workloads and pools whose label is on pods or Secrets.
@@ -183,6 +183,6 @@ class Operator:
         operator_metrics.RECONCILED.labels(key.plural, result).inc()
 
 
-def _aged(change: ObservedChange, begun: float) -> bool:
+def _aged(change: ObservedChange, started: float) -> bool:
     """Whether a watch had enough time to report the change: a list may simply have been faster."""
-    return change.new is None or begun - kube_objects.created(change.new) > 5
+    return change.new is None or started - kube_objects.created(change.new) > 5

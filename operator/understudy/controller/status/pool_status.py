@@ -47,7 +47,7 @@ def count(observed: pool_pods.Observed, spec: FallbackPoolSpec, sized: Sized | N
             claimed=len(living) - len(held),
         )
     driving = [pod for pod in living if kube_objects.uid(pod) in observed.active]
-    waiting = [*(pod for pod in living if pod not in driving), *observed.stand_ins]
+    waiting = [*(pod for pod in living if pod not in driving), *observed.replacement_standbys]
     served = sum(pool_reader.serves(observed.pool, workload) for workload in observed.workloads.values())
     return Counts(
         replicas=len(waiting),
@@ -135,7 +135,7 @@ def _ready(observed: pool_pods.Observed, counts: Counts, problem: Problem | None
         return no(
             "NotAccepted", f"{counts.ready} of {counts.desired} are ready, and no more pods are created: see Accepted."
         )
-    for pod in sorted([*observed.pods, *observed.stand_ins], key=kube_objects.sort_key):
+    for pod in sorted([*observed.pods, *observed.replacement_standbys], key=kube_objects.sort_key):
         if found := trouble(pod):
             return no(found.reason, f"{counts.ready} of {counts.desired} are ready; {found.message}")
     state = f"{counts.ready} of {counts.desired} are ready"
@@ -163,7 +163,7 @@ def _available(observed: pool_pods.Observed, spec: FallbackPoolSpec, counts: Cou
 def _moving(observed: pool_pods.Observed) -> list[Condition]:
     """Return the condition for pods that are replaced because their node is about to go; empty if there are none."""
     made = [pod for pod in observed.pods if kube_objects.alive(pod) and kube_objects.uid(pod) not in observed.active]
-    waiting = [*made, *observed.stand_ins]
+    waiting = [*made, *observed.replacement_standbys]
     found = [
         pod for pod in waiting if names.CLAIM not in kube_objects.notes(pod) and leaving_nodes.on(pod, observed.leaving)
     ]

@@ -104,7 +104,9 @@ def considered(observed: Observed, workload_plan: WorkloadPlan) -> list[Strategy
             found.append(StrategyAvailability(strategy, strategy.type, availability.restart(there)))
         else:
             name = strategy.pool_ref.name
-            found.append(StrategyAvailability(strategy, f"Fallback from pool {name}", availability.fallback(name, there)))
+            found.append(
+                StrategyAvailability(strategy, f"Fallback from pool {name}", availability.fallback(name, there))
+            )
     return found
 
 
@@ -168,7 +170,7 @@ def waiting(observed: Observed, pool: Object) -> list[Object]:
     Pods of a controller that the workload only refers to have no agent.
     """
     active = kube_objects.active(observed.gate)[1]
-    if active and standby_pods.own_stands_by(observed):
+    if active and standby_pods.own_pod_may_replace(observed):
         # With standbys of several readiness levels, each counts for its own pool.
         others = {name for name in observed.standby_pools if name != kube_objects.name(pool)}
         found = [pod for pod in observed.instances if kube_objects.uid(pod) != active]

@@ -45,14 +45,16 @@ class Strategy(ABC):
 
     name: str
     pool: str = ""
-    standing = False
+    has_own_instance = False
     """Whether the instance runs for this robot already, so that trying it takes no pod from other robots."""
 
     @abstractmethod
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
         """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
 
-    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(
+        self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
+    ) -> Instance:
         """Bring an understudy to where it can drive while another instance drives, and leave the gate alone.
 
         It becomes the target of the progress before anything is done to it. Raises NotAvailable, NotVerified.

@@ -8,7 +8,7 @@ from understudy.failover.availability import STANDBY_NOT_READY, Availability, Po
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import StrategyContext, Strategy, Unfit
+from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
@@ -25,7 +25,7 @@ class ExecutingFallback(Strategy):
 
     name = "Fallback/Executing"
     readiness = "Executing"
-    standing = True
+    has_own_instance = True
 
     def __init__(
         self, pool: str, *, recovery: BringUp | None = None, others: Collection[str] = (), with_source: bool = True
@@ -82,7 +82,9 @@ class ExecutingFallback(Strategy):
         await wait_enforced(target, progress, context)
         return target
 
-    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(
+        self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
+    ) -> Instance:
         target = self._fitting(progress, context, unfit)
         if self.recovery is not None:
             await make_drivable(target, progress, context, self.recovery, within=within)

@@ -25,7 +25,9 @@ class InitializedFallback(ExecutingFallback):
             raise NotAvailable(self.available(context, progress) or "no standby is ready")
         return await self._behind_the_gate(candidates, progress, context, within)
 
-    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(
+        self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
+    ) -> Instance:
         target = self._fitting(progress, context, unfit)
         await make_drivable(target, progress, context, self.recovery, within=within)
         return target
@@ -33,4 +35,6 @@ class InitializedFallback(ExecutingFallback):
     def _interrupted_target(self, progress: Progress, context: StrategyContext) -> list[Instance]:
         """Return the standby that an interrupted run of this recovery began to bring up. It is no longer a candidate."""
         uid = progress.target.uid if progress.target is not None else ""
-        return [i for i in context.instances.of_workload() if i.uid == uid and i.usable and not progress.has_failed(uid)]
+        return [
+            i for i in context.instances.of_workload() if i.uid == uid and i.usable and not progress.has_failed(uid)
+        ]

@@ -17,7 +17,7 @@ from understudy.failover.availability import NO_POOL, Availability
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
+from understudy.failover.strategies.base import Choice, Strategy, StrategyContext
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.strategies.restart import Restart

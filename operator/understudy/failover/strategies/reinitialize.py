@@ -9,7 +9,7 @@ from understudy.failover.availability import INSTANCE_GONE, Availability
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
-from understudy.failover.strategies.base import StrategyContext, Strategy
+from understudy.failover.strategies.base import Strategy, StrategyContext
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,

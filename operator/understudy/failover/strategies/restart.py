@@ -6,7 +6,7 @@ from understudy.failover.availability import Availability, Resources, restart
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import Instance, NotAvailable, NotVerified
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import StrategyContext, Strategy, Unfit
+from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
@@ -50,7 +50,9 @@ class Restart(Strategy):
         await bring_up_and_open(target, progress, context, self.recovery, end=end)
         return target
 
-    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(
+        self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
+    ) -> Instance:
         """Possible only while a pod of a pool is active: then the workload's own controller can run a pod beside it."""
         end, active = loop_time() + within, context.gate.state.active_uid
         instances = context.instances.of_workload()

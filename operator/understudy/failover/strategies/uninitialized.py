@@ -11,7 +11,7 @@ from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import ClaimLost, ClaimsLost, Instance, NotAvailable
 from understudy.failover.pool_queue import YIELD_MOST, Waiter, at_once, before, in_order, left_by, turn
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import StrategyContext, Strategy, Unfit
+from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
 from understudy.failover.strategies.steps import (
     both,
     bring_up_and_open,
@@ -104,7 +104,9 @@ class UninitializedFallback(Strategy):
             served = False
         if served:
             return
-        reasons = [self.available(context, progress) or f"the monitor could not claim a pod of FallbackPool {self.pool}"]
+        reasons = [
+            self.available(context, progress) or f"the monitor could not claim a pod of FallbackPool {self.pool}"
+        ]
         if (restarted := self._restarted(progress, context)) is not None and self.wait_for:
             reasons.append(f"{restarted.name} is up already")
         elif progress.waiting is not None:
@@ -154,7 +156,9 @@ class UninitializedFallback(Strategy):
         await bring_up_and_open(target, progress, context, self.recovery, end=end)
         return target
 
-    async def make_ready(self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit) -> Instance:
+    async def make_ready(
+        self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
+    ) -> Instance:
         end = loop_time() + within
         await context.instances.refresh_unclaimed(self.pool)
         if (reason := self.available(context, progress)) is not None:
@@ -195,7 +199,9 @@ class UninitializedFallback(Strategy):
             raise ClaimsLost(self._overtaken)
         return target
 
-    async def _claim(self, progress: Progress, context: StrategyContext, unfit: Unfit = lambda instance: None) -> Instance | None:
+    async def _claim(
+        self, progress: Progress, context: StrategyContext, unfit: Unfit = lambda instance: None
+    ) -> Instance | None:
         """Claim one of the pods that it may take; return None if other workloads claimed all of them first."""
         while candidates := [i for i in self._candidates(progress, context) if unfit(i) is None]:
             try:

@@ -255,14 +255,14 @@ class ProbeReceiver:
             sock.close()
             raise
         self._socket = sock
-        self._look()
+        self._start_reading()
         bound: int = sock.getsockname()[1]
         return bound
 
     def close(self) -> None:
         """Stop receiving."""
         if self._socket is not None:
-            self._look_away()
+            self._stop_reading()
             self._socket.close()
             self._socket = None
 
@@ -297,7 +297,7 @@ class ProbeReceiver:
         Raises TimeoutError if none arrived within ``within`` seconds.
         """
         self._waiting += 1
-        self._look()
+        self._start_reading()
         try:
             async with asyncio.timeout(within):
                 while (first := self.first_since(uid, after)) is None:
@@ -306,7 +306,7 @@ class ProbeReceiver:
             self._waiting -= 1
         return first
 
-    def _look(self) -> None:
+    def _start_reading(self) -> None:
         """Let the event loop report arrivals from now on."""
         if self._resting is not None:
             self._resting.cancel()
@@ -314,7 +314,7 @@ class ProbeReceiver:
         if self._socket is not None:
             asyncio.get_running_loop().add_reader(self._socket.fileno(), self._arrived)
 
-    def _look_away(self) -> None:
+    def _stop_reading(self) -> None:
         if self._resting is not None:
             self._resting.cancel()
             self._resting = None
@@ -328,8 +328,8 @@ class ProbeReceiver:
         """
         self._take()
         if not self._waiting:
-            self._look_away()
-            self._resting = asyncio.get_running_loop().call_later(REST, self._look)
+            self._stop_reading()
+            self._resting = asyncio.get_running_loop().call_later(REST, self._start_reading)
         self._changed.set()
         self._changed = asyncio.Event()
 

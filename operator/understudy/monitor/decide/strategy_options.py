@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from understudy.api.base import seconds
-from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
+from understudy.failover.strategies.base import Choice, Strategy, StrategyContext
 from understudy.failover.strategies.registry import choices
 from understudy.kube.client import ApiError
 from understudy.monitor.observe.objects.cluster_view import ClusterView
@@ -51,11 +51,11 @@ class StrategyOptions:
         if not found:
             return False
         context = self.context()
-        return any(choice.strategy.standing and choice.strategy.available(context) is None for choice in found)
+        return any(choice.strategy.has_own_instance and choice.strategy.available(context) is None for choice in found)
 
     def holds(self, strategy: Strategy) -> str | None:
         """Why a strategy is not tried now although it could be."""
-        if strategy.standing or (storm := self._storms.on(time.time())) is None:
+        if strategy.has_own_instance or (storm := self._storms.on(time.time())) is None:
             return None
         return f"held because other workloads fail too: {storm.words}"
 

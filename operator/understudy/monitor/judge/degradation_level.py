@@ -73,7 +73,9 @@ class DegradationLevel:
         """Note why a hand-over that is due cannot begin; it is due again at the next evaluation."""
         self._due, self._lacking = False, BusyReason(kind, words)
 
-    def evaluate(self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, now: float, since: float) -> bool:
+    def evaluate(
+        self, policy: FailurePolicySpec, verdict: Verdict, active: Instance, *, now: float, since: float
+    ) -> bool:
         """Return whether the instance is degraded, given the verdict of its health tree. Times are Unix seconds."""
         if policy.degraded is None:
             if self._in_force:

@@ -360,11 +360,11 @@ class AgentConnections:
                 answer = await link.request("restore", {"state": wire, "within": rest}, within=rest + late)
                 return RestoreReport.from_wire(answer.get("report", {}))
             except (AgentRefused, ProtocolError) as error:
-                return state.not_given(str(error))
+                return state.none_restored(str(error))
             except (AgentGone, TimeoutError) as error:
                 problem = str(error) or problem
                 await asyncio.sleep(RETRY)
-        return state.not_given(f"{problem} within {end - begun:.3g} s")
+        return state.none_restored(f"{problem} within {end - begun:.3g} s")
 
     async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> dict[str, Any]:
         """What an instance's nodes answer about their parameters and states. Raises AgentGone, AgentRefused."""

@@ -87,7 +87,7 @@ class BlackBox:
         if (ring := self._ring) is None:
             return
         if self._present and not self._due:  # that recovery did not happen
-            ring.let_go()
+            ring.release()
         self._present = progress.id
         ring.hold(progress.moments.get("detected", time.time()))
         # The loop runs this while the failover waits for the API server.
@@ -101,7 +101,7 @@ class BlackBox:
         if progress.result != "Running":
             self._due.append(_Due(time.time() + AFTER, progress))
         elif not self._due and self._ring is not None:
-            self._ring.let_go()
+            self._ring.release()
 
     # -- when there is time -----------------------------------------------------------------------------------------
 
@@ -146,7 +146,12 @@ class BlackBox:
         track, now, published = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._notices.status
         if track.wanted:
             tree = self._observer.snapshot()
-            status = {"health": published.health, "active": published.active, "epoch": published.gate.epoch, "tree": tree}
+            status = {
+                "health": published.health,
+                "active": published.active,
+                "epoch": published.gate.epoch,
+                "tree": tree,
+            }
             track.add(now, now, 0, mcap_writer.text(json.dumps({"time": round(now, 6), **status})))
 
     async def _write(self, progress: Progress) -> None:
@@ -162,7 +167,7 @@ class BlackBox:
             notes["missedFrom"] = rfc3339(ring.full)
         left_out = dict(ring.left_out)
         if not self._present and not self._due:
-            ring.let_go()
+            ring.release()
         if recovery.number == self._last:
             return  # it failed again like before: how it began is kept
         events, problem = await self._events(progress)

@@ -18,7 +18,7 @@ from understudy.api.kinds.robot_workload import MonitorSettings
 from understudy.monitor.notices import Notices, StatusChanged
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
-from understudy.monitor.report.diagnostics_status import Details, WorkloadState, workload_state, status
+from understudy.monitor.report.diagnostics_status import Details, WorkloadState, status, workload_state
 from understudy.ros.actions.diagnostics_topic import Diagnostics
 from understudy.ros.actions.snapshot_streams import LEAST, Streams
 from understudy.ros.runtime.interface_types import TypeNotInstalled

@@ -37,7 +37,8 @@ class LiveTreePages:
             "epoch": published.gate.epoch,
             "strategy": published.strategy,
             "conditions": [
-                {"type": c.type, "status": c.status, "reason": c.reason, "message": c.message} for c in published.conditions
+                {"type": c.type, "status": c.status, "reason": c.reason, "message": c.message}
+                for c in published.conditions
             ],
             "recoveries": published.count,
             "tree": self._observer.snapshot(),

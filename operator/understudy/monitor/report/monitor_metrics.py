@@ -170,10 +170,12 @@ def _switched(recovery: Recovery, kind: str) -> None:
 
 
 class ObservationMetrics(Collector):
-    """Metrics that are read from the monitor's observations when Prometheus asks: reading them costs no further evaluation of the health tree."""
+    """Metrics that are read from the monitor's observations when Prometheus asks. No tree is evaluated for them."""
 
-    def __init__(self, records: Callable[[], Mapping[str, TopicRecord]], evaluations: Callable[[], tuple[int, int]]) -> None:
-        """``records`` returns what was received, by topic; ``evaluations`` how many evaluations there were, and how many of them were overruns."""
+    def __init__(
+        self, records: Callable[[], Mapping[str, TopicRecord]], evaluations: Callable[[], tuple[int, int]]
+    ) -> None:
+        """``records`` returns what was received, by topic; ``evaluations`` how many evaluations and overruns there were."""
         self._records, self._evaluations = records, evaluations
 
     def describe(self) -> Iterable[Metric]:

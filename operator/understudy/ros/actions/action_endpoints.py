@@ -211,14 +211,14 @@ class ActionServer:
 
     def _goal_asked(self, request: Any, identity: RequestId) -> None:
         data = serialize_message(request.goal)
-        self._served.tell(self._asked.goal, identity, _hex(request.goal_id), data)
+        self._served.call_in_loop(self._asked.goal, identity, _hex(request.goal_id), data)
 
     def _cancel_asked(self, request: Any, identity: RequestId) -> None:
         goal, until = _hex(request.goal_info.goal_id), _nanoseconds(request.goal_info.stamp)
-        self._served.tell(self._asked.cancel, identity, CancelRequest("" if goal == _NONE else goal, until))
+        self._served.call_in_loop(self._asked.cancel, identity, CancelRequest("" if goal == _NONE else goal, until))
 
     def _result_asked(self, request: Any, identity: RequestId) -> None:
-        self._served.tell(self._asked.result, identity, _hex(request.goal_id))
+        self._served.call_in_loop(self._asked.result, identity, _hex(request.goal_id))
 
     def _taking(self, service: Any, request: Any, taken: Callable[[Any, RequestId], None]) -> Callable[[], None]:
         def take() -> None:
@@ -369,7 +369,7 @@ class ActionClient:
         return take
 
     def _feedback_came(self, data: bytes) -> None:
-        self._served.tell(self._on_feedback, data[_ID].hex(), data)
+        self._served.call_in_loop(self._on_feedback, data[_ID].hex(), data)
 
     def _status_came(self, data: bytes) -> None:
         found = deserialize_message(data, GoalStatusArray)
@@ -378,7 +378,7 @@ class ActionClient:
             for s in found.status_list
         ]
         if self._on_status is not None:
-            self._served.tell(self._on_status, goals)
+            self._served.call_in_loop(self._on_status, goals)
 
 
 def _ignore_message(message: object) -> None:

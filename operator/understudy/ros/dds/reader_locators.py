@@ -116,7 +116,7 @@ class _Visit(asyncio.DatagramProtocol):
         self._participants: dict[bytes, Participant] = {}
         self._readers: dict[bytes, tuple[Locator, ...]] = {}
         self._had: dict[bytes, set[int]] = {}
-        self._heard: dict[bytes, Heartbeat] = {}
+        self._heartbeats: dict[bytes, Heartbeat] = {}
         self._answers = itertools.count(1)
 
     @property
@@ -167,9 +167,9 @@ class _Visit(asyncio.DatagramProtocol):
         if isinstance(submessage, Gap):
             self._had.setdefault(submessage.writer, set()).update(submessage.numbers)
         elif isinstance(submessage, Heartbeat):
-            if submessage.writer[rtps.PREFIX :] in rtps.ANSWERED and submessage.writer not in self._heard:
+            if submessage.writer[rtps.PREFIX :] in rtps.ANSWERED and submessage.writer not in self._heartbeats:
                 asyncio.get_running_loop().call_later(RESPONSE, self._answer, submessage.writer)
-            self._heard[submessage.writer] = submessage
+            self._heartbeats[submessage.writer] = submessage
         else:
             self._had.setdefault(submessage.writer, set()).add(submessage.number)
             if isinstance(submessage.entity, Reader):
@@ -181,7 +181,7 @@ class _Visit(asyncio.DatagramProtocol):
 
     def _answer(self, writer: bytes) -> None:
         """Request the samples of a writer that were not received yet."""
-        heartbeat, had = self._heard.pop(writer), self._had.get(writer, set())
+        heartbeat, had = self._heartbeats.pop(writer), self._had.get(writer, set())
         numbers = range(max(heartbeat.first, 1), heartbeat.last + 1)
         missing = list(itertools.islice((n for n in numbers if n not in had), rtps.MOST_MISSING))
         if self._server:

@@ -35,7 +35,7 @@ Subject = TypeVar("Subject", bound=Hashable)
 Fact = TypeVar("Fact", bound=Hashable)
 """A fact about a subject, such as a state."""
 
-Said = TypeVar("Said", bound=Evidence)
+EvidenceT = TypeVar("EvidenceT", bound=Evidence)
 """The form of a fact for a health tree."""
 
 
@@ -52,7 +52,7 @@ class _Question(Generic[Fact]):
 
 
 @dataclass
-class _Inquiry(Generic[Fact, Said]):
+class _Inquiry(Generic[Fact, EvidenceT]):
     """The state of knowledge about a subject."""
 
     client: Any = None
@@ -62,20 +62,20 @@ class _Inquiry(Generic[Fact, Said]):
     """The fact; None if it is not known."""
     blind: str = ""
     """Why it cannot be determined."""
-    said: Said | None = None
+    evidence: EvidenceT | None = None
     of: Fact | None = None
     """The fact that was reported."""
     event: object = None
     """The last message that was examined."""
     servers: frozenset[bytes] | None = None
-    """Servers of the active instance at the last look, by GID. Other servers belong to another process."""
+    """Servers of the active instance at the last refresh, by GID. Other servers belong to another process."""
     moved: bool = False
     """Whether the subject has reported a change since then."""
     question: _Question[Fact] | None = None
     next: float = 0.0
 
 
-class Inquiries(ABC, Generic[Subject, Fact, Said]):
+class Inquiries(ABC, Generic[Subject, Fact, EvidenceT]):
     """Facts about some subjects. Times are Unix seconds."""
 
     def __init__(
@@ -87,7 +87,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         on a topic. ``alone`` says that no other nodes can be reached.
         """
         self._graph, self._counts, self._own, self._alone = graph, counts, own, alone
-        self._inquiries: dict[Subject, _Inquiry[Fact, Said]] = {}
+        self._inquiries: dict[Subject, _Inquiry[Fact, EvidenceT]] = {}
 
     # -- kind of fact ------------------------------------------------------------------------------------------------
 
@@ -123,7 +123,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         """Return why the fact cannot be determined, given the number of nodes in different pods and their answers."""
 
     @abstractmethod
-    def evidence(self, received: float, fact: Fact | None) -> Said:
+    def evidence(self, received: float, fact: Fact | None) -> EvidenceT:
         """Return the fact at a time, for a health tree; None if it cannot be determined."""
 
     # -- knowledge ---------------------------------------------------------------------------------------------------
@@ -146,7 +146,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         for subject, inquiry in self._inquiries.items():
             self._inquiries[subject] = _Inquiry(inquiry.client, inquiry.response)
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Process what has been received, and send requests that are due."""
         now = time.monotonic()
         for subject, inquiry in self._inquiries.items():
@@ -156,18 +156,18 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
                 self._ask(subject, inquiry)
                 known = inquiry.fact is not None and inquiry.fact != self.absent
                 inquiry.next = now + (PERIOD if known else RETRY)
-            self._say(inquiry)
+            self._update_evidence(inquiry)
 
     def shift(self, seconds: float) -> None:
         """Move all times, after the clock was set."""
         for inquiry in self._inquiries.values():
-            if inquiry.said is not None:
-                inquiry.said.received += seconds
+            if inquiry.evidence is not None:
+                inquiry.evidence.received += seconds
 
-    def of(self, subject: Subject) -> Said | None:
+    def of(self, subject: Subject) -> EvidenceT | None:
         """Return the fact about a subject; None if nothing is known (yet)."""
         inquiry = self._inquiries.get(subject)
-        return inquiry.said if inquiry is not None else None
+        return inquiry.evidence if inquiry is not None else None
 
     def close(self) -> None:
         """Remove all clients."""
@@ -175,7 +175,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
 
     # -- events ------------------------------------------------------------------------------------------------------
 
-    def _follow_events(self, subject: Subject, inquiry: _Inquiry[Fact, Said]) -> None:
+    def _follow_events(self, subject: Subject, inquiry: _Inquiry[Fact, EvidenceT]) -> None:
         record = self._own(self.topic(subject))
         if record is None or not record.contents or record.contents[-1] is inquiry.event:
             return
@@ -190,12 +190,12 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
             if fact is not None:
                 inquiry.fact, inquiry.blind = fact, ""
                 inquiry.question, inquiry.moved = None, True  # answers may be older than the event
-                inquiry.said, inquiry.of = self.evidence(content.received, fact), fact
+                inquiry.evidence, inquiry.of = self.evidence(content.received, fact), fact
                 return
 
     # -- requests ----------------------------------------------------------------------------------------------------
 
-    def _ask(self, subject: Subject, inquiry: _Inquiry[Fact, Said]) -> None:
+    def _ask(self, subject: Subject, inquiry: _Inquiry[Fact, EvidenceT]) -> None:
         if inquiry.question is not None:
             self._conclude(subject, inquiry, inquiry.question)
         service, type_name = self.service(subject)
@@ -216,7 +216,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
         reached = len(own) if self._alone else len(ends)
         inquiry.question = _Question(number, reached, reached == len(own))
 
-    def _take_answers(self, subject: Subject, inquiry: _Inquiry[Fact, Said]) -> None:
+    def _take_answers(self, subject: Subject, inquiry: _Inquiry[Fact, EvidenceT]) -> None:
         while (question := inquiry.question) is not None:
             with inquiry.client.handle:
                 info, answer = inquiry.client.handle.take_response(inquiry.response)
@@ -228,7 +228,7 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
             if len(question.answers) == question.servers:
                 self._conclude(subject, inquiry, question)
 
-    def _conclude(self, subject: Subject, inquiry: _Inquiry[Fact, Said], question: _Question[Fact]) -> None:
+    def _conclude(self, subject: Subject, inquiry: _Inquiry[Fact, EvidenceT], question: _Question[Fact]) -> None:
         """Evaluate the answers, when all have arrived or the time is over."""
         inquiry.question = None
         whole = len(question.answers) == question.servers
@@ -242,14 +242,14 @@ class Inquiries(ABC, Generic[Subject, Fact, Said]):
             found = f"some are {' and some '.join(words)}" if whole else f"{len(question.answers)} answered"
             inquiry.blind = self.blind(subject, question.servers, found)
 
-    def _say(self, inquiry: _Inquiry[Fact, Said]) -> None:
+    def _update_evidence(self, inquiry: _Inquiry[Fact, EvidenceT]) -> None:
         if inquiry.fact is None and not inquiry.blind:
-            inquiry.said = inquiry.of = None
+            inquiry.evidence = inquiry.of = None
             return
         now = time.time()
-        if inquiry.said is None or inquiry.of != inquiry.fact or now >= inquiry.said.received + LOOK:
-            inquiry.said, inquiry.of = self.evidence(now, inquiry.fact), inquiry.fact
+        if inquiry.evidence is None or inquiry.of != inquiry.fact or now >= inquiry.evidence.received + LOOK:
+            inquiry.evidence, inquiry.of = self.evidence(now, inquiry.fact), inquiry.fact
 
-    def _end(self, inquiry: _Inquiry[Fact, Said]) -> None:
+    def _end(self, inquiry: _Inquiry[Fact, EvidenceT]) -> None:
         if inquiry.client is not None:
             self._graph.node.destroy_client(inquiry.client)

@@ -3,7 +3,7 @@
 The graph's list of nodes does not contain their places, and instances of one workload have nodes of the same names. But
 each endpoint has a GID, which identifies its host (Middleware.host_of), and the name of its node. Every node of rclcpp
 and rclpy has a publisher of ``/parameter_events``, unless it is configured not to. In that case another of its
-endpoints is looked for.
+endpoints is observed for.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ class NodePresenceWatch:
         self._seen = dict.fromkeys(self._seen)
         self._next = self._again = 0.0
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Check, if that is due."""
         now = time.monotonic()
         if not self._seen or now < self._next:
             return
         self._next = now + PERIOD
-        looked, count = time.time(), self._graph.publisher_count(EVENTS)
+        observed, count = time.time(), self._graph.publisher_count(EVENTS)
         if count == self._count and now < self._again:
             for seen in self._seen.values():
                 if seen is not None:
-                    self._seen[seen.node] = NodePresence(looked, seen.node, seen.there, seen.elsewhere)
+                    self._seen[seen.node] = NodePresence(observed, seen.node, seen.there, seen.elsewhere)
             return
         ends = self._graph.publishers(EVENTS)
         # The name of a node arrives a moment after its first endpoint.
@@ -66,7 +66,7 @@ class NodePresenceWatch:
         for name in self._seen:
             if name not in present and (found := self._graph.endpoints_of(name)):
                 present[name] = any(self._counts(end.gid) for end in found)
-            self._seen[name] = NodePresence(looked, name, present.get(name, False), name in present)
+            self._seen[name] = NodePresence(observed, name, present.get(name, False), name in present)
 
     def shift(self, seconds: float) -> None:
         """Move all times, after the clock was set."""

@@ -31,16 +31,16 @@ class PublisherPresence:
         self._seen = dict.fromkeys(self._seen)
         self._next = 0.0
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Check, if that is due."""
         now = time.monotonic()
         if not self._seen or now < self._next:
             return
         self._next = now + PERIOD
         for name in self._seen:
-            looked = time.time()
+            observed = time.time()
             nodes = tuple(end.node for end in self._graph.publishers(name) if self._counts(end.gid))
-            self._seen[name] = Publishers(looked, nodes)
+            self._seen[name] = Publishers(observed, nodes)
 
     def shift(self, seconds: float) -> None:
         """Move all times, after the clock was set."""

@@ -125,11 +125,11 @@ class SampleRing:
         return True
 
     def hold(self, failed: float) -> None:
-        """Keep all messages from the time before a failure on, as far as there is memory, until :meth:`let_go`."""
+        """Keep all messages from the time before a failure on, as far as there is memory, until :meth:`release`."""
         if self.since is None:
             self.since, self.full, self.limit = failed - self.seconds, None, self._memory
 
-    def let_go(self) -> None:
+    def release(self) -> None:
         """Forget old messages again."""
         self.since, self.full, self.limit = None, None, int(self._memory * ROOM)
 

@@ -65,10 +65,10 @@ class _Topic:
     latched: bool = False
     matched: int = 0
     next_count: float = 0.0
-    next_look: float = 0.0
+    next_check: float = 0.0
     problem: str = ""
     waiting: str = ""
-    standing: dict[bytes, Captured] = field(default_factory=dict)
+    latest: dict[bytes, Captured] = field(default_factory=dict)
     """The last message of each instance, by the HOST part of its GIDs, if its publisher gives it to late joiners."""
 
 
@@ -90,7 +90,7 @@ class StateSamples:
         for name, type_name in topics.items():
             if name not in self._topics:
                 self._topics[name] = topic = _Topic(name, type_name)
-                self._look(topic)
+                self._subscribe(topic)
 
     def attribute(self, instances: Mapping[str, str], active: str) -> bool:
         """Set the instances (IP by pod name) and the active one (empty for none).
@@ -102,10 +102,10 @@ class StateSamples:
         changed, self._active = active != self._active, active
         self._sources = Sources(instances)
         for topic in self._topics.values():
-            topic.standing = {host: last for host, last in topic.standing.items() if self._sources.candidates(host)}
+            topic.latest = {host: last for host, last in topic.latest.items() if self._sources.candidates(host)}
             if changed:
                 # Messages that it published as a standby remain valid, and are not published again.
-                self._again += [last for host, last in topic.standing.items() if self._counts(host)]
+                self._again += [last for host, last in topic.latest.items() if self._counts(host)]
         return changed
 
     @property
@@ -125,10 +125,10 @@ class StateSamples:
 
     # -- subscriptions ----------------------------------------------------------------------------------------------
 
-    def _look(self, topic: _Topic) -> None:
+    def _subscribe(self, topic: _Topic) -> None:
         """Subscribe in the way that the present publishers require."""
         publishers = self._graph.publishers(topic.name)
-        topic.next_look = time.monotonic() + (LOOK_AGAIN if publishers else LOOK_UP)
+        topic.next_check = time.monotonic() + (LOOK_AGAIN if publishers else LOOK_UP)
         topic.problem = topic.waiting = ""
         types = {publisher.type for publisher in publishers}
         type_name = topic.type or (types.pop() if len(types) == 1 else None)
@@ -177,9 +177,9 @@ class StateSamples:
             if now >= topic.next_count:
                 topic.next_count = now + LOOK_UP
                 matched = topic.subscription.get_publisher_count() if topic.subscription is not None else 0
-                if matched != topic.matched or now >= topic.next_look:
+                if matched != topic.matched or now >= topic.next_check:
                     topic.matched = matched
-                    self._look(topic)
+                    self._subscribe(topic)
         return found
 
     def _drain(self, topic: _Topic) -> list[Captured]:
@@ -207,7 +207,7 @@ class StateSamples:
                     gid,
                 )
                 if topic.latched and self._sources.candidates(host) and len(message.data) <= LARGEST_WAITING:
-                    topic.standing[host] = message
+                    topic.latest[host] = message
                 if counts and (last is None or _order(message) >= _order(last)):
                     last = message
         return [last] if last is not None else []
@@ -216,9 +216,9 @@ class StateSamples:
         """Move all times by ``step`` seconds, after the clock was set."""
         for topic in self._topics.values():
             topic.subscribed_at += step
-            topic.standing = {
+            topic.latest = {
                 host: last._replace(taken_at=last.taken_at + step, received_at=last.received_at + step)
-                for host, last in topic.standing.items()
+                for host, last in topic.latest.items()
             }
 
 

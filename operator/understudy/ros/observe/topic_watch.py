@@ -356,14 +356,14 @@ class TopicWatch:
             self._next_look_up = now + LOOK_UP
             self._look_up_types()
             self._forget_servers()
-        self._presence.look()
-        self._inhabitants.look()
+        self._presence.refresh()
+        self._inhabitants.refresh()
         taken = 0
         for topic in self._topics.values():
             if topic.subscription is not None:
                 taken += self._drain(topic, low, high)
-        self._lifecycles.look()
-        self._parameters.look()
+        self._lifecycles.refresh()
+        self._parameters.refresh()
         self._drained = time.time()
         return taken
 

@@ -128,8 +128,8 @@ class Graph:
             *((topic, self.publishers) for topic, _ in published),
             *((topic, self.subscribers) for topic, _ in read),
         ]
-        looks = ([end for end in ends(topic) if end.node == node] for topic, ends in topics)
-        return next((found for found in looks if found), [])
+        endpoints = ([end for end in ends(topic) if end.node == node] for topic, ends in topics)
+        return next((found for found in endpoints if found), [])
 
     def subscribers(self, topic: str) -> list[Endpoint]:
         """Return the subscribers of a topic, including this process's own."""

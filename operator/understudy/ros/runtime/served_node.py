@@ -123,7 +123,7 @@ class ServedNode:
         self._entities[kind] = [entry for entry in self._entities[kind] if entry[0] is not entity]
         getattr(self.node, f"destroy_{kind}")(entity)
 
-    def tell(self, function: Callable[..., None], *arguments: Any) -> None:
+    def call_in_loop(self, function: Callable[..., None], *arguments: Any) -> None:
         """Call a function in the event loop."""
         with contextlib.suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(function, *arguments)

@@ -59,7 +59,7 @@ class ServiceClient:
                 return
             future = self._waiting.get(info.request_id.sequence_number)
             if future is not None:
-                self._served.tell(_settle, future, response)
+                self._served.call_in_loop(_settle, future, response)
 
 
 def _settle(future: asyncio.Future[Any], response: Any) -> None:

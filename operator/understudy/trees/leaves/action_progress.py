@@ -11,7 +11,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace, State, duration
 from understudy.trees.core.observations import Content, TopicRecord, Unreadable
 from understudy.trees.core.task_activity import TaskActive
-from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, time_key
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, LeafValues, time_key
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.expression_values import Undefined
 from understudy.trees.source.expressions import ExpressionError, Quantity
@@ -91,7 +91,8 @@ class ProgressLeaf(ContentLeaf):
             return math.inf
         record = self._record()
         return (
-            max(record.last if record is not None and record.last is not None else -math.inf, self.clocks_start()) + self._gap
+            max(record.last if record is not None and record.last is not None else -math.inf, self.clocks_start())
+            + self._gap
         )
 
     def _stalled(self, track: EvidenceTrack[Content]) -> float:

@@ -9,9 +9,9 @@ from understudy.trees.core.leaf import LeafPlace, duration
 from understudy.trees.core.observations import Content
 from understudy.trees.leaves.leaf_plan import (
     TYPE,
-    LeafValues,
     LeafKind,
     LeafPlan,
+    LeafValues,
     fails_on_arrival,
     time_key,
     topic_key,

@@ -9,10 +9,10 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.leaf_plan import (
-    LeafValues,
     Key,
     LeafKind,
     LeafPlan,
+    LeafValues,
     fails_on_arrival,
     time_key,
     topic_key,

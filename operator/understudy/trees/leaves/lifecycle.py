@@ -7,9 +7,9 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import NodeState
 from understudy.trees.leaves.leaf_plan import (
-    LeafValues,
     LeafKind,
     LeafPlan,
+    LeafValues,
     fails_on_arrival,
     node_key,
     time_key,

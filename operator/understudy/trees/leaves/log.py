@@ -12,7 +12,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.core.task_activity import task_timing
-from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, node_key, time_key, word_key
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, LeafValues, node_key, time_key, word_key
 from understudy.trees.source.value_reader import found_text, whole_number_of
 
 TYPE = "rcl_interfaces/msg/Log"

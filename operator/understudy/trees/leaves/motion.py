@@ -13,7 +13,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import IntervalLeaf, LeafPlace, State
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.core.task_activity import task_timing
-from understudy.trees.leaves.leaf_plan import TYPE, LeafValues, Key, LeafKind, LeafPlan, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import TYPE, Key, LeafKind, LeafPlan, LeafValues, time_key, topic_key
 from understudy.trees.source.value_reader import found_text
 
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -6,7 +6,7 @@ from understudy.trees.core.evidence import EvidenceLeaf, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import State, duration
 from understudy.trees.core.observations import NodePresence
-from understudy.trees.leaves.leaf_plan import LeafValues, LeafKind, LeafPlan, node_key, time_key
+from understudy.trees.leaves.leaf_plan import LeafKind, LeafPlan, LeafValues, node_key, time_key
 
 
 class NodeLeaf(EvidenceLeaf[NodePresence]):

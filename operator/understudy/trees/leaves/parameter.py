@@ -11,7 +11,7 @@ from understudy.trees.core.evidence import AnswerLeaf
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import ParameterState, ParameterValue
-from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, node_key, time_key
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, LeafValues, node_key, time_key
 from understudy.trees.source.value_reader import found_text
 
 TYPE = "rcl_interfaces/msg/ParameterEvent"

@@ -20,7 +20,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import IntervalLeaf, Leaf, LeafPlace, State, duration
 from understudy.trees.core.observations import PodState
 from understudy.trees.core.task_activity import task_timing
-from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, time_key
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, LeafValues, time_key
 from understudy.trees.source.value_reader import found_text, whole_number_of
 
 POD = "pod"

@@ -6,7 +6,7 @@ from understudy.trees.core.evidence import EvidenceLeaf, Finding
 from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace
 from understudy.trees.core.observations import Publishers
-from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, node_key, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, LeafValues, node_key, time_key, topic_key
 from understudy.trees.source.value_reader import whole_number_of
 
 MOST = 1000

@@ -11,7 +11,7 @@ from understudy.trees.core.leaf import Leaf, LeafPlace, State, duration
 from understudy.trees.core.observations import TopicRecord
 from understudy.trees.core.rate_window import Band, Window, hertz
 from understudy.trees.core.task_activity import TaskTiming, task_timing
-from understudy.trees.leaves.leaf_plan import TYPE, LeafValues, Key, LeafKind, LeafPlan, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import TYPE, Key, LeafKind, LeafPlan, LeafValues, time_key, topic_key
 from understudy.trees.source.value_reader import found_text
 
 

@@ -13,7 +13,7 @@ from understudy.trees.core.health_tree import WatchedTopic
 from understudy.trees.core.leaf import LeafPlace, State, duration
 from understudy.trees.core.observations import Content, Unreadable
 from understudy.trees.leaves.age import rounded
-from understudy.trees.leaves.leaf_plan import LeafValues, Key, LeafKind, LeafPlan, fails_on_arrival, time_key, topic_key
+from understudy.trees.leaves.leaf_plan import Key, LeafKind, LeafPlan, LeafValues, fails_on_arrival, time_key, topic_key
 from understudy.trees.leaves.message_content import ContentLeaf
 from understudy.trees.source.value_reader import found_text
 
@@ -106,7 +106,12 @@ class TransformLeaf(ContentLeaf):
 
     def _plain_reason(self, state: State) -> str:
         track = self.followed()
-        if state == "Failed" and track.last_finding is not None and track.held and self._evaluation.now >= self._silent(track):
+        if (
+            state == "Failed"
+            and track.last_finding is not None
+            and track.held
+            and self._evaluation.now >= self._silent(track)
+        ):
             return f"no {self.awaited()} for {duration(self._gap)}"
         if state == "Healthy" and track.last_finding is not None:
             return f"{self.awaited()} is received"

@@ -10,7 +10,7 @@ from understudy.cli.common.text.tree_text import Rates, lines
 def told(*looks: dict[str, object], colours: bool = False) -> list[str]:
     rates = Rates()
     for look in looks:
-        rates.look(look)
+        rates.update(look)
     return list(lines(looks[-1], rates, colours=colours))
 
 

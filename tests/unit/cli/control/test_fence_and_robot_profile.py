@@ -36,7 +36,7 @@ def heard(item: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fence, "HEARD_WITHIN", 0.5)
+    monkeypatch.setattr(fence, "CONFIRM_WITHIN", 0.5)
     monkeypatch.setattr(fence, "LOOK", 0.05)
 
 

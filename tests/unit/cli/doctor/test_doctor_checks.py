@@ -28,7 +28,7 @@ from understudy.cli.doctor import (
     test_pods,
 )
 from understudy.cli.doctor.clock_check import Clock
-from understudy.cli.doctor.command import said_by_monitors
+from understudy.cli.doctor.command import monitor_findings
 from understudy.cli.doctor.installation_check import Installed
 from understudy.cli.doctor.packet_check import GateTest
 from understudy.controller.plan import Images
@@ -260,7 +260,7 @@ def test_a_condition_about_gate_or_readers_is_reported_once(
     item = fleet.workload(
         "robot-1", status=fleet.status("robot-1", "x", 1, fleet.said(type_, status, reason, "It is."))
     )
-    assert [(one.check, one.level, one.cure) for one in said_by_monitors([item])] == expected
+    assert [(one.check, one.level, one.cure) for one in monitor_findings([item])] == expected
 
 
 @pytest.mark.parametrize(
@@ -276,8 +276,8 @@ def test_a_condition_about_gate_or_readers_is_reported_once(
 )
 def test_a_monitor_of_another_version_is_reported(monitor: MonitorStatus | None, expected: list[str]) -> None:
     item = fleet.workload("robot-1", status=fleet.status("robot-1", "x", 1, monitor=monitor))
-    found = list(said_by_monitors([item]))
+    found = list(monitor_findings([item]))
     assert [one.found for one in found] == expected
     assert all((one.check, one.level) == ("monitor of robot-1", "WARN") for one in found)
     item["status"] = {"conditions": []}
-    assert list(said_by_monitors([item])) == [], "one that has said nothing yet"
+    assert list(monitor_findings([item])) == [], "one that has said nothing yet"

@@ -20,7 +20,7 @@ from understudy.failover import switchover
 from understudy.failover.bring_up import BringUp
 from understudy.failover.interfaces import GateState, Instance
 from understudy.failover.progress import PodIdentity, Progress
-from understudy.failover.strategies.base import Choice, StrategyContext, Strategy
+from understudy.failover.strategies.base import Choice, Strategy, StrategyContext
 from understudy.failover.strategies.executing import ExecutingFallback
 from understudy.failover.strategies.initialized import InitializedFallback
 from understudy.failover.switchover import Preparation

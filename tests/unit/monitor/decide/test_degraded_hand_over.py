@@ -122,7 +122,8 @@ class TestHandingOver:
         world.observer.well = SLOW
         world.look(10, given=HANDED)
         world.levels.wait(
-            "FirstStrategyUnavailable", "the first strategy can't be carried out (pool hot has no standby for this workload)"
+            "FirstStrategyUnavailable",
+            "the first strategy can't be carried out (pool hot has no standby for this workload)",
         )
         assert world.levels.due is None
         world.look(0.3, given=HANDED)

@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 from tests.unit.monitor.diagnosed import TREE
 from understudy.api.kinds.robot_workload import GateStatus, Health, Moments, Parts, Recovery
 from understudy.monitor.notices import Notices, PublishedStatus
-from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, Details, workload_state, status
+from understudy.monitor.report.diagnostics_status import LEVELS, LONGEST, Details, status, workload_state
 from understudy.ros.actions.diagnostics_topic import Status
 
 NONE: Any = None

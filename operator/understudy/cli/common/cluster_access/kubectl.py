@@ -202,7 +202,7 @@ def _is_interactive() -> bool:
 
 def _run_command(command: Sequence[str], stdin: int | None) -> tuple[int, str, str]:
     """Run a command; return its exit status, output and error output. Error output of a slow command is shown meanwhile."""
-    shown = heard = 0
+    shown = received = 0
     with subprocess.Popen(command, stdin=stdin, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:
         try:
             while True:
@@ -210,8 +210,8 @@ def _run_command(command: Sequence[str], stdin: int | None) -> tuple[int, str, s
                     output, errors = running.communicate(timeout=PATIENCE)
                 except subprocess.TimeoutExpired as waiting:
                     errors = waiting.stderr or b""
-                    _show(errors[shown:heard])
-                    shown, heard = heard, len(errors)
+                    _show(errors[shown:received])
+                    shown, received = received, len(errors)
                 else:
                     return running.returncode, output.decode(), errors.decode(errors="replace")
         except BaseException:

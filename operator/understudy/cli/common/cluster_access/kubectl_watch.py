@@ -20,18 +20,18 @@ class Watch:
     def __init__(self, command: Sequence[str]) -> None:
         self._command = command
         self._running: subprocess.Popen[bytes] | None = None
-        self._begun = 0.0
+        self._started = 0.0
 
     def begin(self) -> None:
         """Start the process."""
-        self._begun = time.monotonic()
+        self._started = time.monotonic()
         self._running = subprocess.Popen(
             self._command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
         )
 
     def restart_if_due(self) -> None:
         """Start the process again if it ended, at the earliest PAUSE after its last start."""
-        if self._running is None and time.monotonic() >= self._begun + PAUSE:
+        if self._running is None and time.monotonic() >= self._started + PAUSE:
             self.begin()
 
     @property

@@ -42,8 +42,8 @@ class Session:
 
     def _last_words(self) -> str:
         assert self._running.stderr is not None, "it is a pipe"
-        said = self._running.stderr.read().decode(errors="replace").strip().splitlines()
-        return said[-1] if said else "without a message"
+        lines = self._running.stderr.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "without a message"
 
 
 @contextlib.contextmanager

@@ -18,7 +18,7 @@ class Rates:
     _before: dict[str, tuple[int, float]] = field(default_factory=dict)
     _rates: dict[str, float] = field(default_factory=dict)
 
-    def look(self, state: Mapping[str, Any]) -> None:
+    def update(self, state: Mapping[str, Any]) -> None:
         """Add a state of the monitor."""
         for path, node in _nodes(state.get("tree")):
             if "received" not in node:
@@ -47,9 +47,9 @@ def lines(state: Mapping[str, Any], rates: Rates, *, colours: bool) -> Iterator[
         f"active instance: {plain(state['active']) or 'none'} (epoch {state['epoch']}); policy {plain(state['policy']) or 'none'}; "
         f"next strategy: {plain(state['strategy']) or 'unknown'}; recoveries: {state['recoveries']}"
     )
-    for said in state.get("conditions", ()):
-        if said["type"] == "Degraded" and said["status"] == "True":
-            yield f"degraded: {plain(said['message'])}"
+    for condition in state.get("conditions", ()):
+        if condition["type"] == "Degraded" and condition["status"] == "True":
+            yield f"degraded: {plain(condition['message'])}"
     yield ""
     yield from tree_lines(state.get("tree"), rates, colours=colours)
     notes = [plain(note) for note in state["notes"]]

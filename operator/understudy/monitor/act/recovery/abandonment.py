@@ -99,7 +99,8 @@ class Abandonment:
         left = [
             one
             for one in self._known
-            if one.id != concluded and (one.matches(record.epoch, record.recovery) or one.may_still_commit(record.epoch))
+            if one.id != concluded
+            and (one.matches(record.epoch, record.recovery) or one.may_still_commit(record.epoch))
         ]
         if left != self._known:
             self._keep(left)

@@ -322,7 +322,14 @@ class PlannedSwitchovers:
         published = self._notices.status.switchover
         if published is not None and published.phase not in ENDED:
             message = "Nothing was changed: the request was withdrawn."
-            self._report(published.kind, published.request, "NotDone", message, target=published.target, recovery=published.recovery)
+            self._report(
+                published.kind,
+                published.request,
+                "NotDone",
+                message,
+                target=published.target,
+                recovery=published.recovery,
+            )
 
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
         """An understudy that something was done to is not needed. A pod of the workload's own controller is that one's business."""
@@ -343,7 +350,11 @@ class PlannedSwitchovers:
     def _is_new(self, wanted: Wanted) -> bool:
         """Whether the last report is about another request."""
         published = self._notices.status.switchover
-        return published is None or published.phase in ENDED or (published.kind, published.request) != (wanted.kind, wanted.request)
+        return (
+            published is None
+            or published.phase in ENDED
+            or (published.kind, published.request) != (wanted.kind, wanted.request)
+        )
 
     def _say(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
         target = progress.target.name if progress.target is not None else ""

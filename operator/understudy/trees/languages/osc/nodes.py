@@ -79,7 +79,9 @@ class Nodes:
         if called in dialect.actions:
             action = dialect.actions[called]
             arguments = self._arguments(part, label, action)
-            if arguments is None or (not RATES.keys().isdisjoint(action.arguments) and not self._rated(part, label, arguments)):
+            if arguments is None or (
+                not RATES.keys().isdisjoint(action.arguments) and not self._rated(part, label, arguments)
+            ):
                 return None
             return _written(Origin(label, part.line, part.column), action, arguments, self._named(name))
         if called in dialect.modifiers:
@@ -169,7 +171,9 @@ class Nodes:
         bounds = [name for name in arguments if name in RATES]
         if len(bounds) > 1 and set(bounds) != {"rate_min", "rate_max"}:
             self._note(
-                arguments[bounds[1]][1], label, f"found {' and '.join(bounds)}; give one of them, or rate_min and rate_max"
+                arguments[bounds[1]][1],
+                label,
+                f"found {' and '.join(bounds)}; give one of them, or rate_min and rate_max",
             )
             return False
         if not bounds and "gap" not in arguments:
@@ -192,7 +196,11 @@ class Nodes:
 
 
 def _written(
-    origin: Origin, behavior: Behavior, arguments: _Arguments, name: Part | None, children: list[ParsedNode] | None = None
+    origin: Origin,
+    behavior: Behavior,
+    arguments: _Arguments,
+    name: Part | None,
+    children: list[ParsedNode] | None = None,
 ) -> ParsedNode:
     """Build a node of the library with the given values."""
     spelled = {name: value for name, (value, _) in arguments.items()}

@@ -1,4 +1,4 @@
-"""Pods of a workload's own controller that stand by in place of a standby that is active."""
+"""Replacement standbys: pods of a workload's own controller that wait in place of a standby that is active."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from understudy.controller.observed import kube_objects, situation_strategies
 from understudy.kube.client import Object
 
 
-def may_stand_in(workload: Object, policy: Object | None) -> bool:
+def may_replace(workload: Object, policy: Object | None) -> bool:
     """Whether a pod of a workload's own controller waits as a standby while another pod is active.
 
     The pods of a referred controller do not, because they have no agent. It is also false if the strategies depend on
@@ -27,7 +27,7 @@ def displaced(gate: Object | None, pods: Sequence[Object]) -> str:
     return kube_objects.labels(driving).get(names.POOL, "")
 
 
-def standing_in(pool: str, gate: Object | None, pods: Sequence[Object]) -> list[Object]:
+def of_pool(pool: str, gate: Object | None, pods: Sequence[Object]) -> list[Object]:
     """Return the living pods of a workload's own controller that wait in place of a pool's active standby."""
     if displaced(gate, pods) != pool:
         return []
