@@ -26,7 +26,7 @@ from tests.unit.interleavings.blanks import BlackBox, Keeping, RobotReaders
 from understudy.api import names
 from understudy.failover.interfaces import Instance
 from understudy.failover.journal import Journal
-from understudy.failover.pool_queue import LOOK
+from understudy.failover.pool_queue import CHECK_PERIOD
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.uninitialized import UninitializedFallback
 from understudy.kube.client import NETWORK_POLICIES, Access, ApiError
@@ -180,7 +180,7 @@ class Monitor:
                 error = repr(reason)
                 break
             if found is None:
-                await asyncio.sleep(LOOK)
+                await asyncio.sleep(CHECK_PERIOD)
         self.wakeups.claiming = False
         tell(
             "claimed",

@@ -223,7 +223,7 @@ class GoalLedger:
             self._accept(goal, now)
             self._finish(goal, GoalEnd(*ended), now)
 
-    def answered_cancel(self, uid: str, id: str, accepted: bool, now: float) -> None:
+    def cancel_answered(self, uid: str, id: str, accepted: bool, now: float) -> None:
         """Record that an instance accepts or refuses to cancel a goal."""
         found = self._at(uid, id)
         if found is not None and uid == found[0].charge:

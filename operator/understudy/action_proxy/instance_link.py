@@ -36,22 +36,22 @@ class Listener(Protocol):
     def orders(self, uid: str) -> Sequence[Order]:
         """Return the goals that the instance must have."""
 
-    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+    def goal_found(self, uid: str, goal: Mapping[str, Any]) -> None:
         """Called for a goal that the instance has, maybe from an earlier proxy."""
 
     def goal_reported(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         """Called with the state of one of its goals."""
 
-    def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
+    def cancel_answered(self, uid: str, id: str, accepted: bool) -> None:
         """Called with the instance's answer to a cancel."""
 
-    def fed_back(self, uid: str, id: str, data: bytes) -> None:
+    def feedback_received(self, uid: str, id: str, data: bytes) -> None:
         """Called with the feedback of a goal, as a serialized message."""
 
-    def invited(self, uid: str) -> None:
+    def resend_requested(self, uid: str) -> None:
         """Called when its recovery tree requests the unfinished goals."""
 
-    def troubled(self, uid: str, action: str, problem: str) -> None:
+    def goal_problem(self, uid: str, action: str, problem: str) -> None:
         """Called with the reason why it cannot receive a goal of an action; empty once it has received one."""
 
 
@@ -102,12 +102,12 @@ class InstanceLink:
     def _event(self, link: AgentLink, event: Mapping[str, Any]) -> None:
         if "feedback" in event:
             found = event["feedback"]
-            self._listener.fed_back(self.peer.uid, found["id"], base64.b64decode(found["data"]))
+            self._listener.feedback_received(self.peer.uid, found["id"], base64.b64decode(found["data"]))
         elif "goal" in event:
             self._goal_reported(event["goal"])
         elif "resendGoals" in event:
             self._invitations.append(event["resendGoals"])
-            self._listener.invited(self.peer.uid)
+            self._listener.resend_requested(self.peer.uid)
             self._wake.set()
 
     def _goal_reported(self, found: Mapping[str, Any]) -> None:
@@ -141,7 +141,7 @@ class InstanceLink:
             for found in answer.get("goals", []):
                 if found["state"] in ("waiting", "running"):
                     self._sent[found["id"]] = found.get("note", "")
-                self._listener.found(self.peer.uid, found)
+                self._listener.goal_found(self.peer.uid, found)
                 self._goal_reported(found)
         orders = self._listener.orders(self.peer.uid)
         for id in self._mine - {order.id for order in orders}:
@@ -180,12 +180,12 @@ class InstanceLink:
             await self._link.request("goal", body, within=WITHIN)
         except AgentRefused as error:
             self._sent.pop(order.id, None)
-            self._listener.troubled(self.peer.uid, order.action, f"pod {self.peer.pod}: {error}")
+            self._listener.goal_problem(self.peer.uid, order.action, f"pod {self.peer.pod}: {error}")
             raise
         except AgentGone:
             self._sent.pop(order.id, None)
             raise
-        self._listener.troubled(self.peer.uid, order.action, "")
+        self._listener.goal_problem(self.peer.uid, order.action, "")
 
     async def _cancel(self, order: Order) -> None:
         if order.id in self._cancelled:
@@ -193,6 +193,6 @@ class InstanceLink:
         answer = await self._link.request("cancel", {"goal": order.id}, within=WITHIN)
         self._cancelled.add(order.id)
         if answer.get("known"):
-            self._listener.answered_cancel(self.peer.uid, order.id, bool(answer.get("accepted")))
+            self._listener.cancel_answered(self.peer.uid, order.id, bool(answer.get("accepted")))
         else:
             self._listener.goal_reported(self.peer.uid, order.id, AttemptState.LOST, 0, "")

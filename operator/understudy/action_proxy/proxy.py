@@ -119,7 +119,7 @@ class Proxy:
         """Return the goals that an instance must have."""
         return self._ledger.orders(uid)
 
-    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+    def goal_found(self, uid: str, goal: Mapping[str, Any]) -> None:
         """Adopt a goal that the instance has, if it is not known here and has not ended long ago."""
         ended = None
         if goal["state"] == "ended":
@@ -138,25 +138,25 @@ class Proxy:
         self._ledger.report(uid, id, at, time.time(), status=status, result=result)
         self._conclude()
 
-    def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
+    def cancel_answered(self, uid: str, id: str, accepted: bool) -> None:
         """Record the instance's answer to a cancel."""
-        self._ledger.answered_cancel(uid, id, accepted, time.time())
+        self._ledger.cancel_answered(uid, id, accepted, time.time())
         self._conclude()
 
-    def fed_back(self, uid: str, id: str, data: bytes) -> None:
+    def feedback_received(self, uid: str, id: str, data: bytes) -> None:
         """Pass on the feedback of a goal under the client's id, if the instance decides about that goal."""
         goal = self._ledger.feedback_of(uid, id)
         served = self._served.get(goal.action) if goal else None
         if goal is not None and served is not None and served.server is not None:
             served.server.publish_feedback(renamed(data, goal.id))
 
-    def invited(self, uid: str) -> None:
+    def resend_requested(self, uid: str) -> None:
         """Record that the instance's recovery tree requests the unfinished goals."""
         count = self._ledger.invite(uid)
         _logger.info("a recovery tree requested the unfinished goals: %d", count)
         self._conclude()
 
-    def troubled(self, uid: str, action: str, problem: str) -> None:
+    def goal_problem(self, uid: str, action: str, problem: str) -> None:
         """Record why the instance cannot receive a goal of an action; empty once it has received one."""
         if (served := self._served.get(action)) is not None:
             served.troubles[uid] = problem

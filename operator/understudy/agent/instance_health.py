@@ -227,13 +227,13 @@ class InstanceHealth:
 
     async def run(self) -> None:
         """Join the ROS graph that the process's environment names, and evaluate the instance."""
-        self._say(False, "joining the ROS graph")
+        self._set_readiness(False, "joining the ROS graph")
         while True:
             try:
                 graph, watching, host = await asyncio.to_thread(_join, self._node_name)
             except Exception as error:
                 _logger.exception("joining the ROS graph")
-                self._say(False, f"cannot join the ROS graph: {error}")
+                self._set_readiness(False, f"cannot join the ROS graph: {error}")
                 await asyncio.sleep(RETRY)
                 continue
             try:
@@ -241,7 +241,7 @@ class InstanceHealth:
                 await self._observe(graph, watching, host)
             except Exception as error:
                 _logger.exception("observing the instance")
-                self._say(False, f"evaluating the instance failed: {error!r}")
+                self._set_readiness(False, f"evaluating the instance failed: {error!r}")
                 await asyncio.sleep(RETRY)
             finally:
                 self._joined = self._own = None
@@ -250,7 +250,7 @@ class InstanceHealth:
 
     async def _observe(self, graph: Graph, watching: TopicWatch, host: bytes) -> None:
         if self._plan is None:
-            self._say(False, "waiting for the monitor's health tree")
+            self._set_readiness(False, "waiting for the monitor's health tree")
             await self._new_plan.wait()
         self._new_plan.set()
         joined = time.monotonic()
@@ -294,17 +294,17 @@ class InstanceHealth:
         judgement.outputs = own.counts()
         if not self._present:
             outputs = ", ".join(output.name for output in plan.outputs)
-            self._say(False, f"nothing in this pod publishes or serves {outputs}")
+            self._set_readiness(False, f"nothing in this pod publishes or serves {outputs}")
         elif verdict.state == "Healthy":
             self._keep_ready = False
             if judgement.ready_at is None:
                 judgement.ready_at = now
-            self._say(True, "; ".join(watching.problems))
+            self._set_readiness(True, "; ".join(watching.problems))
         elif verdict.state == "Starting" and self._keep_ready:
-            self._say(True, "; ".join(watching.problems))
+            self._set_readiness(True, "; ".join(watching.problems))
         else:
             self._keep_ready = False
-            self._say(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
+            self._set_readiness(False, "; ".join([verdict.reason, *watching.problems, *watching.waiting]))
 
     def _update_presence(self, graph: Graph, host: bytes, plan: HealthPlan) -> None:
         """Check whether this pod's application has an endpoint for an output. Once it has had one, check seldom."""
@@ -323,7 +323,7 @@ class InstanceHealth:
         self._present = bool(found)
         self._on_writers(end.gid for output, end in found if output.topic)
 
-    def _say(self, ready: bool, reason: str) -> None:
+    def _set_readiness(self, ready: bool, reason: str) -> None:
         judgement = self.judgement
         if (judgement.ready, judgement.reason) != (ready, reason):
             if judgement.ready != ready:

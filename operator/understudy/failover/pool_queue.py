@@ -19,7 +19,7 @@ the rest a watch that is late on a busy machine takes its share."""
 YIELD_MOST = 1.5
 """Most seconds for which a free pod is left to others, however many they are: after that, whoever is first has it."""
 
-LOOK = 0.25
+CHECK_PERIOD = 0.25
 """Seconds after which a waiter looks again though nothing seems to have changed: times of others pass too."""
 
 Pod = TypeVar("Pod")
@@ -136,7 +136,7 @@ async def turn(
         if joined:
             queue.waits(me, ahead, len(others) + 1)
         try:
-            async with asyncio.timeout(max(0.0, min(now + LOOK, me.until if at is None else at) - now)):
+            async with asyncio.timeout(max(0.0, min(now + CHECK_PERIOD, me.until if at is None else at) - now)):
                 await queue.changed(me.pool)
         except TimeoutError:
             continue

@@ -23,7 +23,7 @@ IN_FLIGHT = 0.010
 LOST = 2.0
 """Seconds without its pod after which an instance that is being brought up counts as lost; a claimed pod is seen earlier."""
 
-LOST_LOOK = 0.1
+LOST_CHECK_PERIOD = 0.1
 """Seconds between two checks of that."""
 
 QUIET = 0.200
@@ -123,7 +123,7 @@ async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts
     """Wait until the instance that is brought up is lost; return how."""
     missing: float | None = None
     while True:
-        await asyncio.sleep(LOST_LOOK)
+        await asyncio.sleep(LOST_CHECK_PERIOD)
         if progress.target is None:
             continue
         uid, name = progress.target.uid, progress.target.name

@@ -28,7 +28,7 @@ class Traffic:
     def __init__(self, requests: Counter, last_event: Gauge) -> None:
         self._requests, self._last_event = requests, last_event
 
-    def asked(self, method: str, path: str, status: int | None) -> None:
+    def request_ended(self, method: str, path: str, status: int | None) -> None:
         """Count a request."""
         code = "error" if status is None else str(status)
         self._requests.labels(method=method, resource=plural(path), code=code).inc()

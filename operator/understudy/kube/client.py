@@ -232,7 +232,7 @@ class Access:
 class Listener(Protocol):
     """Receives a report of each request and of each event of a watch."""
 
-    def asked(self, method: str, path: str, status: int | None) -> None:
+    def request_ended(self, method: str, path: str, status: int | None) -> None:
         """A request has ended; ``status`` is None if there was no answer."""
         ...
 
@@ -325,7 +325,7 @@ class Client:
                 status = response.status
         finally:
             if self._listener is not None:
-                self._listener.asked(method, path, status)
+                self._listener.request_ended(method, path, status)
         if status == 401 and self._access.plugin is not None:
             self._access.plugin.reject()
         if status >= 400:
@@ -471,7 +471,7 @@ class Client:
             timeout=timeout,
         ) as response:
             if self._listener is not None:
-                self._listener.asked("WATCH", resource.path(namespace), response.status)
+                self._listener.request_ended("WATCH", resource.path(namespace), response.status)
             if response.status == 401 and self._access.plugin is not None:
                 self._access.plugin.reject()
             if response.status >= 400:

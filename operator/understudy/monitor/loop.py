@@ -196,7 +196,7 @@ class MonitorLoop:
         self.report.recovery.begins(failure)
         progress = self.act.start.begin(failure, resolution.first_strategy)
         if progress.taken_over is None and not progress.follows:
-            await self._hear({one.uid for one in progress.failed})
+            await self._wait_for_agents({one.uid for one in progress.failed})
         await self.carry_out(progress)
 
     async def carry_out(self, progress: Progress) -> None:
@@ -221,8 +221,8 @@ class MonitorLoop:
         self.act.get_ready(policy)
         return await self.act.recoveries.carry_out(progress, policy)
 
-    async def _hear(self, failed: Collection[str]) -> None:
-        """Have a new monitor hear of the understudies before it chooses: a warm one without a connection yet is no reason to restart."""
+    async def _wait_for_agents(self, failed: Collection[str]) -> None:
+        """Let a new monitor connect to the agents before it chooses: one without a connection yet is no reason to restart."""
         if (left := self._new_until - time.monotonic()) > 0:
             others = [i for i in self._pods.of_workload() if i.uid not in failed]
             await self._senses.agents.settle(others, left)
@@ -261,10 +261,10 @@ class MonitorLoop:
         if policy is None or settings is None:
             return
         self.report.status_conditions.housekeeping()
-        self.decide.limits.spending.say(time.time())
+        self.decide.limits.spending.report(time.time())
         paused = self.decide.limits.pauses.on is not None
-        self.act.care_for_standbys(policy, paused=paused)
+        self.act.supervise_standbys(policy, paused=paused)
         others = [i for i in self._pods.of_workload() if i.uid != self.act.switchovers.preparing]
         judged = self.judge.enforcement.judge(others)
         self.act.reflexes.keep(time.time(), enforced=judged[0] == "True", paused=paused)
-        self.judge.enforcement.say(judged)
+        self.judge.enforcement.report(judged)

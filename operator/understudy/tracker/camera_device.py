@@ -81,12 +81,12 @@ class Footage:
             try:
                 self._film()
             except Unusable as error:
-                self._say(error)
+                self._provide(error)
             except cv2.error as error:
-                self._say(Unusable(f"{self._device.path}: OpenCV cannot read it: {error}"))
+                self._provide(Unusable(f"{self._device.path}: OpenCV cannot read it: {error}"))
             self._ended.wait(AGAIN)
 
-    def _say(self, newest: Frame | Unusable) -> None:
+    def _provide(self, newest: Frame | Unusable) -> None:
         with self._came:
             self._newest = newest
             self._came.notify()
@@ -110,7 +110,7 @@ class Footage:
                 if not got:
                     raise Unusable(f"{self._device.path} gave an image that OpenCV cannot decode: try another format")
                 last = now
-                self._say(Frame(stamp, _gray(np.asarray(image, np.uint8))))
+                self._provide(Frame(stamp, _gray(np.asarray(image, np.uint8))))
 
 
 @contextmanager

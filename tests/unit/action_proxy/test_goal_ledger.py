@@ -199,7 +199,7 @@ class TestSwitch:
         world.want(goal)
         world.cancel(goal, work=False)
         world.go(work=False)
-        world.ledger.answered_cancel("a", goal, True, world.now)
+        world.ledger.cancel_answered("a", goal, True, world.now)
         world.go(work=False)
         assert status(world, goal) == CANCELING
         world.epoch += 1

@@ -78,21 +78,21 @@ class Heard:
     def orders(self, uid: str) -> list[Order]:
         return self.ordered
 
-    def found(self, uid: str, goal: Mapping[str, Any]) -> None:
+    def goal_found(self, uid: str, goal: Mapping[str, Any]) -> None:
         self.taken_up.append(goal["id"])
 
     def goal_reported(self, uid: str, id: str, at: AttemptState, status: int, result: str) -> None:
         self.states.append((id, at))
 
-    def answered_cancel(self, uid: str, id: str, accepted: bool) -> None:
+    def cancel_answered(self, uid: str, id: str, accepted: bool) -> None:
         self.cancelled.append(id)
 
-    def fed_back(self, uid: str, id: str, data: bytes) -> None: ...
+    def feedback_received(self, uid: str, id: str, data: bytes) -> None: ...
 
-    def invited(self, uid: str) -> None:
+    def resend_requested(self, uid: str) -> None:
         self.ordered.append(order(THIRD))
 
-    def troubled(self, uid: str, action: str, problem: str) -> None:
+    def goal_problem(self, uid: str, action: str, problem: str) -> None:
         self.troubles[action] = problem
 
 

@@ -133,7 +133,7 @@ class World:
             self.ledger.report(instance.uid, order.id, AttemptState.RUNNING, self.now)
             return True
         if order.cancel:
-            self.ledger.answered_cancel(instance.uid, order.id, not instance.refuses_cancel, self.now)
+            self.ledger.cancel_answered(instance.uid, order.id, not instance.refuses_cancel, self.now)
             if instance.refuses_cancel:
                 return True
             del instance.running[order.id]

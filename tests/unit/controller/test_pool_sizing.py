@@ -155,7 +155,7 @@ class TestSize:
     def test_a_quiet_pool_is_reconciled_again_because_quiet_time_is_evidence(self) -> None:
         pool = sized(min=0)
         pool["status"] = kept(0)
-        assert plan(observed(pool)).again_after == pool_size.LOOK_AGAIN
+        assert plan(observed(pool)).again_after == pool_size.RECALCULATE_AFTER
 
     def test_an_invalid_spec_keeps_the_last_decision(self) -> None:
         pool = told(sized(), robot("w"))

@@ -11,7 +11,7 @@ from understudy.controller.plan import Apply, Write
 from understudy.controller.reconcile import operator_metrics
 from understudy.controller.reconcile.change_index import Key
 from understudy.controller.reconcile.object_store import Store
-from understudy.controller.reconcile.rollouts import HOLD, LOOK, Rollouts
+from understudy.controller.reconcile.rollouts import CHECK_PERIOD, HOLD, Rollouts
 from understudy.controller.runtime.process import options
 from understudy.kube import apply
 from understudy.kube.client import CONFIG_MAPS, DEPLOYMENTS, PODS, WORKLOADS, Object
@@ -105,8 +105,8 @@ def test_the_monitors_of_a_small_fleet_are_replaced_one_after_another() -> None:
 def test_a_workload_later_in_the_queue_checks_again_later() -> None:
     fleet = Fleet(20)
     again = [fleet.asks(number)[1] for number in fleet.robots]
-    assert again[:6] == [None, None, LOOK, LOOK, 2 * LOOK, 2 * LOOK]
-    assert again[-1] == 9 * LOOK
+    assert again[:6] == [None, None, CHECK_PERIOD, CHECK_PERIOD, 2 * CHECK_PERIOD, 2 * CHECK_PERIOD]
+    assert again[-1] == 9 * CHECK_PERIOD
 
 
 def test_a_monitor_that_is_not_ready_is_replaced_at_once() -> None:

@@ -40,7 +40,7 @@ class World:
         journal: Journal | None = None,
         **limits: Any,
     ) -> None:
-        monkeypatch.setattr(deferred_recovery, "LOOK", 0.01)
+        monkeypatch.setattr(deferred_recovery, "CHECK_PERIOD", 0.01)
         monkeypatch.setattr(RecoveryRunner, "carry_out", self._carry_out)
         self.carried_out: list[Progress] = []
         limits = {"budget": {"recoveries": 1, "within": "10m"}} | limits

@@ -85,7 +85,7 @@ class GivenObserver(HealthObserver):
     def verdict(self, *, now: float, since: float) -> Verdict:
         return self.health
 
-    def wellness(self, *, now: float, since: float) -> Verdict:
+    def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         self.times_asked += 1
         return self.well
 

@@ -95,7 +95,7 @@ class StateRestorer:
                 await attempt(node, partial(self._bring, node))
 
         await asyncio.gather(*(attempt(values, partial(self._set, values)) for values in state.parameters))
-        samples = (attempt(sample, partial(self._say, sample)) for sample in state.restored_samples)
+        samples = (attempt(sample, partial(self._publish_sample, sample)) for sample in state.restored_samples)
         await asyncio.gather(nodes(), *samples)
         return RestoreReport(tuple(restored), tuple(missing))
 
@@ -105,7 +105,7 @@ class StateRestorer:
     async def _bring(self, node: LifecycleState, within: float) -> None:
         await self._caller().bring_to(node.node, node.state, within)
 
-    async def _say(self, sample: KeptSample, within: float) -> PoseOutcome | None:
+    async def _publish_sample(self, sample: KeptSample, within: float) -> PoseOutcome | None:
         """Publish a message until the instance has it. Returns the outcome for a pose that is to be propagated.
 
         Raises CallFailed.

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _logger = logging.getLogger(__name__)
 
-LOOK = 0.05
+CHECK_PERIOD = 0.05
 """Seconds between checks for a server that a goal waits for."""
 
 WATCH = 1.0
@@ -207,7 +207,7 @@ class TaskGoals:
 
     async def _follow_at(self, record: _Record, server: ActionClient) -> None:
         while not await server.ready():
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(CHECK_PERIOD)
             if self._moved():
                 return
         if record.state == "waiting":
@@ -286,7 +286,7 @@ class TaskGoals:
         async with self._opening:
             place = self._place()
             while place is None:
-                await asyncio.sleep(LOOK)
+                await asyncio.sleep(CHECK_PERIOD)
                 place = self._place()
             if self._joined is None or self._joined.context is not place.context:
                 await self._join(place)

@@ -27,7 +27,7 @@ CONFIRM_WITHIN = 30.0
 finishes the recovery first.
 """
 
-LOOK = 0.3
+CHECK_PERIOD = 0.3
 """Seconds between two reads."""
 
 TRIES = 10
@@ -54,10 +54,10 @@ def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
     kubectl.patch(WORKLOADS, name, {"spec": {"pause": pause.to_wire() | {"until": None}}})
     fenced, epoch = _close(kubectl, name, kind)
     where = f"{item['metadata']['namespace']}/{name}"
-    _say(f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was active'}).")
+    _print(f"{where}: gate closed at epoch {epoch} (fenced: {', '.join(fenced) or 'no instance was active'}).")
     reported = robot(item).health == UNWATCHED or _monitor_reports_pause(kubectl, name, kind)
     _close(kubectl, name, kind)
-    _say(
+    _print(
         f"The workload is {pause.words}. WARNING: no safe command is sent to the robot. Make sure that the robot stands still. After "
         f"understudy resume {name}, the gate opens for an instance, and the robot can move at once."
     )
@@ -71,7 +71,7 @@ def _fence(kubectl: Kubectl, item: Object, pause: Pause) -> int:
     return UNSURE
 
 
-def _say(text: str) -> None:
+def _print(text: str) -> None:
     print("\n".join(wrapped(text, terminal.columns(sys.stdout), indent=0)), flush=True)
 
 
@@ -107,7 +107,7 @@ def _monitor_reports_pause(kubectl: Kubectl, name: str, kind: GateKind) -> bool:
         conditions = status_of(kubectl.get(WORKLOADS, name)).conditions or []
         if any((one.type, one.status) == ("Paused", "True") and "fenced: " in one.message for one in conditions):
             return True
-        time.sleep(LOOK)
+        time.sleep(CHECK_PERIOD)
     return False
 
 

@@ -27,7 +27,7 @@ WORKLOADS = "robotworkloads.understudy.dev"
 WITHIN = 120.0
 """Default seconds to wait for its end: longer than a monitor waits for an understudy to become ready."""
 
-LOOK = 1.0
+CHECK_PERIOD = 1.0
 """Seconds between two requests without a change."""
 
 _PURPOSE: Mapping[Verb, str] = {
@@ -74,7 +74,7 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
                     raise CommandError(
                         f"the switchover has ended, and another one has started since: understudy timeline {name}"
                     )
-                changed(LOOK)
+                changed(CHECK_PERIOD)
     except KeyboardInterrupt:
         print("", file=sys.stderr)
     how_far = reported[0].lower() or "its monitor has not started it"

@@ -33,7 +33,7 @@ WRONG = 5.0
 ASKED = 7
 """How often a clock is asked. The quickest answer is the most accurate."""
 
-LOOK = 0.5
+CHECK_PERIOD = 0.5
 """Seconds between two reads of the nodes' heartbeats. Their clocks are accurate to half of that."""
 
 MOST = 4
@@ -41,7 +41,7 @@ MOST = 4
 
 _NODE_LEASES = LEASES.path("kube-node-lease")
 _TICK_WITHIN = 2.5
-_TICK_LOOK = 0.01
+_TICK_CHECK_PERIOD = 0.01
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ def of_api_server(api: Api) -> Clock | None:
             second = parsedate_to_datetime(answer.date).timestamp()
             return Clock(second - (early + late) / 2, (late - early) / 2)
         before = answer
-        time.sleep(_TICK_LOOK)
+        time.sleep(_TICK_CHECK_PERIOD)
     return None
 
 
@@ -114,7 +114,7 @@ class NodeClocks:
                     middle, give = (asked_before + answer.answered) / 2, (answer.answered - asked_before) / 2
                     self.clocks[name] = Clock(now[name] - middle, give)
             before, asked_before = now, answer.asked
-            self._ended.wait(LOOK)
+            self._ended.wait(CHECK_PERIOD)
 
 
 def judge(nodes: Mapping[str, Clock], api_server: Clock | None) -> Finding:

@@ -41,7 +41,7 @@ it."""
 BURST = 25.0
 """Seconds for which the sender sends. Each change starts a new burst, because the pauses grow."""
 
-LOOK = 0.05
+CHECK_PERIOD = 0.05
 """Seconds between two questions to the receiver."""
 
 _POLICIES = "docs/how-to/network-policies.md"
@@ -147,7 +147,7 @@ class _Measurement:
         end = time.monotonic() + within
         while time.monotonic() < end:
             yield self._receiver.ask("heard", uid=uid, port=port, since=since + self._clock.ahead)
-            time.sleep(LOOK)
+            time.sleep(CHECK_PERIOD)
 
     def _ours(self, moment: float) -> float:
         """Convert a time of the receiver's clock to this machine's clock."""

@@ -18,7 +18,7 @@ from understudy.kube.gates.probes import ProbeReceiver, ProbeSender
 INTERVAL = 0.002
 """Seconds between two datagrams at first; the accuracy of the measured times."""
 
-LOOK = 0.1
+CHECK_PERIOD = 0.1
 """Seconds between two reads of a graph."""
 
 
@@ -73,7 +73,7 @@ class Inside:
                 others = sorted(found - {"/understudy_doctor"})
                 if others or time.monotonic() > end:
                     return others
-                await asyncio.sleep(LOOK)
+                await asyncio.sleep(CHECK_PERIOD)
         finally:
             graph.close()
 

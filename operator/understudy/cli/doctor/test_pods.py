@@ -47,7 +47,7 @@ LIFETIME = 300
 START_WITHIN = 90.0
 """Seconds within which the pods must start."""
 
-LOOK = 0.3
+CHECK_PERIOD = 0.3
 """Seconds between two checks whether the pods have started."""
 
 _CONTAINER = "doctor"
@@ -179,7 +179,7 @@ def _started(api: Api, namespace: str, run: str) -> tuple[Object, Object]:
         troubles = [found.message for found in map(trouble, items) if found is not None]
         if troubles or time.monotonic() > end:
             raise CommandError(troubles[0] if troubles else f"its pods had not started after {START_WITHIN:g} s")
-        time.sleep(LOOK)
+        time.sleep(CHECK_PERIOD)
 
 
 def relabelled(item: Object) -> Object:

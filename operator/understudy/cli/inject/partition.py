@@ -32,7 +32,7 @@ MONITOR = "monitor"
 START_WITHIN = 60.0
 """Seconds within which the container must start. It cannot be removed from the pod, so it does nothing if it starts later."""
 
-LOOK = 0.3
+CHECK_PERIOD = 0.3
 """Seconds between two checks whether it started."""
 
 PATIENCE = 30.0
@@ -156,7 +156,7 @@ def _wait_started(api: Api, namespace: str, pod: str, name: str) -> None:
             raise CommandError(
                 f"container {name} of pod {pod} did not start within {START_WITHIN:g} s ({text}), and does nothing now"
             )
-        time.sleep(LOOK)
+        time.sleep(CHECK_PERIOD)
 
 
 def _not_cut_off(pod: str, text: str) -> str:

@@ -204,7 +204,7 @@ def plan(observed: Observed, pool_plan: PoolPlan, fresh: UniqueValues) -> Plan:
     for one in observed.waiting:  # a monitor that is gone leaves its wait entry behind
         made.later(one.until - observed.now)
     if pool_plan.sized is not None:
-        made.later(pool_size.LOOK_AGAIN)
+        made.later(pool_size.RECALCULATE_AFTER)
     return made
 
 

@@ -22,7 +22,7 @@ from understudy.kube.client import Object
 CONDITION = "Sized"
 SHORT = "AtMaximum"
 """Reason of the condition if more pods are needed than the maximum."""
-LOOK_AGAIN = 60.0
+RECALCULATE_AFTER = 60.0
 """Seconds after which the size is calculated again without any change: the absence of failures is information too."""
 
 _HOUR = 3600.0

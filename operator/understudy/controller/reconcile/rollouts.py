@@ -38,7 +38,7 @@ By then an alert has fired (UnderstudyMonitorNotReady). A robot that was switche
 from receiving a fix.
 """
 
-LOOK = 3.0
+CHECK_PERIOD = 3.0
 """Seconds until the workload whose turn is next checks again."""
 
 
@@ -75,7 +75,7 @@ class Rollouts:
         self._waiting.setdefault(key)
         self._count()
         ahead = list(self._waiting).index(key)
-        return [write for write in writes if write not in late], LOOK * (1 + ahead // self._places)
+        return [write for write in writes if write not in late], CHECK_PERIOD * (1 + ahead // self._places)
 
     def forget(self, key: Key) -> None:
         """Forget a deleted workload."""

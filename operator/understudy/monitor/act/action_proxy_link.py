@@ -27,8 +27,8 @@ from understudy.monitor.observe.objects.cluster_view import ClusterView
 
 _logger = logging.getLogger(__name__)
 
-LOOK = 0.25
-"""Maximum seconds between two looks at the situation; a change of the gate or of a pod is noticed at once."""
+CHECK_PERIOD = 0.25
+"""Maximum seconds between two checks of the situation; a change of the gate or of a pod is noticed at once."""
 
 RETRY = 0.2
 """Seconds before the next attempt to connect to the proxy."""
@@ -59,7 +59,7 @@ class ActionProxyLink:
         while True:
             spec = self._view.spec
             if spec is None or not spec.tasks or spec.workload_ref is not None:
-                self._say_without(spec)
+                self._report_missing_agents(spec)
                 away_since = time.monotonic()
                 await asyncio.sleep(1.0)
                 continue
@@ -71,7 +71,7 @@ class ActionProxyLink:
                         f"The monitor cannot reach the action proxy (container {names.TASKS_CONTAINER} of the monitor's pod, see its "
                         f"logs): {error}"
                     )
-                    self._say("False", "ProxyNotReady", words)
+                    self._set_condition("False", "ProxyNotReady", words)
                 await asyncio.sleep(RETRY)
                 continue
             try:
@@ -101,7 +101,7 @@ class ActionProxyLink:
                     sent = present
                     writer.write(json.dumps({"situation": present}).encode() + b"\n")
                     await writer.drain()
-                await asyncio.wait(changes, timeout=LOOK, return_when=asyncio.FIRST_COMPLETED)
+                await asyncio.wait(changes, timeout=CHECK_PERIOD, return_when=asyncio.FIRST_COMPLETED)
             finally:
                 for change in changes:
                     change.cancel()
@@ -162,21 +162,21 @@ class ActionProxyLink:
             )
         except ValidationError as error:
             raise ValueError(str(error)) from error
-        self._say(*judged(tasks, self._problem))
+        self._set_condition(*judged(tasks, self._problem))
 
     @property
     def _problem(self) -> str:
         """The problem that the operator found in the configuration of the tasks."""
         return self._view.settings.tasks_problem if self._view.settings else ""
 
-    def _say_without(self, spec: RobotWorkloadSpec | None) -> None:
+    def _report_missing_agents(self, spec: RobotWorkloadSpec | None) -> None:
         self._notices.set_tasks([])
         if spec is not None and spec.tasks and self._problem:
-            self._say("False", "NoAgent", self._problem)
+            self._set_condition("False", "NoAgent", self._problem)
         else:
             self._notices.withdraw(CONDITION)
 
-    def _say(self, status: str, reason: str, message: str) -> None:
+    def _set_condition(self, status: str, reason: str, message: str) -> None:
         if self._notices.condition(CONDITION, status, reason, message) and status == "False":
             self._notices.event("Warning", reason, message)
 

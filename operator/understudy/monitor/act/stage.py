@@ -81,7 +81,7 @@ class ActStage:
         self._labels.follow(instances)
         self._senses.agents.follow(instances)
 
-    def care_for_standbys(self, policy: FailurePolicySpec, *, paused: bool) -> None:
+    def supervise_standbys(self, policy: FailurePolicySpec, *, paused: bool) -> None:
         """Bring instances up, give them state, and delete what recoveries left behind. Returns at once."""
         view = self._cluster.view
         if (settings := view.settings) is None:

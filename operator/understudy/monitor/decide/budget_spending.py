@@ -48,7 +48,7 @@ class BudgetSpending:
         budget, tried = self._budget, any(attempt.result != "NotAvailable" for attempt in done.attempts)
         if budget is not None and tried and not done.planned and not done.follows:
             self._notices.set_spent([*self._counted(now), done.began][-budget.recoveries :])
-            self.say(now)
+            self.report(now)
 
     def in_force(self, now: float) -> ActiveLimit | None:
         """Return the budget if it is spent."""
@@ -61,7 +61,7 @@ class BudgetSpending:
         found = self.in_force(now)
         return found.until if found is not None else None
 
-    def say(self, now: float) -> None:
+    def report(self, now: float) -> None:
         """Report the budget; nothing if the policy has none."""
         budget = self._budget
         if budget is None:

@@ -52,7 +52,7 @@ class PauseState:
         if given is None:
             self._notices.withdraw(CONDITION)
         elif in_force:
-            self._begin(given, anew=before != (given, True))
+            self._begin(given, is_new=before != (given, True))
         else:
             message = f"The pause is over, and spec.pause can be removed. The workload was {given.words}."
             self._notices.condition(CONDITION, "False", "Over", message)
@@ -73,13 +73,13 @@ class PauseState:
         found: str = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(name, "")
         return found
 
-    def _begin(self, pause: Pause, *, anew: bool) -> None:
+    def _begin(self, pause: Pause, *, is_new: bool) -> None:
         way_out = f"understudy resume -n {self._view.namespace} {self._view.workload}"
         words = f"{pause.words[0].upper()}{pause.words[1:]}"
         text = f"{words}. The monitor watches the workload and takes no action. To end the pause, run: {way_out}."
         known = self._notices.status.find(CONDITION)
         again = known is not None and (known.status, known.message) == ("True", text)
         self._notices.condition(CONDITION, "True", "Maintenance", text)
-        if anew and not again:
+        if is_new and not again:
             _logger.warning("%s", pause.words)
             self._notices.event("Normal", "Paused", text)

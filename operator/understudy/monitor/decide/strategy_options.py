@@ -14,7 +14,7 @@ from understudy.kube.client import ApiError
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.objects.storm_condition import StormCondition
 
-LOOK_WITHIN = 0.5
+CHECK_WITHIN = 0.5
 """Maximum seconds that the check for what a planned hand-over needs may take."""
 
 
@@ -72,7 +72,7 @@ class StrategyOptions:
         """
         first, context = self.choices()[0].strategy, self.context()
         try:
-            async with asyncio.timeout(LOOK_WITHIN):
+            async with asyncio.timeout(CHECK_WITHIN):
                 await first.refresh(context)
             return first.available(context)
         except (ApiError, TimeoutError) as error:

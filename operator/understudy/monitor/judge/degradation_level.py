@@ -22,8 +22,8 @@ from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)
 
-LOOK = 0.2
-"""Seconds between two looks: degradation matters within seconds, not within milliseconds."""
+CHECK_PERIOD = 0.2
+"""Seconds between two checks: degradation matters within seconds, not within milliseconds."""
 
 AGAIN = 30.0
 """Seconds between two updates of the message, whose figures change with every evaluation."""
@@ -86,7 +86,7 @@ class DegradationLevel:
         if active.uid != self._uid:
             self._begin(active, clock)
         if clock >= self._next:
-            self._next = clock + LOOK
+            self._next = clock + CHECK_PERIOD
             self._judge(policy.degraded, verdict, clock, now=now, since=since)
         return self.degraded
 
@@ -110,18 +110,18 @@ class DegradationLevel:
     def _judge(self, degraded: Degraded, verdict: Verdict, clock: float, *, now: float, since: float) -> None:
         # Of an instance whose health tree does not hold, or not yet, it is not asked whether it is well.
         healthy = verdict.state == "Healthy"
-        found = self._observer.wellness(now=now, since=since) if healthy else Verdict("Starting", "", "", None)
+        found = self._observer.degraded_verdict(now=now, since=since) if healthy else Verdict("Starting", "", "", None)
         before = self._level.since
         debounce, clear_after = seconds(degraded.monitoring.debounce), seconds(degraded.clear_after)
         if self._level.note(found.state, clock, debounce=debounce, clear_after=clear_after):
             if found.state == "Failed":
                 self._words = f"{found.reason}, in leaf {found.leaf} of spec.degraded"
             self._wait_for_idle(degraded.reschedule, found, clock, now=now, since=since)
-            self._say_degraded(found.leaf, clock, entered=before is None)
+            self._report_degraded(found.leaf, clock, entered=before is None)
             return
         self._idle_since, self._due = None, False
         if before is not None:
-            self._say_well(clock - before)
+            self._report_well(clock - before)
         elif found.state == "Healthy" and self._notices.status.reason(CONDITION) != "Well":
             self._notices.condition(
                 CONDITION, "False", "Well", "The active instance is not degraded: the tree of spec.degraded succeeds."
@@ -190,7 +190,7 @@ class DegradationLevel:
 
     # -- saying -----------------------------------------------------------------------------------------------------
 
-    def _say_degraded(self, leaf: str, clock: float, *, entered: bool) -> None:
+    def _report_degraded(self, leaf: str, clock: float, *, entered: bool) -> None:
         if entered:
             self._notices.add(BecameDegraded())
             _logger.warning("degraded: %s", self._words)
@@ -203,7 +203,7 @@ class DegradationLevel:
         waits = f"{_WAITS}{self._waits.words}." if self._waits is not None else ""
         self._notices.condition(CONDITION, "True", "NotWell", f"{self._words}.{waits}")
 
-    def _say_well(self, length: float) -> None:
+    def _report_well(self, length: float) -> None:
         text = f"The tree of spec.degraded succeeds again, {length:.0f} s after it began to fail"
         _logger.info("%s", text)
         self._notices.condition(CONDITION, "False", "Well", f"{text}.")

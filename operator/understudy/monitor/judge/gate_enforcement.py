@@ -126,7 +126,7 @@ class GateEnforcement:
             return "False", UNGATED, ungated
         return judged
 
-    def say(self, judged: ConditionReport) -> None:
+    def report(self, judged: ConditionReport) -> None:
         """Report the judgement, unless it cannot be known for the moment."""
         if (
             judged[1] not in ("Settling", "Admitted")

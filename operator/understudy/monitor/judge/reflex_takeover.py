@@ -12,11 +12,11 @@ from understudy.failover.reflex import ReflexSwitch, switched
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.robot.health_observer import HealthObserver
 
-LOOK = 0.005
-"""Seconds between looks while the active pod is silent."""
+CHECK_PERIOD = 0.005
+"""Seconds between checks while the active pod is silent."""
 
-LOOK_FOR = 0.5
-"""Seconds after the deadline during which the monitor looks that often. A pod that is silent for longer may be at rest."""
+FAST_CHECKS_FOR = 0.5
+"""Seconds after the deadline during which the monitor checks that often. A pod that is silent for longer may be at rest."""
 
 
 class ReflexTakeover:
@@ -67,5 +67,5 @@ class ReflexTakeover:
         if not state.admitted or not (deadline := self.deadline):
             return None
         lasts = [found[-1] for topic in self.topics if (found := self._observer.arrivals(topic, state.active))]
-        due = [last + deadline for last in lasts if now < last + deadline + LOOK_FOR]
-        return max(min(due), now + LOOK) if due else None
+        due = [last + deadline for last in lasts if now < last + deadline + FAST_CHECKS_FOR]
+        return max(min(due), now + CHECK_PERIOD) if due else None

@@ -21,8 +21,8 @@ from understudy.trees.core.health_tree import Verdict
 
 _logger = logging.getLogger(__name__)
 
-LOOK = 0.2
-"""Seconds between two looks: preparing a standby takes seconds."""
+CHECK_PERIOD = 0.2
+"""Seconds between two checks: preparing a standby takes seconds."""
 
 HEARING = 10.0
 """Seconds that a new monitor needs to receive existing goals: until then, seeing none ends no situation."""
@@ -46,12 +46,12 @@ class SituationTracking:
         published = self._notices.status.situation
         if not policy.situations:
             if published is not None:
-                self._say(None, "", now)
+                self._report(None, "", now)
             return
         clock = time.monotonic()
         if clock < self._next:
             return
-        self._next = clock + LOOK
+        self._next = clock + CHECK_PERIOD
         if self._started is None:
             self._started = clock
             if published is not None:
@@ -65,9 +65,9 @@ class SituationTracking:
         settled = clock - self._started >= HEARING
         found = self._situations.note(rules, {name: one.so for name, one in seen.items() if one.so or settled}, clock)
         if found != (published.name if published is not None else None):
-            self._say(found, seen[found].reason if found is not None and found in seen else "", now)
+            self._report(found, seen[found].reason if found is not None and found in seen else "", now)
 
-    def _say(self, name: str | None, reason: str, now: float) -> None:
+    def _report(self, name: str | None, reason: str, now: float) -> None:
         before = self._notices.status.situation
         if name is not None:
             self._notices.set_situation(SituationStatus(name=name, since=rfc3339(now), reason=reason))

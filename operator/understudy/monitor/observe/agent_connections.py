@@ -34,7 +34,7 @@ ANSWER_LATE = 1.0
 """Seconds after an operation's own deadline until its answer counts as lost: the answer needs time on the network."""
 
 READ_AGAIN = 10.0
-"""Seconds between two looks at a Secret whose token an agent refuses: it may be another one since."""
+"""Seconds between two checks of a Secret whose token an agent refuses: it may be another one since."""
 
 SLOWEST = 2 * 1024 * 1024
 """Bytes of kept messages that an agent takes in in a second, at least: it counts its time from when it has them."""

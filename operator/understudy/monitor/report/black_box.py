@@ -33,7 +33,7 @@ from understudy.trees.core.snapshots import Shown
 
 _logger = logging.getLogger(__name__)
 
-LOOK = 0.1
+CHECK_PERIOD = 0.1
 """Seconds between two checks whether a node of the tree has changed."""
 
 AGAIN = 1.0
@@ -116,7 +116,7 @@ class BlackBox:
             except Exception:
                 _logger.exception("the black box")
                 await asyncio.sleep(AGAIN)
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(CHECK_PERIOD)
 
     def _follow(self) -> None:
         """Record what the policy's ``blackBox`` asks for."""

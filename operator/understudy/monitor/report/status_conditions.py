@@ -54,9 +54,9 @@ class StatusConditions:
         item = self._view.object
         self._notices.observe(item["metadata"].get("generation") if item else None)
         self._notices.set(strategy=usable)
-        self._say_watched()
+        self._report_watched()
 
-    def _say_watched(self) -> None:
+    def _report_watched(self) -> None:
         if problems := [*self._observer.problems, *self._safety.problems]:
             reason = "TypeNotInstalled" if any("not installed" in problem for problem in problems) else "NotWatched"
             if self._notices.condition("Monitored", "False", reason, " ".join(problems)):

@@ -28,7 +28,7 @@ LINGER = 5.0
 """Seconds for which a message is still sent again, after the call has returned, to subscribers that may have lost
 it."""
 
-LOOK = 0.02
+CHECK_PERIOD = 0.02
 """Seconds between two reads of the graph or a queue during a wait."""
 
 ASK_AGAIN = 0.5
@@ -166,7 +166,7 @@ class InstanceCaller:
                     )
                 else:
                     bound.missing = f"node {node} is still {present}, not yet {state}"
-                    await asyncio.sleep(LOOK)
+                    await asyncio.sleep(CHECK_PERIOD)
 
     # -- parameters -------------------------------------------------------------------------------------------------
 
@@ -282,7 +282,7 @@ class InstanceCaller:
                                 known = host is None or MIDDLEWARE.host_of(sample.gid) == host
                                 if known and (since is None or sample.sent >= since):
                                     return sample
-                    await asyncio.sleep(LOOK)
+                    await asyncio.sleep(CHECK_PERIOD)
             finally:
                 for subscription in subscriptions:
                     opened.node.destroy_subscription(subscription)
@@ -371,7 +371,7 @@ def _acknowledged(publisher: Any) -> bool:
 
 async def _until(holds: Callable[[], bool]) -> None:
     while not holds():  # noqa: ASYNC110 - the graph has no event for it
-        await asyncio.sleep(LOOK)
+        await asyncio.sleep(CHECK_PERIOD)
 
 
 async def _asked(

@@ -25,7 +25,7 @@ lost."""
 RETRY = 0.5
 """Seconds between requests while nothing is known: a server that has not discovered its client yet drops its answer."""
 
-LOOK = 0.1
+CHECK_PERIOD = 0.1
 """Seconds after which a known fact is reported again with a new time, because it also holds after the instance becomes
 active."""
 
@@ -247,7 +247,7 @@ class Inquiries(ABC, Generic[Subject, Fact, EvidenceT]):
             inquiry.evidence = inquiry.of = None
             return
         now = time.time()
-        if inquiry.evidence is None or inquiry.of != inquiry.fact or now >= inquiry.evidence.received + LOOK:
+        if inquiry.evidence is None or inquiry.of != inquiry.fact or now >= inquiry.evidence.received + CHECK_PERIOD:
             inquiry.evidence, inquiry.of = self.evidence(now, inquiry.fact), inquiry.fact
 
     def _end(self, inquiry: _Inquiry[Fact, EvidenceT]) -> None:

@@ -26,10 +26,10 @@ DEPTH = 4
 """Messages that a topic's queue holds between two drains. Only the last is of interest, but another instance may
 publish on the same topic. The middleware drops further messages, since taking them costs time."""
 
-LOOK_UP = 1.0
+PUBLISHER_CHECK_PERIOD = 1.0
 """Seconds between checks of the graph for a topic that nobody publishes yet, and of the number of its publishers."""
 
-LOOK_AGAIN = 10.0
+RECHECK_PERIOD = 10.0
 """Seconds between checks of whether publishers have changed although their number has not."""
 
 LARGEST_WAITING = 1024 * 1024
@@ -128,7 +128,7 @@ class StateSamples:
     def _subscribe(self, topic: _Topic) -> None:
         """Subscribe in the way that the present publishers require."""
         publishers = self._graph.publishers(topic.name)
-        topic.next_check = time.monotonic() + (LOOK_AGAIN if publishers else LOOK_UP)
+        topic.next_check = time.monotonic() + (RECHECK_PERIOD if publishers else PUBLISHER_CHECK_PERIOD)
         topic.problem = topic.waiting = ""
         types = {publisher.type for publisher in publishers}
         type_name = topic.type or (types.pop() if len(types) == 1 else None)
@@ -175,7 +175,7 @@ class StateSamples:
             if topic.subscription is not None:
                 found += self._drain(topic)
             if now >= topic.next_count:
-                topic.next_count = now + LOOK_UP
+                topic.next_count = now + PUBLISHER_CHECK_PERIOD
                 matched = topic.subscription.get_publisher_count() if topic.subscription is not None else 0
                 if matched != topic.matched or now >= topic.next_check:
                     topic.matched = matched

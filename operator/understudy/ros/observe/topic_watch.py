@@ -58,7 +58,7 @@ HISTORY = 10.0
 FORGET = 600.0
 """Seconds of silence after which a host may be forgotten: over months, many addresses of pods come and go."""
 
-LOOK_UP = 1.0
+TYPE_CHECK_PERIOD = 1.0
 """Seconds between attempts to read the type of a topic from the graph."""
 
 MOST_WRITERS = 64
@@ -353,7 +353,7 @@ class TopicWatch:
         low, high = self._set_clock()
         now = time.monotonic()
         if now >= self._next_look_up:
-            self._next_look_up = now + LOOK_UP
+            self._next_look_up = now + TYPE_CHECK_PERIOD
             self._look_up_types()
             self._forget_servers()
         self._presence.refresh()

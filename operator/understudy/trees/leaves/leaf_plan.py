@@ -16,7 +16,7 @@ from understudy.trees.core.task_activity import TaskActive
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.value_reader import Read, Reader, duration_of, name_of, type_of, word_of
 
-LOOK_INTERVAL = 0.1
+EVALUATION_INTERVAL = 0.1
 """The longest time in seconds between two evaluations by the monitor. A failure that takes at least this long is
 scheduled in time."""
 
@@ -179,4 +179,4 @@ def word_key(name: str, about: str, type_: str, members: Sequence[str], *, defau
 
 def fails_on_arrival(hold_off: float) -> bool:
     """Return whether a message can be a failure when it arrives, or before the next regular evaluation."""
-    return hold_off < LOOK_INTERVAL
+    return hold_off < EVALUATION_INTERVAL

@@ -37,7 +37,7 @@ def heard(item: dict[str, Any]) -> dict[str, Any]:
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fence, "CONFIRM_WITHIN", 0.5)
-    monkeypatch.setattr(fence, "LOOK", 0.05)
+    monkeypatch.setattr(fence, "CHECK_PERIOD", 0.05)
 
 
 # -- fence ------------------------------------------------------------------------------------------------------------

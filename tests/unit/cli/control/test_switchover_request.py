@@ -52,7 +52,7 @@ def record(result: str = "Recovered") -> dict[str, Any]:
 
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(switchover_request, "LOOK", 0.05)
+    monkeypatch.setattr(switchover_request, "CHECK_PERIOD", 0.05)
 
 
 def test_failover_requests_a_switchover_waits_and_reports_the_gap(

@@ -154,7 +154,7 @@ def test_a_certain_clock_error_is_reported_before_a_possible_one() -> None:
 
 
 def test_the_clock_of_a_node_is_measured_by_its_lease_renewal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(clock_check, "LOOK", 0.05)
+    monkeypatch.setattr(clock_check, "CHECK_PERIOD", 0.05)
     ahead, begun = 30.0, time.time()
 
     class Leases:

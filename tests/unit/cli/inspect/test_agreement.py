@@ -87,7 +87,7 @@ def test_monitor_and_explain_agree_on_what_a_limit_prevents(
         with patch.object(retry_backoff, "time", Clock(NOW - recovered)):
             limits.retries.after_recovery(given_policy)
     limits.pauses.update(NOW)
-    limits.spending.say(NOW)
+    limits.spending.report(NOW)
     decision = decide(Facts(NOW, (FAILURE,), limits.in_force(NOW), standby_ready=ready))
 
     # The operator, from the conditions; and the command, from the objects.

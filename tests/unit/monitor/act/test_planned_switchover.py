@@ -151,7 +151,7 @@ class Scene:
 
 @pytest.fixture(autouse=True)
 def quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planned_switchover, "LOOK", 0.02)
+    monkeypatch.setattr(planned_switchover, "CHECK_PERIOD", 0.02)
 
 
 async def test_without_a_request_nothing_is_done() -> None:

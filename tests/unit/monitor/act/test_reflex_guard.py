@@ -13,7 +13,7 @@ from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.failover.interfaces import GateState, Instance
 from understudy.monitor.act.gate.reflex_guard import TOO_STRONG_FOR, ReflexGuard
 from understudy.monitor.judge.gate_enforcement import SETTLE, SILENT
-from understudy.monitor.judge.reflex_takeover import LOOK, ReflexTakeover
+from understudy.monitor.judge.reflex_takeover import CHECK_PERIOD, ReflexTakeover
 
 NOW = 1000.0
 TOPIC = "/cmd_vel"
@@ -238,7 +238,7 @@ async def test_a_takeover_is_looked_for_at_the_deadline_and_then_often_for_a_whi
     await world.keep()
     last = world.arrivals("w-1")[-1]
     assert world.takeover.next_check(last + 0.02) == pytest.approx(last + 0.1)
-    assert world.takeover.next_check(last + 0.15) == pytest.approx(last + 0.15 + LOOK)
+    assert world.takeover.next_check(last + 0.15) == pytest.approx(last + 0.15 + CHECK_PERIOD)
     assert world.takeover.next_check(last + 5) is None, "it may be at rest"
 
 

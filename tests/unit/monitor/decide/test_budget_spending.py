@@ -59,10 +59,10 @@ def world() -> World:
 
 
 def test_a_healthy_workload_reports_once_that_there_is_budget(world: World) -> None:
-    world.spending.say(1000.0)
+    world.spending.report(1000.0)
     assert world.said == ("True", "Left")
     before = world.notices.changes
-    world.spending.say(1001.0)
+    world.spending.report(1001.0)
     assert world.notices.changes == before, "no writes"
     assert world.events == []
 
@@ -84,9 +84,9 @@ def test_a_spent_budget_is_reported_with_its_end_and_what_to_do(world: World) ->
 def test_the_end_of_the_window_is_reported(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
-    world.spending.say(1599.0)
+    world.spending.report(1599.0)
     assert world.said == ("False", "Spent")
-    world.spending.say(1600.0)
+    world.spending.report(1600.0)
     assert world.said == ("True", "Left")
     assert world.events[-1] == ("Normal", "BudgetLeft")
 
@@ -114,7 +114,7 @@ def test_a_new_monitor_knows_the_spent_budget(world: World) -> None:
         world.recover(at)
     later = World(world.notices.status.to_wire())
     assert later.spending.spent_until(1061.0) == 1600.0
-    later.spending.say(1061.0)
+    later.spending.report(1061.0)
     assert later.events == [], "it was told already"
 
 
@@ -141,7 +141,7 @@ def test_without_a_budget_nothing_is_stored_or_reported(world: World) -> None:
     for at in (1000.0, 1060.0):
         world.recover(at)
     world.limit()
-    world.spending.say(1061.0)
+    world.spending.report(1061.0)
     assert world.spending.spent_until(1061.0) is None
     assert world.notices.status.find("WithinBudget") is None
     assert "spent" not in world.notices.status.to_wire()

@@ -240,7 +240,7 @@ class Looked(Restart):
 async def test_a_due_switchover_is_cancelled_if_its_strategy_is_unavailable_or_slow_to_check(
     world: World, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, takes: float, lacking: str, there: bool
 ) -> None:
-    monkeypatch.setattr(strategy_options, "LOOK_WITHIN", 0.02)
+    monkeypatch.setattr(strategy_options, "CHECK_WITHIN", 0.02)
     monkeypatch.setattr(strategy_options, "choices", lambda *_: [Choice(Looked(takes, lacking), 5.0)])
     deciding = Deciding(world, tmp_path, strategy=RESTART)
     assert deciding.levels.due is not None

@@ -22,7 +22,7 @@ from tests.unit.monitor.degraded import (
 from tests.unit.monitor.monitors import GivenMonitor
 from understudy.failover.decide import Recover
 from understudy.failover.interfaces import GateState
-from understudy.monitor.judge.degradation_level import AGAIN, LOOK
+from understudy.monitor.judge.degradation_level import AGAIN, CHECK_PERIOD
 from understudy.monitor.notices import BecameDegraded
 from understudy.trees.core.health_tree import Verdict
 
@@ -61,7 +61,7 @@ def test_without_spec_degraded_nothing_is_evaluated(world: World) -> None:
 
 def test_degradation_is_judged_less_often_than_health(world: World) -> None:
     world.look(10)
-    assert world.observer.times_asked <= 10 / LOOK + 1
+    assert world.observer.times_asked <= 10 / CHECK_PERIOD + 1
 
 
 def test_changing_figures_are_written_rarely(world: World) -> None:

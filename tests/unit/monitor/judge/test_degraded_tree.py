@@ -149,7 +149,7 @@ def test_real_topics_show_degradation_and_an_active_goal(
 
         def states() -> tuple[str, str]:
             now = time.time()
-            return observer.verdict(now=now, since=begun).state, observer.wellness(now=now, since=begun).state
+            return observer.verdict(now=now, since=begun).state, observer.degraded_verdict(now=now, since=begun).state
 
         def is_busy() -> bool:
             return observer.busy(now=time.time(), since=begun) is not None

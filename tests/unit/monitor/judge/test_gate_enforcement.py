@@ -93,16 +93,16 @@ def test_enforcement_is_judged_again_after_the_gate_admits_another_pod(
     monkeypatch.setattr(gate_enforcement, "time", clock)
     enforced = GateEnforcement(objects.gate, objects.proof, told, Readers())
     enforced.update(NOW)
-    enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
+    enforced.report(found := enforced.judge([ACTIVE, STANDBY]))
     assert (found[1], told.conditions) == ("Settling", {})
     clock.now = last["uid-w-1"] = last["uid-w-2"] = NOW + SETTLE + 1
     enforced.update(clock.now)
-    enforced.say(enforced.judge([ACTIVE, STANDBY]))
+    enforced.report(enforced.judge([ACTIVE, STANDBY]))
     assert told.conditions["GateEnforced"][:2] == ("False", "NotEnforced")
     assert [reason for _, reason, _ in told.events] == ["GateNotEnforced"]
     objects.put_gate(GateState(epoch=4, active="w-2", active_uid="uid-w-2"))
     enforced.update(clock.now)
-    enforced.say(found := enforced.judge([ACTIVE, STANDBY]))
+    enforced.report(found := enforced.judge([ACTIVE, STANDBY]))
     assert found[1] == "Settling"
     assert told.conditions["GateEnforced"][1] == "NotEnforced", "what was seen before stands"
 
@@ -122,7 +122,7 @@ def test_a_reader_that_the_gate_does_not_reach_means_that_it_is_not_enforced(
     readers.ungated = "The gate does not reach who reads /cmd_vel."
     assert enforced.judge([ACTIVE, STANDBY]) == ("False", "ReaderWithoutProfile", readers.ungated)
     assert enforced.judge([ACTIVE])[:2] == ("False", "ReaderWithoutProfile"), "where there is no standby too"
-    enforced.say(enforced.judge([ACTIVE, STANDBY]))
+    enforced.report(enforced.judge([ACTIVE, STANDBY]))
     assert [reason for _, reason, _ in told.events] == ["GateReaderWithoutProfile"]
     last["uid-w-2"] = clock.now
     assert enforced.judge([ACTIVE, STANDBY])[1] == "NotEnforced", "a network that enforces nothing comes first"

@@ -15,7 +15,7 @@ from tests.support.notices import RecordedNotices
 from understudy.api.kinds.failure_policy import FailurePolicySpec
 from understudy.api.kinds.situation_spec import SituationStatus
 from understudy.monitor.judge import situation_tracking as situations
-from understudy.monitor.judge.situation_tracking import HEARING, LOOK, SituationTracking
+from understudy.monitor.judge.situation_tracking import CHECK_PERIOD, HEARING, SituationTracking
 from understudy.monitor.notices import PublishedStatus
 from understudy.monitor.observe.robot.context_detection import ContextDetection, SituationState
 from understudy.monitor.report import monitor_metrics
@@ -114,7 +114,7 @@ class World:
     def pass_(self, length: float, asked: FailurePolicySpec = CARRYING, verdict: Verdict = HEALTHY) -> str:
         end = self.now + length
         while self.now < end:
-            self.now += LOOK / 2
+            self.now += CHECK_PERIOD / 2
             self.situations.update(asked, verdict, now=self.now + 1e9, since=1e9)
         return self.notices.status.situation.name if self.notices.status.situation is not None else ""
 

@@ -227,7 +227,7 @@ def test_a_missing_type_of_the_degraded_tree_does_not_affect_the_health_tree(
     assert any("nobodys_msgs/msg/Battery is not installed" in problem for problem in observer.problems)
     assert observer.summary == "Watching /beat, /battery."
     now = time.time()
-    assert observer.wellness(now=now, since=now).state == "Starting"
+    assert observer.degraded_verdict(now=now, since=now).state == "Starting"
 
 
 def test_an_invalid_degraded_tree_is_reported_and_the_last_one_stays(observer: HealthObserver, clock: Clock) -> None:
@@ -238,7 +238,7 @@ def test_an_invalid_degraded_tree_is_reported_and_the_last_one_stays(observer: H
     observer.follow(_degraded(gap, {"topic": {"name": "/beat", "rate": "> 9 Herz"}}), None)
     (problem,) = observer.problems
     assert "spec.degraded.monitoring.yaml.topic.rate" in problem
-    assert observer.wellness(now=begun + GRACE + 1, since=begun).state == "Failed"
+    assert observer.degraded_verdict(now=begun + GRACE + 1, since=begun).state == "Failed"
     observer.follow(_degraded(gap, good), None)
     assert observer.problems == []
 

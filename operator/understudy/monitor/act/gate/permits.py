@@ -34,10 +34,10 @@ from understudy.ros.runtime.graph_node import Graph
 _logger = logging.getLogger(__name__)
 
 REFRESH = 10.0
-"""Seconds between two looks at which addresses can answer an instance."""
+"""Seconds between two checks of which addresses can answer an instance."""
 
 PERIOD = 1.0
-"""Seconds between two looks at the instances while none of them reports anything."""
+"""Seconds between two checks of the instances while none of them reports anything."""
 
 REMEMBERED = 1000
 """Number of replaced pods that are remembered."""

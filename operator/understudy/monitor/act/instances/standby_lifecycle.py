@@ -98,7 +98,7 @@ class StandbyLifecycle:
                 care.lost_at = None
             elif pool_of(instance, settings) is not None and active_uid:
                 self._watch_readiness(instance, care, now)
-        self._say(instances, policy, spec, settings, waiting, outdated)
+        self._report(instances, policy, spec, settings, waiting, outdated)
 
     def _bring(
         self,
@@ -181,7 +181,7 @@ class StandbyLifecycle:
             _logger.warning("standby %s not deleted: %s", instance.name, error)
             care.replaced, care.lost_at = False, None
 
-    def _say(
+    def _report(
         self,
         instances: Sequence[Instance],
         policy: FailurePolicySpec,

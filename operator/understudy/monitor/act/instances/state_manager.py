@@ -32,11 +32,11 @@ from understudy.state.state_store import StateStore
 
 _logger = logging.getLogger(__name__)
 
-LEAST_LOOK = 0.05
+LEAST_READ_PERIOD = 0.05
 """Minimum seconds between two reads of the kept topics, if the policy's period is shorter. Messages in between are left
 to the middleware, which keeps the last."""
 
-LOOK_AT_ODOMETRY = 0.1
+ODOMETRY_PERIOD = 0.1
 """Seconds between two reads of odometry. Only the last message of each interval counts: at 0.5 m/s and 1 rad/s the path between
 two of them is known to a millimetre, and a jump can be distinguished from driving.
 """
@@ -107,7 +107,7 @@ class StateManager:
             self._keeper.forget_offers()
         now = time.monotonic()
         if now >= self._next_take:
-            self._next_take = now + max(LEAST_LOOK, self._period)
+            self._next_take = now + max(LEAST_READ_PERIOD, self._period)
             self._take_messages()
         if self._carrier.topics:
             # After the poses: most of them are of a moment from which odometry has come by now.
@@ -129,7 +129,7 @@ class StateManager:
     def _take_odometry(self, now: float) -> None:
         if now < self._next_odometry:
             return
-        self._next_odometry = now + LOOK_AT_ODOMETRY
+        self._next_odometry = now + ODOMETRY_PERIOD
         for message in self._odometry.drain():
             self._carrier.moved(
                 message.topic, message.type, message.data, received_at=message.received_at, writer=message.writer
@@ -143,7 +143,7 @@ class StateManager:
         async def watch() -> None:
             while True:
                 self._take_odometry(time.monotonic())
-                await asyncio.sleep(LOOK_AT_ODOMETRY)
+                await asyncio.sleep(ODOMETRY_PERIOD)
 
         watching = asyncio.create_task(watch()) if self._carrier.topics else None
         try:
@@ -244,7 +244,7 @@ class StateManager:
         if self._keeper.keys or self._reported:
             self._inspect(now, active)
             self._note()
-            self._say(now)
+            self._report(now)
         self._keep_up(waiting, now)
 
     def _persist(self, now: float) -> None:
@@ -330,7 +330,7 @@ class StateManager:
             notes[key] = ("NotAsked", f"{key.label}: {reason}")
         self._keeper.note(notes)
 
-    def _say(self, now: float) -> None:
+    def _report(self, now: float) -> None:
         """Update status, condition and metrics: at once if a problem begins or ends, else seldom."""
         entries = self._troubles()
         self._notices.add(StateKept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries}))

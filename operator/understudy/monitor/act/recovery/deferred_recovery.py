@@ -20,7 +20,7 @@ from understudy.monitor.decide.limits import Limits
 from understudy.monitor.notices import Notices
 from understudy.monitor.observe.current_recovery import CurrentRecovery
 
-LOOK = 1.0
+CHECK_PERIOD = 1.0
 """Seconds between two checks whether the recovery may continue."""
 
 
@@ -50,7 +50,7 @@ class DeferredRecovery:
                     if (found := self._gate.state.epoch) != epoch:
                         raise Superseded(f"another process changed the gate from epoch {epoch} to {found}")
                     yield
-                    await asyncio.sleep(LOOK)
+                    await asyncio.sleep(CHECK_PERIOD)
         if progress.held:
             progress.release(time.time())
             self._notices.event("Normal", "RecoveryReleased", f"{progress.reason}; the monitor starts the recovery now")
@@ -65,7 +65,7 @@ class DeferredRecovery:
         epoch = self._gate.state.epoch
         self._notices.set(active="", health="Failed", gate=GateStatus(epoch=epoch))
         self._notices.condition("Healthy", "False", "Failed", progress.reason)
-        self._limits.spending.say(time.time())
+        self._limits.spending.report(time.time())
         self._limits.spending.report_held(progress)
         return epoch
 

@@ -42,7 +42,7 @@ PATIENCE = 30.0
 """Seconds that a request waits for an understudy, or for anything else that prevents it. The request of a drain waits
 as long as the drain lasts."""
 
-LOOK = 1.0
+CHECK_PERIOD = 1.0
 """Seconds between two checks whether a waiting request can begin."""
 
 REPORT_PERIOD = 5.0
@@ -119,14 +119,14 @@ class PlannedSwitchovers:
             elif self._task.done():
                 return self._outcome(self._task) if not lacking else None
             elif now >= self._next and self._progress is not None:
-                self._say(self._progress, "Preparing", "An understudy is being prepared.")
+                self._report_progress(self._progress, "Preparing", "An understudy is being prepared.")
             return None
         if wanted is None:
-            self._over_and_done()
+            self._close_report()
             return None
         if now < self._next:
             return None
-        self._next = now + LOOK
+        self._next = now + CHECK_PERIOD
         if lacking:
             self._wait(wanted, lacking, now)
         else:
@@ -154,7 +154,7 @@ class PlannedSwitchovers:
         None if the gate was not switched.
         """
         progress, context = prepared.progress, self._options.context()
-        self._say_switching(progress)
+        self._report_switching(progress)
         _logger.warning("switchover (%s): %s", progress.switchover, progress.reason)
         try:
             with self._current.during(progress):
@@ -172,10 +172,10 @@ class PlannedSwitchovers:
             _logger.warning("the former pod is not deleted yet: %r", error)
         return Outcome("SwitchedOver" if progress.result == "Recovered" else "NotSwitchedOver", progress)
 
-    def _say_switching(self, progress: Progress) -> None:
+    def _report_switching(self, progress: Progress) -> None:
         self._task = None
         target = progress.target.name if progress.target is not None else ""
-        self._say(progress, "Switching", f"The gate is being switched to {target}.")
+        self._report_progress(progress, "Switching", f"The gate is being switched to {target}.")
 
     def _give_up(self, progress: Progress, reason: str) -> None:
         # Nobody needs what was prepared. Should it drive after all, that will be seen.
@@ -184,14 +184,16 @@ class PlannedSwitchovers:
         self._rest(progress.switchover)
         text = f"The gate was not switched: {reason}."
         self._notices.event("Warning", "SwitchoverNotDone", text)
-        self._say(progress, "NotDone", text)
+        self._report_progress(progress, "NotDone", text)
 
     def done(self, progress: Progress, text: str) -> None:
         """Finish a switchover whose gate was switched and whose outcome is known."""
         self._stop()
         if progress.result != "Recovered":
             self._rest(progress.switchover)
-        self._say(progress, "Done" if progress.result == "Recovered" else "NotDone", text, recovery=progress.id)
+        self._report_progress(
+            progress, "Done" if progress.result == "Recovered" else "NotDone", text, recovery=progress.id
+        )
 
     def unsettled(self) -> Progress | None:
         """Return a switchover whose gate was switched after it was abandoned, or by an earlier monitor."""
@@ -259,7 +261,7 @@ class PlannedSwitchovers:
         self._wanted, self._progress = wanted, progress
         if self._is_new(wanted):
             self._notices.event("Normal", "SwitchoverBegun", f"A switchover is being prepared: {wanted.reason}")
-            self._say(progress, "Preparing", "An understudy is being prepared.")
+            self._report_progress(progress, "Preparing", "An understudy is being prepared.")
         self._task = asyncio.create_task(switchover.prepare(progress, choices, context, wanted.unfit))
 
     def _home(self, choices: Sequence[Choice]) -> Choice:
@@ -317,7 +319,7 @@ class PlannedSwitchovers:
         if wanted is not None:
             self._end("NotDone", f"Nothing was changed: {reason}.", wanted)
 
-    def _over_and_done(self) -> None:
+    def _close_report(self) -> None:
         """Close the report about a request that waited or was being prepared by an earlier monitor: nobody requests a switchover now."""
         published = self._notices.status.switchover
         if published is not None and published.phase not in ENDED:
@@ -338,7 +340,7 @@ class PlannedSwitchovers:
 
     def _rest(self, kind: Kind | None) -> None:
         """Have what goes on asking ask again after a while only."""
-        self._next = time.monotonic() + (AGAIN if kind == "Drain" else LOOK)
+        self._next = time.monotonic() + (AGAIN if kind == "Drain" else CHECK_PERIOD)
 
     def _stop(self) -> None:
         if self._task is not None:
@@ -356,7 +358,7 @@ class PlannedSwitchovers:
             or (published.kind, published.request) != (wanted.kind, wanted.request)
         )
 
-    def _say(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
+    def _report_progress(self, progress: Progress, phase: Phase, message: str, *, recovery: str = "") -> None:
         target = progress.target.name if progress.target is not None else ""
         kind = progress.switchover
         assert kind is not None, "it is a switchover"

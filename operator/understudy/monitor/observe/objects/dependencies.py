@@ -194,7 +194,7 @@ class Dependencies:
                 self._notices.condition(CONDITION, "False", "OwnFailure", text)
             return None
         if found.name:
-            self._say(found, reason)
+            self._report_held(found, reason)
         return found.until
 
     @property
@@ -202,7 +202,7 @@ class Dependencies:
         """Whether the status reports that a failure is held."""
         return bool(self._watched) and self._notices.status.reason(CONDITION) in ("Held", "Settling")
 
-    def _say(self, found: HeldFailure, reason: str) -> None:
+    def _report_held(self, found: HeldFailure, reason: str) -> None:
         until = datetime.fromtimestamp(found.until, UTC).strftime("%H:%M:%S UTC")
         if found.settling:
             why, then = (

@@ -31,10 +31,10 @@ _logger = logging.getLogger(__name__)
 REMEMBERED = 60.0
 """Seconds for which samples are still attributed to a pod whose object is gone: its process may outlive it."""
 
-LOOK = 0.002
+CHECK_PERIOD = 0.002
 """Seconds between checks while a switch is being verified."""
 
-POD_LOOK = 0.1
+POD_CHECK_PERIOD = 0.1
 """Seconds after which the state of the active pod is passed on again: another pod may have become active."""
 
 
@@ -51,8 +51,8 @@ class HealthObserver:
         self._loaded: tuple[Monitoring, list[Output]] | None = None
         self._outputs: list[Output] = []
         self._problems: list[str] = []
-        self._wellness = DegradedTrees()
-        self._situating = ContextDetection()
+        self._degraded_trees = DegradedTrees()
+        self._context_detection = ContextDetection()
         self._aside: set[str] = set()
         """Topics that are received for these two alone."""
         self._addresses: dict[str, tuple[str, float]] = {}
@@ -66,7 +66,7 @@ class HealthObserver:
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
         """Watch what this policy's tree and this workload need; one that does not load leaves the last in force."""
         outputs = spec.outputs if spec else self._outputs
-        again = self._wellness.follow(policy, spec) | self._situating.follow(policy)
+        again = self._degraded_trees.follow(policy, spec) | self._context_detection.follow(policy)
         if self._loaded == (policy.monitoring, outputs):
             if again:
                 self._watch(spec)
@@ -94,7 +94,7 @@ class HealthObserver:
         types = {output.topic: output.type for output in self._outputs if output.topic}
         wanted = {topic.name: topic for topic in (self._tree.topics if self._tree is not None else [])}
         self._aside = set()
-        for need in [*self._wellness.topics, *self._situating.topics]:
+        for need in [*self._degraded_trees.topics, *self._context_detection.topics]:
             known = wanted.get(need.name)
             if need.subscribed and (known is None or not known.subscribed):
                 self._aside.add(need.name)
@@ -129,7 +129,14 @@ class HealthObserver:
         unmetered = self._meter.problems if self._meter is not None else []
         watched = [*self._watching.problems, *self._watching.sources.problems()]
         blind = [f"{one}." for one in self._tree.blind] if self._tree is not None else []
-        return [*self._problems, *self._wellness.problems, *self._situating.problems, *watched, *unmetered, *blind]
+        return [
+            *self._problems,
+            *self._degraded_trees.problems,
+            *self._context_detection.problems,
+            *watched,
+            *unmetered,
+            *blind,
+        ]
 
     @property
     def waiting(self) -> list[str]:
@@ -190,8 +197,8 @@ class HealthObserver:
         unwatchable = self._watching.unwatchable
         if self._tree is not None:
             self._tree.leave_out(unwatchable - self._aside)
-        self._wellness.leave_out(unwatchable)
-        self._situating.leave_out(unwatchable)
+        self._degraded_trees.leave_out(unwatchable)
+        self._context_detection.leave_out(unwatchable)
 
     def _update_pod_state(self, instances: Sequence[Instance], active: str) -> None:
         """Pass the state of the active pod's object to the trees, if one of them needs it."""
@@ -203,7 +210,7 @@ class HealthObserver:
             watching.pod_state = None
             return
         now, last = time.time(), watching.pod_state
-        if last is None or self._pod is not before or abs(now - last.received) >= POD_LOOK:
+        if last is None or self._pod is not before or abs(now - last.received) >= POD_CHECK_PERIOD:
             usage = self._meter.usage if self._meter is not None else None
             watching.pod_state = PodState(now, self._pod.conditions, self._pod.restarts, usage)
 
@@ -213,17 +220,17 @@ class HealthObserver:
             return Verdict("Starting", "the policy has no health tree that loads", "", None)
         return self._tree.evaluate(self._watching, now=now, since=since)
 
-    def wellness(self, *, now: float, since: float) -> Verdict:
+    def degraded_verdict(self, *, now: float, since: float) -> Verdict:
         """Return the verdict of the tree of ``spec.degraded`` on the active instance. Times are Unix seconds."""
-        return self._wellness.verdict(self._watching, now=now, since=since)
+        return self._degraded_trees.verdict(self._watching, now=now, since=since)
 
     def busy(self, *, now: float, since: float) -> BusyReason | None:
         """Why the robot does not count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
-        return self._wellness.busy(self._watching, now=now, since=since)
+        return self._degraded_trees.busy(self._watching, now=now, since=since)
 
     def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
         """What is seen of each situation of the policy; ``goals`` are the actions that have some. Times are unix seconds."""
-        return self._situating.seen(self._watching, goals, now=now, since=since)
+        return self._context_detection.seen(self._watching, goals, now=now, since=since)
 
     def deadline(self, *, now: float, since: float) -> float | None:
         """When the verdict could get worse with no further message."""
@@ -277,7 +284,7 @@ class GatedReaders:
             found = [self._first(topic, instance.name, since, ambiguous) for topic in self.expected]
             if all(time is not None for time in found):
                 return min(time for time in found if time is not None)
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(CHECK_PERIOD)
 
     def _first(self, topic: str, pod: str, since: float, ambiguous: bool) -> float | None:
         if not ambiguous:

@@ -79,7 +79,7 @@ _TASK = 'a health tree can depend only on whether a task is active; write <While
 _STORE = 'a health tree writes nothing; give constants as attributes of <SubTree>, such as scan="/scan"'
 _CERTAIN = "a constant result says nothing about the robot; remove it"
 _RECOVERY = "a health tree takes no action; actions after a failure belong in spec.strategies of the policy"
-_LOOKS = (
+_CHECKS_ONLY = (
     "only procedures and checks test this once; in a health tree, write what must hold, such as <Lifecycle> or <Node>"
 )
 
@@ -134,7 +134,7 @@ HEALTH = Library(
     {
         **REFUSED,
         **{tag_of(key): _RECOVERY for key in procedure_leaves.STEPS},
-        **{tag_of(key): _LOOKS for key in procedure_leaves.CONDITIONS},
+        **{tag_of(key): _CHECKS_ONLY for key in procedure_leaves.CONDITIONS},
     },
     NO_SCRIPTS,
     "Parallel",

@@ -60,7 +60,7 @@ _DECORATORS: Mapping[str, Node] = {
     ),
 }
 _STEPS: Mapping[str, Node] = {tag_of(key): _own("Action", key, step) for key, step in procedure_leaves.STEPS.items()}
-_LOOKS: Mapping[str, Node] = {
+_CHECKS_ONLY: Mapping[str, Node] = {
     tag_of(key): _own("Condition", key, step) for key, step in procedure_leaves.CONDITIONS.items()
 }
 _LEAVES: Mapping[str, Node] = {tag: node for tag, node in NODES.items() if node.category == "Condition"}
@@ -102,12 +102,14 @@ def _library(subject: TreeKind, nodes: Mapping[str, Node], refused: Mapping[str,
     return Library(subject, nodes, refused, _NO_SCRIPTS, "Sequence", thresholds.all_of)
 
 
-PROCEDURES = _library(tree_kinds.PROCEDURE, {**_CONTROLS, **_DECORATORS, **_STEPS, **_LOOKS, **_WATCHED}, _REFUSED)
+PROCEDURES = _library(
+    tree_kinds.PROCEDURE, {**_CONTROLS, **_DECORATORS, **_STEPS, **_CHECKS_ONLY, **_WATCHED}, _REFUSED
+)
 """Procedures."""
 
 CHECKS = _library(
     tree_kinds.CHECK,
-    {**_CONTROLS, **_LOOKS, **_WATCHED},
+    {**_CONTROLS, **_CHECKS_ONLY, **_WATCHED},
     {
         **_REFUSED,
         **dict.fromkeys(

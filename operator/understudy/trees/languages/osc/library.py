@@ -117,7 +117,7 @@ _CERTAIN = "a constant result, or none, says nothing about the robot; remove it"
 _RECOVERY = "a health tree takes no action; actions after a failure belong in spec.strategies of the policy"
 _STORE = "a health tree remembers and writes nothing; remove it"
 _NO_PROCESSES = "a health tree starts no processes and reads no files; write what must hold, such as topic() or value()"
-_LOOKS = (
+_CHECKS_ONLY = (
     "only procedures and checks test this once; in a health tree, write what must hold, such as lifecycle() or node()"
 )
 
@@ -139,7 +139,7 @@ _OTHERS: Mapping[str, str] = {
     ),
     "kubernetes_patch_network_policy": _RECOVERY,
     **dict.fromkeys(procedure_leaves.STEPS, _RECOVERY),
-    **dict.fromkeys(procedure_leaves.CONDITIONS, _LOOKS),
+    **dict.fromkeys(procedure_leaves.CONDITIONS, _CHECKS_ONLY),
 }
 
 REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in ACTIONS}

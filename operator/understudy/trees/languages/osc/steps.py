@@ -73,7 +73,7 @@ _OTHERS: Mapping[str, str] = {
 
 _KNOWN = {**STEPS, **CONDITIONS, **WATCHED, **DECORATORS, **INVERTER}
 _REFUSED: Mapping[str, str] = {name: why for name, why in _OTHERS.items() if name not in _KNOWN}
-_LOOKS_ONLY = "a check takes no action; it belongs in a procedure"
+_NO_ACTION = "a check takes no action; it belongs in a procedure"
 _DONE = ("action_call", "service_call", "topic_publish", "set_node_parameter", "wait_for_topics")
 
 PROCEDURES = Dialect(
@@ -94,7 +94,7 @@ CHECKS = Dialect(
     INVERTER,
     {
         **_REFUSED,
-        **dict.fromkeys((*STEPS, *DECORATORS, *_DONE), _LOOKS_ONLY),
+        **dict.fromkeys((*STEPS, *DECORATORS, *_DONE), _NO_ACTION),
         "repeat": "a check is evaluated in every period; remove it",
         "while_task_active": "an instance that waits has no task; remove it",
     },

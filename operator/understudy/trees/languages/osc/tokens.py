@@ -62,7 +62,7 @@ REFUSED: Mapping[str, str] = {
 
 _NO_CALLS = "it calls no functions; remove it"
 _WAITED = "use wait_for() to wait, and timeout() in the with: of a node to limit the time; remove it"
-_LOOKED = "a check is evaluated in every period and does not wait; remove it"
+_CHECK_DOES_NOT_WAIT = "a check is evaluated in every period and does not wait; remove it"
 _BRANCH = "write a one_of: with a serial: in it: first the condition, then what depends on it"
 _COMPARED = "write what must hold as a condition, such as parameter_is() or value()"
 
@@ -84,7 +84,7 @@ def _refused(events: str) -> Mapping[str, str]:
 REFUSED_IN_PROCEDURES = _refused(_WAITED)
 """Words and signs that no procedure has."""
 
-REFUSED_IN_CHECKS = _refused(_LOOKED)
+REFUSED_IN_CHECKS = _refused(_CHECK_DOES_NOT_WAIT)
 """Words and signs that no check has."""
 
 
