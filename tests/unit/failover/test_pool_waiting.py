@@ -335,7 +335,7 @@ async def test_a_workload_without_a_pod_watches_the_pool_until_it_has_one() -> N
     assert store.looks == ["part", "all", "followed"]
 
 
-async def test_before_a_failure_the_status_of_the_operator_tells_whether_the_pool_has_a_pod() -> None:
+async def test_pool_availability_before_a_failure_comes_from_the_status_of_the_operator() -> None:
     fleet: list[Store] = []
     store = robot("a", fleet)
     strategy = UninitializedFallback(POOL)

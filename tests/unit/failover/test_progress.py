@@ -87,7 +87,7 @@ class TestUnderWay:
         assert not under_way(committed, [("r2", rfc3339(NOW - 0.5))])
         assert not under_way(committed, [("r1", None), ("r2", None)]), "and however many others there are"
 
-    def test_a_gate_without_a_recovery_reports_none(self) -> None:
+    def test_no_recovery_is_under_way_without_one_at_the_gate(self) -> None:
         assert not under_way(None, [], NOW)
 
     @pytest.mark.parametrize("result", ["Recovered", "Failed"])

@@ -171,7 +171,7 @@ def test_the_leaf_needs_both_topics_and_is_left_out_without_one():
         assert [node.name for node in tree.root.iterate() if not node.children] == ["scan"]
 
 
-def test_its_commands_are_not_expected_after_a_switchover():
+def test_after_a_switchover_odometry_is_expected_and_commands_are_not():
     world = drive(World(leaf()), 1.0, 2.0, 0.3)
     assert world.tree.counting(world.observed(), now=START + 2.0, since=START) == {ODOMETRY}
 

@@ -18,7 +18,7 @@ def test_a_valid_policy_for_degraded_states_has_no_findings() -> None:
     assert found(DEGRADED) == []
 
 
-def test_a_mistake_in_that_tree_is_placed_like_one_in_the_health_tree() -> None:
+def test_a_finding_in_the_degraded_tree_has_its_field_and_line() -> None:
     finding = only(DEGRADED.replace("18 Hz", "18 Herz"))
     assert finding.field == "spec.degraded.monitoring.yaml.topic.rate"
     assert "is not a rate: write" in finding.message

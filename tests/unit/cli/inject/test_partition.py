@@ -151,7 +151,9 @@ def test_the_pod_is_cut_off_for_the_given_time(cluster: Cluster, capsys: pytest.
 
 
 @needs_root
-def test_it_can_be_cut_off_from_its_monitor_alone(cluster: Cluster, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pod_can_be_cut_off_from_its_monitor_and_given_networks_only(
+    cluster: Cluster, capsys: pytest.CaptureFixture[str]
+) -> None:
     with network() as lan:
         cluster.tell(inside=lan.host("10.91.0.1"))
         whom = ["--from", "monitor", "--from", "10.91.7.0/24"]

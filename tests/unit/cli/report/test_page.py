@@ -121,7 +121,7 @@ def test_only_robots_with_events_have_a_lane() -> None:
     assert "1 robot without an event is not shown." in shown.text
 
 
-def test_a_period_without_recoveries_says_so() -> None:
+def test_the_page_reports_that_a_period_has_no_recoveries() -> None:
     told = read(fleet.in_vain(), period=Span(NOW - 60.0, NOW)).texts_with("No recovery", "No interruption")
     assert_golden("report", told, "2026-11-22 13:06:24Z", "No recovery", "No interruption")
 
