@@ -50,7 +50,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--part",
         choices=["all", "side-by-side", "alone"],
         default="all",
-        help="of the end-to-end tests: those that can run beside others, or those marked `alone`",
+        help="of the tests on a cluster: those that can run beside others, or those marked `alone`",
     )
 
 
@@ -91,11 +91,20 @@ def _like_a_pod() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Marks tests by their folder, and skips what the provider can't do."""
+    """Mark tests by their folder, leave out the other part, and skip what the provider can't do."""
+    on_a_cluster = []
     for item in items:
         for folder in ("cluster", "e2e"):
             if item.path.is_relative_to(REPOSITORY / "tests" / folder):
                 item.add_marker(getattr(pytest.mark, folder))
+                on_a_cluster.append(item)
+    part = config.getoption("part")
+    if part != "all":
+        left_out = {
+            item for item in on_a_cluster if (item.get_closest_marker("alone") is None) != (part == "side-by-side")
+        }
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
     local_only = [item for item in items if item.get_closest_marker("local_only")]
     if local_only and (provider := config.getoption("cluster") or _suitable_provider()) != "local":
         for item in local_only:

@@ -16,8 +16,6 @@ from understudy.kube.gates.base import GateRecord
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.kubeconfig import load_access
 
-pytestmark = pytest.mark.cluster
-
 CONTENDERS = 12
 
 

@@ -39,7 +39,7 @@ from understudy.monitor.notices import Notices
 from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.wakeups import Wakeups
 
-pytestmark = pytest.mark.cluster
+pytestmark = pytest.mark.alone  # the order of many clients is measured
 
 END = "the-end"
 """The pod with which a watch of pods has told enough."""

@@ -20,7 +20,7 @@ from kubernetes.stream import stream
 from testcluster.local import cgroups, layout, network, node, processes, programs
 from testcluster.local.layout import Layout
 
-pytestmark = [pytest.mark.local_only, pytest.mark.timeout(600)]
+pytestmark = [pytest.mark.local_only, pytest.mark.timeout(600), pytest.mark.xdist_group("a cluster of their own")]
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 NAME = "provider-tests"

@@ -18,6 +18,8 @@ import pytest
 from tests.cluster.policy_pods import REPOSITORY, World, flows, table
 from tests.support.cluster import Cluster, Object
 
+pytestmark = pytest.mark.alone  # packets are counted in milliseconds
+
 TABLE = table()
 GATED = 7950
 SWITCHES = 50

@@ -41,11 +41,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.alone)
         if item.get_closest_marker("shared_robots"):
             item.add_marker(pytest.mark.xdist_group(item.path.name))
-    part = config.getoption("part")
-    if part != "all":
-        left_out = {item for item in mine if (item.get_closest_marker("alone") is None) != (part == "side-by-side")}
-        config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in left_out]
 
 
 def install(kubeconfig: Path, chart: Path = CHART, *arguments: str, images: str = "") -> Kubectl:
