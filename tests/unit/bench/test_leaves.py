@@ -25,7 +25,7 @@ def test_the_tree_has_twenty_leaves_with_these_paths_and_topics(loaded):
         if topic := BY_PATH[leaf.name].topic:
             assert leaf.topic == topic
     status = "/navigate_to_pose/_action/status"
-    assert {topic.name for topic in loaded.topics if topic.heard} == {*topics(), status}
+    assert {topic.name for topic in loaded.topics if topic.subscribed} == {*topics(), status}
 
 
 def test_the_topic_of_a_leaf_is_published_with_its_type_by_its_process(loaded):
