@@ -177,11 +177,6 @@ class AgentLink:
         found: Mapping[str, Any] = answer.get("report") or {}
         return found
 
-    async def ask(self) -> AgentStatus:
-        """Return the agent's present status. Raises AgentGone."""
-        answer = await self.request("status", {})
-        return AgentStatus.from_wire(answer.get("status", {}))
-
     async def close(self) -> None:
         """Close the connection. Requests in flight fail."""
         self._task.cancel()

@@ -23,8 +23,8 @@ _PIECE = 1 << 18  # bytes of a file that are sent at once
 _PATIENCE = 30.0  # seconds for the client to receive one of these pieces
 
 
-async def serve(pages: Mapping[str, Page], port: int, *, host: str = "0.0.0.0") -> asyncio.Server:
-    """Serve pages by path, for GET and HEAD, with one request per connection."""
+async def serve(pages: Mapping[str, Page], port: int, *, host: str | None = "0.0.0.0") -> asyncio.Server:
+    """Serve pages by path, for GET and HEAD, with one request per connection. Without a host: at all addresses, IPv6 too."""
 
     async def handle(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:

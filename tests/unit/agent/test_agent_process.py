@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually
+from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually, status_of
 from understudy.agent import process as running
 from understudy.api.protocol import agent_messages as wire
 from understudy.kube.agent_client import AgentGone, AgentRefused
@@ -169,7 +169,7 @@ async def test_an_invalid_request_of_a_monitor_is_answered(pod: Pod, links):
     ]:
         with pytest.raises(AgentRefused, match=op):
             await link.request(op, body)
-    status = await link.ask()
+    status = await status_of(link)
     assert (status.phase, status.configured) == ("Held", False)
     assert not (pod.volume / "env-app").exists()
 
@@ -179,12 +179,12 @@ async def test_a_tree_in_xml_is_accepted_and_survives_a_restart(pod: Pod, links)
     links.append(link := pod.link())
     await link.wait_connected(60)
     await link.configure(XML, [], 1.0, form="xml")
-    assert (await link.ask()).configured
+    assert (await status_of(link)).configured
     pod.kill(first)
     pod.start_agent()
     links.append(again := pod.link())
     await again.wait_connected(60)
-    assert (await again.ask()).configured
+    assert (await status_of(again)).configured
     assert json.loads((pod.volume / "agent.json").read_text())["configuration"]["form"] == "xml"
 
 
@@ -229,9 +229,9 @@ async def test_a_start_can_be_repeated(pod: Pod, links):
     links.append(link := pod.link())
     await link.wait_connected(60)
     await link.start({"app": {"GREETING": "once"}}, ROS)
-    begun = (await link.ask()).started_at
+    begun = (await status_of(link)).started_at
     await link.start({"app": {"GREETING": "twice"}}, ROS)
-    assert (await link.ask()).started_at == begun
+    assert (await status_of(link)).started_at == begun
     await eventually(lambda: pod.output() == "domain 77, once\n")
 
 
@@ -253,8 +253,8 @@ async def test_a_killed_agent_restarts_with_its_state(pod: Pod, links):
     links.append(link := pod.link())
     await link.wait_for(lambda s: s.ready, 60)
     await link.start({"app": {"GREETING": "kept"}}, ROS)
-    begun = (await link.ask()).started_at
-    asking = asyncio.gather(*(link.ask() for _ in range(3)), return_exceptions=True)
+    begun = (await status_of(link)).started_at
+    asking = asyncio.gather(*(status_of(link) for _ in range(3)), return_exceptions=True)
     await asyncio.sleep(0)
     pod.kill(agent)
     async with asyncio.timeout(1):
@@ -262,7 +262,7 @@ async def test_a_killed_agent_restarts_with_its_state(pod: Pod, links):
     await eventually(lambda: not link.connected, 1)
     assert link.status is None
     with pytest.raises(AgentGone):
-        await link.ask()
+        await status_of(link)
     assert stat.S_IMODE((pod.volume / "agent.json").stat().st_mode) == 0o600
     pod.start_agent()
     links.append(other := pod.link("other", "x/1"))
@@ -379,9 +379,10 @@ async def test_an_agent_without_monitors_stops_probing(monkeypatch):
     sessions = Connected(1)
     task = asyncio.create_task(running.stop_probes_without_monitor(sessions, probes))
     await asyncio.sleep(0.2)
-    assert probes.target is not None
+    probes.burst(0.001, 0.01)
     sessions.count = 0
     await asyncio.sleep(0.2)
-    assert probes.target is None
+    with pytest.raises(RuntimeError, match="no address"):
+        probes.burst(0.001, 0.01)
     task.cancel()
     probes.close()

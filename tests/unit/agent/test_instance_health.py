@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.agent.conftest import Pod, eventually
+from tests.unit.agent.conftest import Pod, eventually, status_of
 from tests.unit.ros.network import network
 from understudy.api.protocol.agent_messages import AgentStatus
 
@@ -42,7 +42,7 @@ async def test_a_held_talker_is_started_and_becomes_ready(pod: Pod, links, ros):
     links.append(link := pod.link())
     await link.wait_for(lambda s: s.ready, 60)
     await link.configure(TREE, OUTPUTS, 20.0)
-    assert (await link.ask()).configured
+    assert (await status_of(link)).configured
     begun = time.time()
     await link.start({}, ros)
     up = await link.wait_for(lambda s: s.process_up_at is not None, 60)

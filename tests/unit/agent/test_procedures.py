@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.agent.conftest import Pod, eventually
+from tests.unit.agent.conftest import Pod, eventually, status_of
 from tests.unit.agent.localization import OUTPUTS, TREE, WITHIN, localize, run
 from understudy.kube.agent_client import AgentLink, AgentRefused
 from understudy.trees.languages.procedure_notations import compose
@@ -28,8 +28,8 @@ async def connected(pod: Pod, links: list[AgentLink], **configuration) -> AgentL
 async def test_an_initialized_standby_is_ready_and_stays_ready_when_its_agent_restarts(robot: Pod, links):
     localize(robot)
     link = await connected(robot, links, standby={"brought": "init:1", "tree": False})
-    assert (await link.ask()).ready is False
-    assert (await link.ask()).reason == "not initialized yet"
+    assert (await status_of(link)).ready is False
+    assert (await status_of(link)).reason == "not initialized yet"
 
     await link.procedure(ACTIVATE, WITHIN, name="initialization", brought="init:1")
 
@@ -62,7 +62,7 @@ async def test_a_failed_procedure_reports_its_leaf_and_the_reason(robot: Pod, li
     }
     with pytest.raises(AgentRefused, match=r"initialization\.sequence\[1\]\.parameter_is: parameter speed of node"):
         await link.procedure(wrong, WITHIN, name="initialization", brought="init:1")
-    status = await link.ask()
+    status = await status_of(link)
     assert not status.ready
     assert status.initialized == ""
     assert_golden("agent", status.reason, "initialization.sequence[1].parameter_is")
@@ -133,7 +133,7 @@ async def test_a_newer_procedure_replaces_the_running_one(robot: Pod, links):
 
     with pytest.raises(AgentRefused, match="initialization gave way to another procedure"):
         await waiting
-    assert (await link.ask()).initialized == "up:1"
+    assert (await status_of(link)).initialized == "up:1"
 
 
 async def test_the_end_of_its_session_ends_a_procedure(robot: Pod, links):
@@ -169,7 +169,7 @@ async def test_a_check_may_use_topics_that_the_health_tree_does_not_use(robot: P
 
 async def test_managed_processes_are_up_with_their_first_node(robot: Pod, links):
     link = await connected(robot, links, managed=True)
-    assert (await link.ask()).process_up_at is None
+    assert (await status_of(link)).process_up_at is None
     localize(robot)
     status = await link.wait_for(lambda s: s.process_up_at is not None, WITHIN)
     assert not status.ready, "its outputs come later, by a procedure"

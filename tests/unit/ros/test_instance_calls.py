@@ -256,16 +256,29 @@ async def test_an_idle_caller_closes_its_node_and_makes_another(
 ) -> None:
     from understudy.ros.actions import instance_calls
 
+    opened, closed = [], []
+
+    class RecordedNode(instance_calls.CallingNode):
+        def __init__(self, *given) -> None:
+            super().__init__(*given)
+            opened.append(self)
+
+        def close(self) -> None:
+            super().close()
+            closed.append(self)
+
     monkeypatch.setattr(instance_calls, "IDLE", 0.05)
+    monkeypatch.setattr(instance_calls, "CallingNode", RecordedNode)
     managed.start()
     await caller.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN)
+    assert len(opened) == 1
     end = time.monotonic() + WITHIN
-    while caller.is_open:
+    while closed != opened:
         assert time.monotonic() < end
         await asyncio.sleep(0.02)
 
     await caller.call("/switch", "std_srvs/srv/SetBool", {}, WITHIN)
-    assert caller.is_open
+    assert len(opened) == 2
 
 
 LISTEN = """

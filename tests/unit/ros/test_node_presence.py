@@ -126,7 +126,7 @@ def test_publishers_are_searched_when_their_number_changes_and_otherwise_rarely(
     real = graph.publishers
     eventually(lambda: (ends := real("/parameter_events")) and all(end.node for end in ends))
     monkeypatch.setattr(graph, "publishers", lambda topic: looks.append(topic) or real(topic))
-    monkeypatch.setattr("understudy.ros.observe.node_presence.AT_LEAST", 3600.0)
+    monkeypatch.setattr("understudy.ros.observe.graph_presence.AT_LEAST", 3600.0)
     watching.follow([WANTED])
     eventually(lambda: watching.drain() or watching.node("/controller"))
     looks.clear()

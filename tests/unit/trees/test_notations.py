@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from understudy.api.kinds.failure_policy import Monitoring
+from understudy.trees.core.observations import RecordedObservations
 from understudy.trees.languages.notations import load_health, load_monitoring
 from understudy.trees.source.problems import Problem, TreeError
 
@@ -19,7 +20,9 @@ OSC = 'import osc.understudy\nscenario healthy:\n    do topic("/scan", gap: 1s)\
 def test_a_policy_in_each_language_is_loaded_with_its_grace(written: dict[str, Any]) -> None:
     tree = load_monitoring(Monitoring.model_validate({**written, "startupGrace": "7s"}))
     assert [topic.name for topic in tree.topics] == ["/scan"]
-    assert tree.grace == 7.0
+    tree.begin(0.0)
+    states = [tree.evaluate(RecordedObservations({}), now=now, since=0.0).state for now in (6.9, 7.1)]
+    assert states == ["Starting", "Failed"]
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,6 @@ async def test_a_sequence_runs_its_nodes_in_order() -> None:
         "resend goals",
     ]
     assert tree.restores_state
-    assert tree.resends_goals
 
 
 async def test_a_failed_leaf_is_reported_with_its_path_and_ends_the_sequence() -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from datetime import datetime
-from typing import Any
 
 from understudy.api import names
 from understudy.api.base import API_VERSION
@@ -114,8 +113,3 @@ def hint(found: str, known: Iterable[str]) -> str:
         shown = ", ".join(candidates[:5]) + (", ..." if len(candidates) > 5 else "")
         return f"there are: {shown}"
     return "there is none in this namespace"
-
-
-def frozen(mapping: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return a shallow copy; an empty one for None."""
-    return dict(mapping or {})

@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from prometheus_client import generate_latest
+
 from understudy.api import names
 from understudy.controller.plan import Images
 from understudy.controller.reconcile import operator_metrics
@@ -26,18 +28,21 @@ from understudy.controller.reconcile.object_store import Store
 from understudy.controller.reconcile.observer import Observer
 from understudy.controller.reconcile.reconciler import Reconciler
 from understudy.controller.reconcile.rollouts import PERCENT, Rollouts
-from understudy.controller.runtime import http_server, kopf_handlers, watches
+from understudy.controller.runtime import kopf_handlers, watches
 from understudy.controller.runtime.fleet_metrics import FleetMetrics
 from understudy.controller.runtime.workers import Operator
 from understudy.kube.client import SERVICE_ACCOUNT, Access, Client
 from understudy.kube.events import Recorder
 from understudy.kube.kubeconfig import KubeconfigError, default_access, load_access
 from understudy.kube.leader_election import LeadershipLost, Lease, Timing
-from understudy.process import json_logs
+from understudy.process import http_pages, json_logs
 
 _logger = logging.getLogger(__name__)
 
 LEASE = "understudy-operator"
+
+_STALLED = "the operator has not been able to list its objects for too long: see its log\n"
+_NOT_LISTED = "the operator has not listed all its objects yet\n"
 
 
 @dataclass(frozen=True)
@@ -76,15 +81,12 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
         operator = Operator(client, store, reconciler, namespaces=options.namespaces, resync_every=options.resync_every)
         fleet = FleetMetrics(store, lambda: lease.held)
         operator_metrics.REGISTRY.register(fleet)
-        server = await http_server.serve(
-            options.port,
-            alive=lambda: (
-                "the operator has not been able to list its objects for too long: see its log"
-                if operator.stalled
-                else None
-            ),
-            ready=lambda: None if operator.synced else "the operator has not listed all its objects yet",
-        )
+        pages: dict[str, http_pages.Page] = {
+            "/healthz": lambda: (503, _STALLED) if operator.stalled else (200, "ok\n"),
+            "/ready": lambda: (200, "ok\n") if operator.synced else (503, _NOT_LISTED),
+            "/metrics": lambda: (200, generate_latest(operator_metrics.REGISTRY).decode()),
+        }
+        server = await http_pages.serve(pages, options.port, host=None)
         tasks = {
             asyncio.create_task(
                 kopf_handlers.watch(operator.see, access, options.namespaces), name="watches of our own kinds"
@@ -102,7 +104,7 @@ async def run(access: Access, options: Options, *, stop: asyncio.Event | None = 
             operator_metrics.REGISTRY.unregister(fleet)
             await _cancel(tasks)
             await lease.release()
-            await server.cleanup()
+            server.close()
 
 
 async def _until(stop: asyncio.Event) -> None:

@@ -98,11 +98,6 @@ class ProbeSender:
         self._stopped = threading.Event()
         self._timer: asyncio.TimerHandle | None = None
 
-    @property
-    def target(self) -> tuple[str, int] | None:
-        """The address and port that probes are sent to; None while no monitor is known."""
-        return self._target
-
     def aim(self, host: str, port: int = names.PROBE_PORT) -> None:
         """Send to this address from now on. Raises ValueError if it is not an IP address or the port is invalid."""
         ipaddress.ip_address(host)
@@ -199,10 +194,6 @@ class Arrivals:
     def __init__(self) -> None:
         self._arrivals: OrderedDict[str, deque[float]] = OrderedDict()
 
-    def pods(self) -> list[str]:
-        """UIDs of the pods from which a probe came."""
-        return list(self._arrivals)
-
     def of(self, uid: str) -> Sequence[float]:
         """Return when a pod's probes arrived, in order."""
         return self._arrivals.get(uid, ())
@@ -265,11 +256,6 @@ class ProbeReceiver:
             self._stop_reading()
             self._socket.close()
             self._socket = None
-
-    def pods(self) -> list[str]:
-        """UIDs of the pods from which a probe came."""
-        self._take()
-        return self._arrivals.pods()
 
     def last(self, uid: str) -> float | None:
         """Return when a pod's last probe arrived, in Unix seconds; None if none did."""

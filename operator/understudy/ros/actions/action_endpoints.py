@@ -284,26 +284,15 @@ class ActionClient:
         type_: ActionType,
         *,
         on_feedback: Callable[[str, bytes], None],
-        on_status: Callable[[Sequence[KnownGoal]], None] | None = None,
     ) -> None:
-        """``on_feedback`` receives a goal's id and the whole serialized message.
-
-        Both callbacks are called in the event loop.
-        """
+        """``on_feedback`` receives a goal's id and the whole serialized message, in the event loop."""
         self.action, self.type = action, type_
-        self._served, self._on_feedback, self._on_status = served, on_feedback, on_status
+        self._served, self._on_feedback = served, on_feedback
         self._clients: dict[str, ServiceClient] = {}
-        self._subscriptions: list[Any] = []
 
     async def open(self) -> None:
         """Create the client's endpoints."""
         await self._served.get(self._open)
-
-    async def close(self) -> None:
-        """Remove the client's endpoints. Calls in progress are cancelled."""
-        await self._served.get(self._close)
-        for client in self._clients.values():
-            client.cancel()
 
     async def ready(self) -> bool:
         """Return whether a server with all endpoints of the action is present."""
@@ -337,21 +326,10 @@ class ActionClient:
             ("get_result", self.type.get_result),
         ):
             self._clients[name] = ServiceClient(self._served, type_, f"{hidden}/{name}")
-        for name, type_, qos, taken in (
-            ("feedback", self.type.feedback, _DRAINED, self._feedback_came),
-            ("status", GoalStatusArray, _STATUS, self._status_came),
-        ):
-            if name == "status" and self._on_status is None:
-                continue
-            subscription = node.create_subscription(type_, f"{hidden}/{name}", _ignore_message, qos, raw=True)
-            self._subscriptions.append(subscription)
-            self._served.add("subscription", subscription, self._received(subscription, taken))
-
-    def _close(self) -> None:
-        for client in self._clients.values():
-            client.close()
-        for subscription in self._subscriptions:
-            self._served.remove("subscription", subscription)
+        subscription = node.create_subscription(
+            self.type.feedback, f"{hidden}/feedback", _ignore_message, _DRAINED, raw=True
+        )
+        self._served.add("subscription", subscription, self._received(subscription))
 
     def _ready(self) -> bool:
         if not all(client.ready() for client in self._clients.values()):
@@ -360,25 +338,13 @@ class ActionClient:
             self._served.node.count_publishers(f"{self.action}/_action/{name}") for name in ("feedback", "status")
         )
 
-    def _received(self, subscription: Any, taken: Callable[[bytes], None]) -> Callable[[], None]:
+    def _received(self, subscription: Any) -> Callable[[], None]:
         def take() -> None:
             with subscription.handle:
                 while (sample := self._served.taker.take(subscription.handle.pointer)) is not None:
-                    taken(sample.data)
+                    self._served.call_in_loop(self._on_feedback, sample.data[_ID].hex(), sample.data)
 
         return take
-
-    def _feedback_came(self, data: bytes) -> None:
-        self._served.call_in_loop(self._on_feedback, data[_ID].hex(), data)
-
-    def _status_came(self, data: bytes) -> None:
-        found = deserialize_message(data, GoalStatusArray)
-        goals = [
-            KnownGoal(_hex(s.goal_info.goal_id), _nanoseconds(s.goal_info.stamp), int(s.status))
-            for s in found.status_list
-        ]
-        if self._on_status is not None:
-            self._served.call_in_loop(self._on_status, goals)
 
 
 def _ignore_message(message: object) -> None:

@@ -306,11 +306,6 @@ class InstanceCaller:
 
     # -- the node ---------------------------------------------------------------------------------------------------
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the node exists now."""
-        return self._opened is not None
-
     def close(self) -> None:
         """End the node, if there is one. The next call creates another."""
         self._stay()

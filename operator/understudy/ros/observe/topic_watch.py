@@ -16,11 +16,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from understudy.ros.observe.graph_presence import NodePresenceWatch, PublisherPresence
 from understudy.ros.observe.lifecycle_states import LifecycleStates
 from understudy.ros.observe.message_contents import HEAD, OURS, Received, begins_with_header, ours
-from understudy.ros.observe.node_presence import NodePresenceWatch
 from understudy.ros.observe.parameter_values import ParameterValues
-from understudy.ros.observe.publisher_presence import PublisherPresence
 from understudy.ros.observe.sample_rings import SampleRing, SampleTrack
 from understudy.ros.observe.sample_sources import Sources
 from understudy.ros.rmw import MIDDLEWARE

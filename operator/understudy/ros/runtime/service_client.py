@@ -42,11 +42,6 @@ class ServiceClient:
         finally:
             self._waiting.pop(number, None)
 
-    def cancel(self) -> None:
-        """Cancel the calls that wait for an answer."""
-        for future in self._waiting.values():
-            future.cancel()
-
     def close(self) -> None:
         """End the client."""
         self._served.remove("client", self._client)

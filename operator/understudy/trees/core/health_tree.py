@@ -173,11 +173,6 @@ class HealthTree:
         """Return in words why some judged leaves cannot judge."""
         return [leaf.blind for leaf in self._leaves if leaf.blind]
 
-    @property
-    def grace(self) -> float:
-        """Seconds within which an instance must become healthy for the first time."""
-        return self._evaluation.grace
-
     def evaluate(self, observations: Observations, *, now: float, since: float) -> Verdict:
         """Return the verdict at ``now`` on the instance that has been in control since ``since`` (or was first seen
         then).

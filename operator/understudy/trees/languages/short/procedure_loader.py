@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -58,21 +58,12 @@ Make = Callable[[ProcedureRun, Sequence[TimeLimit]], Behaviour]
 class ProcedureTree:
     """A tree that runs once, or repeatedly if it has only conditions."""
 
-    def __init__(self, make: Make, kinds: Collection[str], topics: Sequence[WatchedTopic]) -> None:
+    def __init__(self, make: Make, topics: Sequence[WatchedTopic], *, restores_state: bool) -> None:
         self._make = make
-        self._kinds = frozenset(kinds)
         self.topics = list(topics)
         """Topics that its conditions evaluate. They must be watched while it runs."""
-
-    @property
-    def restores_state(self) -> bool:
+        self.restores_state = restores_state
         """Whether a step of the tree restores the kept state."""
-        return "restore_state" in self._kinds
-
-    @property
-    def resends_goals(self) -> bool:
-        """Whether a step of the tree sends goals again."""
-        return "resend_goals" in self._kinds
 
     async def run(self, actions: Actions, within: float) -> None:
         """Run it to its end, for at most ``within`` seconds. If this is cancelled, the actions under way are cancelled
@@ -133,7 +124,7 @@ def _load(loader: _Loader, tree: object, path: str) -> ProcedureTree:
     if loader.problems:
         raise TreeError(loader.problems)
     assert make is not None, "a node without problems can be made"
-    return ProcedureTree(make, loader.kinds, loader.topics)
+    return ProcedureTree(make, loader.topics, restores_state="restore_state" in loader.kinds)
 
 
 class _Loader(StepReader):

@@ -1,18 +1,19 @@
-"""Checks at intervals which nodes the active instance has, from the ROS graph.
+"""Checks at intervals which endpoints publish topics, and which nodes the active instance has, from the ROS graph.
 
 The graph's list of nodes does not contain their places, and instances of one workload have nodes of the same names. But
 each endpoint has a GID, which identifies its host (Middleware.host_of), and the name of its node. Every node of rclcpp
 and rclpy has a publisher of ``/parameter_events``, unless it is configured not to. In that case another of its
-endpoints is observed for.
+endpoints is looked for.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
+from typing import Generic, TypeVar
 
 from understudy.ros.runtime.graph_node import Graph
-from understudy.trees.core.observations import NodePresence
+from understudy.trees.core.observations import Evidence, NodePresence, Publishers
 
 PERIOD = 0.1
 """Seconds between checks."""
@@ -23,20 +24,21 @@ place. Counting them costs 6 us, examining those of 30 nodes 0.4 ms."""
 
 EVENTS = "/parameter_events"
 
+Seen = TypeVar("Seen", bound=Evidence)
 
-class NodePresenceWatch:
-    """Whether some nodes are present. Times are Unix seconds."""
+
+class _GraphChecks(Generic[Seen]):
+    """The last results of checks, by name. Times are Unix seconds."""
 
     def __init__(self, graph: Graph, counts: Callable[[bytes], bool]) -> None:
         """``counts`` returns whether the endpoint with a GID counts."""
         self._graph, self._counts = graph, counts
-        self._seen: dict[str, NodePresence | None] = {}
-        self._count = -1
+        self._seen: dict[str, Seen | None] = {}
         self._next = self._again = 0.0
 
-    def follow(self, nodes: Iterable[str]) -> None:
-        """Look for these nodes, by their fully qualified names, and no others."""
-        self._seen = {name: self._seen.get(name) for name in nodes}
+    def follow(self, names: Iterable[str]) -> None:
+        """Check these names, fully qualified, and no others."""
+        self._seen = {name: self._seen.get(name) for name in names}
         self._next = self._again = 0.0
 
     def forget(self) -> None:
@@ -44,12 +46,47 @@ class NodePresenceWatch:
         self._seen = dict.fromkeys(self._seen)
         self._next = self._again = 0.0
 
+    def shift(self, seconds: float) -> None:
+        """Move all times, after the clock was set."""
+        for seen in self._seen.values():
+            if seen is not None:
+                seen.received += seconds
+
+    def of(self, name: str) -> Seen | None:
+        """Return the last result for a name; None before the first check."""
+        return self._seen.get(name)
+
+    def _is_due(self, now: float) -> bool:
+        if not self._seen or now < self._next:
+            return False
+        self._next = now + PERIOD
+        return True
+
+
+class PublisherPresence(_GraphChecks[Publishers]):
+    """The publishers of some topics."""
+
+    def refresh(self) -> None:
+        """Check, if that is due."""
+        if not self._is_due(time.monotonic()):
+            return
+        for name in self._seen:
+            observed = time.time()
+            nodes = tuple(end.node for end in self._graph.publishers(name) if self._counts(end.gid))
+            self._seen[name] = Publishers(observed, nodes)
+
+
+class NodePresenceWatch(_GraphChecks[NodePresence]):
+    """Whether some nodes are present."""
+
+    _count = -1
+    """The number of endpoints at the last complete check."""
+
     def refresh(self) -> None:
         """Check, if that is due."""
         now = time.monotonic()
-        if not self._seen or now < self._next:
+        if not self._is_due(now):
             return
-        self._next = now + PERIOD
         observed, count = time.time(), self._graph.publisher_count(EVENTS)
         if count == self._count and now < self._again:
             for seen in self._seen.values():
@@ -67,13 +104,3 @@ class NodePresenceWatch:
             if name not in present and (found := self._graph.endpoints_of(name)):
                 present[name] = any(self._counts(end.gid) for end in found)
             self._seen[name] = NodePresence(observed, name, present.get(name, False), name in present)
-
-    def shift(self, seconds: float) -> None:
-        """Move all times, after the clock was set."""
-        for seen in self._seen.values():
-            if seen is not None:
-                seen.received += seconds
-
-    def of(self, name: str) -> NodePresence | None:
-        """Return the last result for a node; None before the first check."""
-        return self._seen.get(name)
