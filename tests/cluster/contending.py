@@ -15,11 +15,11 @@ from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from dataclasses import asdict, dataclass, field
 
+from tests.support import gates
 from understudy.api import names
 from understudy.kube import claims
 from understudy.kube.client import NETWORK_POLICIES, PODS, WORKLOADS, Access, ApiError, Client, Object
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.kubeconfig import load_access
 
 
@@ -76,7 +76,7 @@ class Contender:
         assert self._gate is not None, "it has read first"
         name, uid = pod["metadata"]["name"], pod["metadata"]["uid"]
         try:
-            await GATE.commit(
+            await gates.commit(
                 self._client, self._namespace, self._robot, over=self._gate, active=name, active_uid=uid, recovery=""
             )
         except ApiError as error:

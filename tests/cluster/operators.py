@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from tests.support import gates
 from tests.support.cluster import Cluster, Object, until
 from understudy.api import names
 from understudy.api.base import API_VERSION
@@ -24,7 +25,6 @@ from understudy.controller.runtime import process as running
 from understudy.kube import claims
 from understudy.kube.client import Client
 from understudy.kube.gates.base import GateRecord
-from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.kube.kubeconfig import load_access
 
 APPS, CORE, NETWORK, RBAC = "apps/v1", "v1", "networking.k8s.io/v1", "rbac.authorization.k8s.io/v1"
@@ -181,7 +181,7 @@ class Fleet:
             async with Client(load_access(str(self.cluster.kubeconfig))) as client:
                 record = GateRecord.of(self.gate(workload))
                 active, uid = (pod["metadata"]["name"], pod["metadata"]["uid"]) if pod else ("", "")
-                await GATE.commit(
+                await gates.commit(
                     client, self.namespace, workload, over=record, active=active, active_uid=uid, recovery=""
                 )
 

@@ -9,6 +9,7 @@ from collections.abc import AsyncIterator
 
 import pytest
 
+from tests.support import gates
 from understudy.api import names
 from understudy.kube import claims
 from understudy.kube.client import NAMESPACES, NETWORK_POLICIES, PODS, ApiError, Client
@@ -85,7 +86,7 @@ async def test_of_many_commits_at_one_epoch_exactly_one_wins(client: Client, spa
         assert record.epoch == epoch
         outcomes = await asyncio.gather(
             *(
-                GATE.commit(
+                gates.commit(
                     client, space, workload, over=record, active=f"robot-{i}", active_uid=f"uid-{i}", recovery=""
                 )
                 for i in range(CONTENDERS)
@@ -106,30 +107,30 @@ async def test_a_standby_is_let_through_beside_the_one_in_control_until_the_next
 ) -> None:
     gate = await client.create(NETWORK_POLICIES, space, gates_body("robot"))
     with pytest.raises(ValueError, match="closed"):
-        await GATE.admit(client, space, "robot", over=GateRecord.of(gate), admitted="robot-b", admitted_uid="uid-b")
-    opened = await GATE.commit(
+        await gates.admit(client, space, "robot", over=GateRecord.of(gate), admitted="robot-b", admitted_uid="uid-b")
+    opened = await gates.commit(
         client, space, "robot", over=GateRecord.of(gate), active="robot-a", active_uid="uid-a", recovery=""
     )
     before = GateRecord.of(opened)
-    both = await GATE.admit(client, space, "robot", over=before, admitted="robot-b", admitted_uid="uid-b")
+    both = await gates.admit(client, space, "robot", over=before, admitted="robot-b", admitted_uid="uid-b")
     assert GATE.let_through(both) == ("robot-a", "robot-b")
     assert (GateRecord.of(both).epoch, GateRecord.of(both).active) == (before.epoch, "robot-a"), (
         "control is where it was"
     )
     with pytest.raises(ApiError) as refused:
-        await GATE.admit(client, space, "robot", over=before, admitted="robot-c", admitted_uid="uid-c")
+        await gates.admit(client, space, "robot", over=before, admitted="robot-c", admitted_uid="uid-c")
     assert refused.value.status == 409, "what was seen before another write doesn't count"
-    without = await GATE.admit(client, space, "robot", over=GateRecord.of(both), admitted="", admitted_uid="")
+    without = await gates.admit(client, space, "robot", over=GateRecord.of(both), admitted="", admitted_uid="")
     assert GATE.let_through(without) == ("robot-a",)
-    again = await GATE.admit(
+    again = await gates.admit(
         client, space, "robot", over=GateRecord.of(without), admitted="robot-b", admitted_uid="uid-b"
     )
-    switched = await GATE.commit(
+    switched = await gates.commit(
         client, space, "robot", over=GateRecord.of(again), active="robot-b", active_uid="uid-b", recovery=""
     )
     assert GATE.let_through(switched) == ("robot-b",), "one write fences the one and leaves the other"
     assert GateRecord.of(switched).admitted == ""
-    closed = await GATE.commit(
+    closed = await gates.commit(
         client, space, "robot", over=GateRecord.of(switched), active="", active_uid="", recovery=""
     )
     assert GATE.let_through(closed) == ()
@@ -143,10 +144,10 @@ async def test_the_gates_of_those_that_wait_for_a_pod_are_found_by_their_label(c
         return [item["metadata"]["name"] for item in found["items"]]
 
     assert await waiting() == []
-    closed = await GATE.commit(
+    closed = await gates.commit(
         client, space, "robot", over=GateRecord.of(gate), active="", active_uid="", recovery="", waits_for="spare"
     )
     assert closed["metadata"]["labels"][names.WAITS_FOR] == "spare"
     assert await waiting() == [names.gate("robot")]
-    await GATE.commit(client, space, "robot", over=GateRecord.of(closed), active="", active_uid="", recovery="")
+    await gates.commit(client, space, "robot", over=GateRecord.of(closed), active="", active_uid="", recovery="")
     assert await waiting() == []

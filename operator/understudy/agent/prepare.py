@@ -9,11 +9,12 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from understudy.agent.held_containers import make_fifo, write_atomically
 from understudy.api import names
-from understudy.api.protocol import freeze_script, profile_placeholders
+from understudy.api.protocol import freeze_script
 from understudy.api.protocol.ownership_strength import strength
 
 
@@ -47,5 +48,16 @@ def write(profiles: str, directory: Path, pod: str) -> Path:
     if not path.exists():
         # for all users: the application's processes have users of their own
         values = {names.POD_VARIABLE: pod, names.STRENGTH_VARIABLE: str(strength(time.time()))}
-        write_atomically(path, profile_placeholders.variables(profiles, values), 0o644)
+        write_atomically(path, filled_in(profiles, values), 0o644)
     return path
+
+
+def filled_in(text: str, values: Mapping[str, str]) -> str:
+    """Return the text with ``${NAME}`` replaced for each given name. Other placeholders stay.
+
+    Fast DDS replaces variables of a process's environment. A value that is not in the environment, or that must be the
+    same for all processes of a pod, is filled in beforehand.
+    """
+    for name, value in values.items():
+        text = text.replace(f"${{{name}}}", value)
+    return text

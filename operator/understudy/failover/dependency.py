@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 
 from understudy.api.base import seconds
+from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import Upstream
 from understudy.failover.progress import Committed, Progress, listed_recoveries, under_way
@@ -54,14 +54,14 @@ class UpstreamState:
     @classmethod
     def of(cls, status: RobotWorkloadStatus, committed: Progress | None) -> UpstreamState:
         """Return it from the status, and from the record next to its gate, which changes first."""
-        health, since = status.health or "", _unix(status.failing_since)
+        health, since = status.health or "", unix(status.failing_since)
         recoveries = status.recoveries or []
         newest = recoveries[0] if recoveries else None
         last = None
         if newest is not None:
             moments = newest.moments
-            end = _unix(moments.verified) if newest.result == "Recovered" else None
-            last = Recovered(newest.id, _unix(moments.last_healthy) or _unix(moments.detected) or 0.0, end)
+            end = unix(moments.verified) if newest.result == "Recovered" else None
+            last = Recovered(newest.id, unix(moments.last_healthy) or unix(moments.detected) or 0.0, end)
         # Without a bound: who depends on it has its own, and a monitor that is replaced in the midst of it takes longer than any.
         if committed is not None and under_way(Committed.of(committed), listed_recoveries(recoveries)):
             health, since = "Recovering", committed.moments.get("last_healthy", committed.moments.get("detected", 0.0))
@@ -204,7 +204,3 @@ def _unsettled(upstream: Sequence[Upstream], seen: Mapping[str, UpstreamState]) 
         for name in one.depends_on:
             last = _last(seen, name)
             yield last is not None and name in known.followed and known.followed[name] != last.id
-
-
-def _unix(moment: str | None) -> float | None:
-    return datetime.fromisoformat(moment).timestamp() if moment is not None else None

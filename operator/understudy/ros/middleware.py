@@ -84,7 +84,7 @@ class Middleware(ABC):
     ) -> str:
         """Return the settings file of an instance's processes and of its agent; empty if they need none.
 
-        Values that differ between pods are variables (api/protocol/profile_placeholders.py).
+        Values that differ between pods are variables (agent/prepare.py).
         """
 
     # -- Who sends and who reads --------------------------------------------------------------------------------------

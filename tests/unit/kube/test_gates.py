@@ -35,21 +35,17 @@ class Opened:
         return GateRecord.of(await self.read())
 
     async def commit(self, active: str, over: GateRecord | None = None, **more: str) -> Object:
-        return await self.kind.commit(
-            self.client,
-            "fleet",
-            "w",
-            over=over or await self.record(),
-            active=active,
-            active_uid=f"uid-{active}" if active else "",
-            recovery=more.pop("recovery", ""),
-            **more,
-        )
+        uid = f"uid-{active}" if active else ""
+        over = over or await self.record()
+        return await self.write(self.kind.commitment("w", over=over, active=active, active_uid=uid, **more))
 
     async def admit(self, standby: str, over: GateRecord | None = None) -> Object:
         over = over or await self.record()
         uid = f"uid-{standby}" if standby else ""
-        return await self.kind.admit(self.client, "fleet", "w", over=over, admitted=standby, admitted_uid=uid)
+        return await self.write(self.kind.admission("w", over=over, admitted=standby, admitted_uid=uid))
+
+    async def write(self, patch: Object) -> Object:
+        return await self.kind.write(self.client, "fleet", "w", patch)
 
 
 def test_every_gate_kind_of_the_api_has_an_implementation() -> None:
@@ -116,7 +112,7 @@ async def test_the_end_of_a_recovery_keeps_control_and_ends_the_wait_for_a_pool(
     waiting = await gate.commit("a", recovery="{}", waits_for="spare")
     assert waiting["metadata"]["labels"][names.WAITS_FOR] == "spare"
     over = GateRecord.of(waiting)
-    ended = await kind.end_recovery(gate.client, "fleet", "w", over=over, recovery="ended")
+    ended = await gate.write(kind.ending(over=over, recovery="ended"))
     record = GateRecord.of(ended)
     assert (record.recovery, record.epoch, kind.let_through(ended)) == ("ended", 1, ("a",))
     assert names.WAITS_FOR not in ended["metadata"]["labels"]

@@ -15,10 +15,10 @@ import pytest
 
 from tests.unit.ros.network import Network, network
 from tests.unit.ros.processes import Processes
+from understudy.agent.prepare import filled_in
 from understudy.agent.writer_strength import WriterStrengths
 from understudy.api import names
 from understudy.api.kinds.robot_workload import Output, Reflex
-from understudy.api.protocol import profile_placeholders
 from understudy.ros.dds.profiles import gate_ports, instance_profiles_xml, profiles_xml
 
 REFLEX = Reflex(deadline="300ms")
@@ -84,9 +84,7 @@ def profile(directory: Path, name: str, text: str, strength: int = 0) -> str:
     folder = directory / name
     folder.mkdir(exist_ok=True)
     file = folder / names.PROFILES_KEY
-    file.write_text(
-        profile_placeholders.variables(text, {names.STRENGTH_VARIABLE: str(strength), names.POD_VARIABLE: name})
-    )
+    file.write_text(filled_in(text, {names.STRENGTH_VARIABLE: str(strength), names.POD_VARIABLE: name}))
     return str(file)
 
 

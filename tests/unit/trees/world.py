@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import pytest
@@ -98,11 +98,7 @@ class World:
     def observed(self) -> RecordedObservations:
         """What has been received and seen so far."""
         tasks = {"/go/_action/status": START + self.task} if self.task is not None else {}
-        found = RecordedObservations(
-            self.records, tasks, self.published, self.nodes, self.managed, self.parameters, self.pod
-        )
-        found.in_control = self.in_control
-        return found
+        return WorldObservations(self, tasks)
 
     def at(self, now: float) -> Verdict:
         return self.tree.evaluate(self.observed(), now=START + now, since=self.since)
@@ -113,6 +109,29 @@ class World:
 
     def states(self, times: list[float]) -> list[str]:
         return [self.at(time).state for time in times]
+
+
+class WorldObservations(RecordedObservations):
+    """What a world's messages, graph, nodes and pod are."""
+
+    def __init__(self, world: World, tasks: Mapping[str, float]) -> None:
+        super().__init__(world.records, tasks)
+        self._world, self.in_control = world, world.in_control
+
+    def publishers(self, name: str) -> Publishers | None:
+        return self._world.published.get(name)
+
+    def node(self, name: str) -> NodePresence | None:
+        return self._world.nodes.get(name)
+
+    def lifecycle(self, name: str) -> NodeState | None:
+        return self._world.managed.get(name)
+
+    def parameter(self, node: str, name: str) -> ParameterState | None:
+        return self._world.parameters.get((node, name))
+
+    def pod(self) -> PodState | None:
+        return self._world.pod
 
 
 def assert_deadline_is_the_first_worse_moment(world: World, now: float) -> None:

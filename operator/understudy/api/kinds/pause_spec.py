@@ -19,10 +19,10 @@ Moment = Annotated[str, matching(MOMENT_PATTERN, MOMENT_MESSAGE, max_length=40)]
 """A moment that a user writes. It does not use the schema's format date-time, whose error message does not say what is expected."""
 
 
-def unix(moment: str) -> float | None:
-    """Return a moment as unix seconds, or None if the date does not exist."""
+def unix(moment: str | None) -> float | None:
+    """Return a moment as unix seconds, or None if there is none or the date does not exist."""
     try:
-        return datetime.fromisoformat(moment).timestamp()
+        return datetime.fromisoformat(moment or "").timestamp()
     except ValueError:
         return None
 

@@ -10,7 +10,6 @@ from pydantic import ValidationError
 from understudy.advice import order_explanation
 from understudy.api.kinds.failure_policy import Monitoring
 from understudy.api.kinds.fallback_pool import has_standbys, is_shared
-from understudy.cli.check import situation_check
 from understudy.cli.manifests.check_findings import Finding
 from understudy.cli.manifests.config_map_trees import IN_THE_CLUSTER, missing
 from understudy.cli.manifests.manifest_reader import Manifest, at, items
@@ -45,10 +44,10 @@ def check(manifests: Sequence[Manifest]) -> Iterator[Finding]:
         for index, strategy in enumerate(items(policy.data, "spec", "strategies")):
             path, name = f"spec.strategies[{index}].poolRef.name", at(strategy, "poolRef", "name")
             yield from missing(policy, path, "FallbackPool", name, pools)
-        for path, name in situation_check.paths(policy):
+        for path, name in _situation_pools(policy):
             yield from missing(policy, path, "FallbackPool", name, pools)
-        yield from situation_check.unreachable(policy)
-        yield from situation_check.empty(policy, pools)
+        yield from _unreachable_situations(policy)
+        yield from _empty_situations(policy, pools)
         yield from _not_prewarmed(policy, pools)
         yield from _wait_without_shared_pool(policy, pools)
     for pool in pools:
@@ -168,6 +167,42 @@ def _tree(policy: Manifest) -> HealthTree | None:
         return load_monitoring(Monitoring.model_validate(monitoring))
     except (ValidationError, TreeError):
         return None
+
+
+def _situation_pools(policy: Manifest) -> Iterator[tuple[str, Any]]:
+    """Yield the paths at which strategies of situations name a pool, and the names."""
+    for index, situation in enumerate(items(policy.data, "spec", "situations")):
+        for place, strategy in enumerate(items(situation, "strategies")):
+            name = at(strategy, "poolRef", "name")
+            yield f"spec.situations[{index}].strategies[{place}].poolRef.name", name
+
+
+def _unreachable_situations(policy: Manifest) -> Iterator[Finding]:
+    """Report a situation with the same condition as an earlier one: it never applies."""
+    before: list[tuple[str, Any]] = []
+    for index, situation in enumerate(items(policy.data, "spec", "situations")):
+        name, when = str(at(situation, "name") or ""), at(situation, "when")
+        first = next((other for other, known_by in before if known_by == when), None)
+        if when and first is not None:
+            message = (
+                f"is the same as that of the situation {first}, which comes first, so this situation never applies; change the "
+                f"condition, or merge the two"
+            )
+            yield policy.finding(f"spec.situations[{index}].when", message, warning=True)
+        before.append((name, when))
+
+
+def _empty_situations(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:
+    """Report situations that use a pool with perWorkload 0, which never has a standby."""
+    near = {one.name: one.data for one in pools if policy.together(one)}
+    for path, name in _situation_pools(policy):
+        spec = at(near, name, "spec")
+        if has_standbys(at(spec, "readiness")) and at(spec, "perWorkload") == 0:
+            message = (
+                f"FallbackPool {name} has perWorkload 0, so it has no standby in this situation either; set perWorkload: 1. "
+                f"Standbys exist only while the applicable strategies name their pool"
+            )
+            yield policy.finding(path, message, warning=True)
 
 
 def _not_prewarmed(policy: Manifest, pools: Sequence[Manifest]) -> Iterator[Finding]:

@@ -8,7 +8,7 @@ import http.client
 import json
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from understudy.api import names
@@ -18,6 +18,7 @@ from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.option_rules import add_output
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import Rates, lines
+from understudy.controller.observed import kube_objects
 
 HEALTHY, NOT_HEALTHY = 0, 1
 """Exit statuses besides ERROR."""
@@ -49,7 +50,7 @@ def monitor_pod(kubectl: Kubectl, workload: str) -> str:
     kubectl.get("robotworkload", workload)  # fails if there is none of that name
     selector = f"{names.MONITORED}={workload},{names.COMPONENT}=monitor"
     pods = kubectl.get("pods", "-l", selector)["items"]
-    running = [pod for pod in pods if _is_ready(pod)]
+    running = [pod for pod in pods if kube_objects.ready(pod)]
     if running:
         return str(running[0]["metadata"]["name"])
     if not pods:
@@ -58,13 +59,6 @@ def monitor_pod(kubectl: Kubectl, workload: str) -> str:
         )
     name, phase = pods[0]["metadata"]["name"], pods[0].get("status", {}).get("phase", "Unknown")
     raise CommandError(f"the monitor of {workload} is not ready ({phase}); see why: kubectl describe pod {name}")
-
-
-def _is_ready(pod: Mapping[str, Any]) -> bool:
-    conditions = pod.get("status", {}).get("conditions", [])
-    return not pod["metadata"].get("deletionTimestamp") and any(
-        c["type"] == "Ready" and c["status"] == "True" for c in conditions
-    )
 
 
 def fetch_json(port: int, path: str = "/tree", *, what: str = "a live tree") -> dict[str, Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
+from understudy.cli.common.text.tree_text import plain
+
 LONGEST = 1000
 """Most characters of a message; some quote the value that was found."""
 
@@ -39,9 +41,4 @@ class Finding:
         where = f"{self.file}:{self.place.line}:{self.place.column}"
         message = self.message if len(self.message) <= LONGEST else f"{self.message[:LONGEST]}…"
         text = ": ".join(part for part in (where, self.severity, self.subject, self.field, message) if part)
-        return "".join(_shown(character) for character in text)
-
-
-def _shown(character: str) -> str:
-    """Escape a control character: contents of files must not move the cursor of a terminal."""
-    return character if character.isprintable() else character.encode("unicode_escape").decode("ascii")
+        return plain(text)

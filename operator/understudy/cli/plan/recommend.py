@@ -21,12 +21,12 @@ from understudy.cli.common import option_rules, plot_files
 from understudy.cli.common.cluster_access import kubectl
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text import terminal
+from understudy.cli.common.text.wording import wrap_labelled
 from understudy.cli.manifests import manifest_reader, object_check
 from understudy.cli.manifests.manifest_reader import Manifest
 from understudy.cli.plan import strategy_table
 from understudy.cli.plan.recommendation import recommended
 from understudy.cli.plan.size import share
-from understudy.cli.plan.text_wrap import wrap_labelled
 from understudy.kube.client import Object
 
 MET, NOT_MET = 0, 1

@@ -11,9 +11,9 @@ from understudy.api.output_formats import structured
 from understudy.cli.common import option_rules, plot_files
 from understudy.cli.common.errors import reports_errors
 from understudy.cli.common.text import terminal
+from understudy.cli.common.text.wording import wrap_labelled
 from understudy.cli.plan.pool_sizes import Question, calculate
 from understudy.cli.plan.size_text import size_text
-from understudy.cli.plan.text_wrap import wrap_labelled
 
 _SUREST = 0.999999
 """The highest risk for which a size is calculated."""

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from understudy.api.base import seconds
-from understudy.cli.common.text.wording import moment
-from understudy.cli.simulate.clock_text import wall
+from understudy.cli.common.text.wording import moment, wall
 from understudy.cli.simulate.leaf_history import Failure
 
 

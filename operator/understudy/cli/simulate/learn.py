@@ -14,8 +14,8 @@ from typing import Any
 from understudy.cli.common import option_rules
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.common.text.tree_text import plain
+from understudy.cli.common.text.wording import wall
 from understudy.cli.simulate.bags import Bag
-from understudy.cli.simulate.clock_text import wall
 from understudy.cli.simulate.leaf_history import Failure
 from understudy.cli.simulate.learned_bounds import FACTOR, FEWEST, MARGIN, Bounds, Measures, measured, proposed
 from understudy.cli.simulate.replay import replay

@@ -7,7 +7,7 @@ from typing import TextIO
 
 from understudy.cli.common.text import terminal
 from understudy.cli.common.text.tree_text import WORDS, Rates, coloured, plain, rough, tree_lines
-from understudy.cli.simulate.clock_text import wall
+from understudy.cli.common.text.wording import wall
 from understudy.cli.simulate.leaf_history import Evaluation, Failure
 from understudy.trees.core.observations import Observations
 from understudy.trees.core.snapshots import Shown, snapshot

@@ -9,8 +9,8 @@ from typing import Any
 
 from understudy.cli.common.text.text_tables import format_texts
 from understudy.cli.common.text.tree_text import plain
+from understudy.cli.common.text.wording import wall
 from understudy.cli.simulate.bags import Bag
-from understudy.cli.simulate.clock_text import wall
 from understudy.cli.simulate.fault_times import matched
 from understudy.cli.simulate.leaf_history import Failure, Span
 from understudy.cli.simulate.policy_file import Policy

@@ -16,6 +16,7 @@ from understudy.advice.failure_rate import SURE, Rate, estimate_rate
 from understudy.api.base import fraction, seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.fallback_pool import LEVELS, FallbackPoolSpec, Sizing, SizingStatus
+from understudy.api.kinds.pause_spec import unix
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 
@@ -115,8 +116,7 @@ def seen(pool: str, asking: Iterable[Object], begin: float, now: float) -> Robot
 
 def _when(recovery: Object) -> float:
     """Return when a failure was detected, in Unix seconds; 0 if unknown."""
-    text = (recovery.get("moments") or {}).get("detected")
-    return datetime.fromisoformat(text).timestamp() if text else 0.0
+    return unix((recovery.get("moments") or {}).get("detected")) or 0.0
 
 
 def _asked(pool: str, recovery: Object) -> bool:

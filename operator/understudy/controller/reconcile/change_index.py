@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, NamedTuple
 
 from understudy.api import names
@@ -93,7 +93,7 @@ def _keys(change: ObservedChange, store: Store, plenty: Collection[str]) -> Iter
         if _spec_changed(change):
             yield from _after_spec(change, store, namespace)
         elif plural == WORKLOADS.plural:
-            if _strategies_changed(change):
+            if _differs(change, chosen):
                 for name in store.in_namespace(POOLS, namespace):  # the number of its standbys in each pool
                     yield Key(POOLS.plural, namespace, name)
             elif _recoveries_changed(change):
@@ -126,8 +126,9 @@ def _spec_changed(change: ObservedChange) -> bool:
     return any(old.get(key) != new.get(key) for key in ("uid", "generation", "labels", "deletionTimestamp"))
 
 
-def _strategies_changed(change: ObservedChange) -> bool:
-    return change.old is not None and change.new is not None and chosen(change.old) != chosen(change.new)
+def _differs(change: ObservedChange, part: Callable[[Object], object]) -> bool:
+    """Whether an object was there before and after a change, and a part of it is different now."""
+    return change.old is not None and change.new is not None and part(change.old) != part(change.new)
 
 
 def _recoveries_changed(change: ObservedChange) -> bool:
@@ -151,22 +152,13 @@ def _dependencies_changed(change: ObservedChange) -> bool:
 
 def _after_health(change: ObservedChange, store: Store, namespace: str) -> Iterator[Key]:
     """Yield the policy that counts how many of its workloads fail at the same time."""
-    if (
-        change.old is None
-        or change.new is None
-        or storm_detection.health(change.old) == storm_detection.health(change.new)
-    ):
-        return
-    yield from _guard(change.new, store, namespace)
+    if change.new is not None and _differs(change, storm_detection.health):
+        yield from _guard(change.new, store, namespace)
 
 
 def _after_commit(change: ObservedChange, store: Store, namespace: str) -> Iterator[Key]:
     """Yield the workload's policy if a recovery begins. The gate shows that before the workload's status does."""
-    if (
-        change.old is None
-        or change.new is None
-        or committed_recovery.beside(change.old) == committed_recovery.beside(change.new)
-    ):
+    if change.new is None or not _differs(change, committed_recovery.beside):
         return
     owner = controller_of(change.new)
     workload = store.get(WORKLOADS, namespace, owner["name"]) if owner is not None else None

@@ -83,25 +83,13 @@ LISTED: tuple[tuple[Resource, tuple[str | None, ...]], ...] = (
 )
 """Resources that the store keeps, and the label selectors for listing them."""
 
-WATCHED = frozenset(
-    r.plural
-    for r in (
-        WORKLOADS,
-        POLICIES,
-        POOLS,
-        PODS,
-        REPLICA_SETS,
-        DEPLOYMENTS,
-        SERVICES,
-        *registry.FENCING_RESOURCES,
-        DISRUPTION_BUDGETS,
-        NODES,
-    )
+WATCHED = frozenset(resource.plural for resource, _ in LISTED) - frozenset(
+    resource.plural for resource in (CONFIG_MAPS, SECRETS, SERVICE_ACCOUNTS, ROLES, ROLE_BINDINGS)
 )
 """Resources for which a list should contain nothing new."""
 
 
-_WHOLLY = frozenset(r.plural for r in (WORKLOADS, POLICIES, POOLS, DISRUPTION_BUDGETS, NODES))
+_WHOLLY = frozenset(resource.plural for resource, selectors in LISTED if selectors == (None,))
 """Resources of which all objects are kept. A budget of another owner limits what may be done with a pod."""
 
 

@@ -6,7 +6,7 @@ from understudy.failover.interfaces import Instance, NotAvailable
 from understudy.failover.progress import Progress
 from understudy.failover.strategies.base import StrategyContext, Unfit
 from understudy.failover.strategies.executing import ExecutingFallback
-from understudy.failover.strategies.steps import committed_target, make_drivable, wait_enforced
+from understudy.failover.strategies.steps import enforced_target, make_drivable
 
 
 class InitializedFallback(ExecutingFallback):
@@ -16,9 +16,7 @@ class InitializedFallback(ExecutingFallback):
     readiness = "Initialized"
 
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
-        target = committed_target(progress, context)
-        if target is not None:
-            await wait_enforced(target, progress, context)
+        if (target := await enforced_target(progress, context)) is not None:
             return target
         candidates = [*self._interrupted_target(progress, context), *self._candidates(context, progress)]
         if not candidates:

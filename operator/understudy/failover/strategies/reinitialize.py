@@ -13,10 +13,9 @@ from understudy.failover.strategies.base import Strategy, StrategyContext
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
-    committed_target,
+    enforced_target,
     kept,
     loop_time,
-    wait_enforced,
 )
 
 
@@ -38,9 +37,7 @@ class Reinitialize(Strategy):
         return next((i for i in found if not progress.has_failed(i.uid)), None)
 
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
-        target = committed_target(progress, context)
-        if target is not None:
-            await wait_enforced(target, progress, context)
+        if (target := await enforced_target(progress, context)) is not None:
             return target
         target, end = self._target_instance(progress, context), loop_time() + within
         if target is None:

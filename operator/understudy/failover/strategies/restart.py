@@ -10,11 +10,10 @@ from understudy.failover.strategies.base import Strategy, StrategyContext, Unfit
 from understudy.failover.strategies.steps import (
     bring_up_and_open,
     close,
-    committed_target,
+    enforced_target,
     loop_time,
     make_drivable,
     started,
-    wait_enforced,
 )
 
 
@@ -31,9 +30,7 @@ class Restart(Strategy):
         return restart(Resources())
 
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
-        target = committed_target(progress, context)
-        if target is not None:
-            await wait_enforced(target, progress, context)
+        if (target := await enforced_target(progress, context)) is not None:
             return target
         end = loop_time() + within
         await close(progress, context)

@@ -213,3 +213,11 @@ async def wait_enforced(target: Instance, progress: Progress, context: StrategyC
         last = context.gate.last_packet(pod.uid)
         if last is not None and last > fenced:
             progress.moments["fenced"] = last
+
+
+async def enforced_target(progress: Progress, context: StrategyContext) -> Instance | None:
+    """Return the instance for which an interrupted run of this recovery already opened the gate, once that is enforced."""
+    target = committed_target(progress, context)
+    if target is not None:
+        await wait_enforced(target, progress, context)
+    return target

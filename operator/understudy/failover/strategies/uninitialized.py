@@ -18,11 +18,11 @@ from understudy.failover.strategies.steps import (
     claim_of,
     close,
     committed_target,
+    enforced_target,
     join,
     loop_time,
     make_drivable,
     started,
-    wait_enforced,
 )
 
 
@@ -135,9 +135,7 @@ class UninitializedFallback(Strategy):
         )
 
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
-        target = committed_target(progress, context)
-        if target is not None:
-            await wait_enforced(target, progress, context)
+        if (target := await enforced_target(progress, context)) is not None:
             return target
         end = loop_time() + within
         target = await self._claimed_or_claim(progress, context)

@@ -159,7 +159,11 @@ class GateKind(ABC):
         recovery: str = "",
         waits_for: str = "",
     ) -> Object:
-        """The merge patch of :meth:`commit`. It closes the gate if nothing but the record is given."""
+        """The merge patch that names the one pod that may reach the robot (none if ``active`` is empty) over exactly this record.
+
+        One atomic write fences the old pod, and an admitted standby with it, and routes the new one. ``waits_for`` is the shared pool
+        of which the workload waits for a pod.
+        """
         return {
             "metadata": {
                 "resourceVersion": over.version,
@@ -176,50 +180,24 @@ class GateKind(ABC):
             **self.routing(workload, active),
         }
 
-    async def commit(
-        self,
-        client: Client,
-        namespace: str,
-        workload: str,
-        *,
-        over: GateRecord,
-        active: str,
-        active_uid: str,
-        recovery: str,
-        waits_for: str = "",
-    ) -> Object:
-        """Name the one pod that may reach the robot (none if ``active`` is empty) over exactly this record; the gate object then.
+    def ending(self, *, over: GateRecord, recovery: str) -> Object:
+        """The merge patch that records over exactly this record that the recovery of the last commit has ended.
 
-        One atomic write fences the old pod, and an admitted standby with it, and routes the new one. ``waits_for`` is the shared pool
-        of which the workload waits for a pod. Raises ApiError, with status 409 if another write came first.
+        ``recovery`` is its JSON from then on. Control does not change, so the epoch stays. The workload no longer waits for a pod of a
+        shared pool.
         """
-        patch = self.commitment(
-            workload, over=over, active=active, active_uid=active_uid, recovery=recovery, waits_for=waits_for
-        )
-        return await client.patch(self.resource, namespace, names.gate(workload), patch)
-
-    async def end_recovery(
-        self, client: Client, namespace: str, workload: str, *, over: GateRecord, recovery: str
-    ) -> Object:
-        """Record over exactly this record that the recovery of the last commit has ended; ``recovery`` is its JSON from then on.
-
-        Control does not change, so the epoch stays. The workload no longer waits for a pod of a shared pool. Raises ApiError, with
-        status 409 if another write came first.
-        """
-        metadata = {
-            "resourceVersion": over.version,
-            "labels": {names.WAITS_FOR: None},
-            "annotations": {names.RECOVERY: recovery},
+        return {
+            "metadata": {
+                "resourceVersion": over.version,
+                "labels": {names.WAITS_FOR: None},
+                "annotations": {names.RECOVERY: recovery},
+            }
         }
-        return await client.patch(self.resource, namespace, names.gate(workload), {"metadata": metadata})
 
-    async def admit(
-        self, client: Client, namespace: str, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str
-    ) -> Object:
-        """Let a standby through beside the pod in control (none if ``admitted`` is empty) over exactly this record.
+    def admission(self, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str) -> Object:
+        """The merge patch that lets a standby through beside the pod in control (none if ``admitted`` is empty) over exactly this record.
 
-        Control does not change, so the epoch stays. Raises ApiError, with status 409 if another write came first; ValueError if the gate
-        is closed, because then nobody may reach the robot.
+        Control does not change, so the epoch stays. Raises ValueError if the gate is closed, because then nobody may reach the robot.
         """
         if not over.active:
             raise ValueError(f"{self.object_kind} {names.gate(workload)} is closed: no standby can be let through")
@@ -227,5 +205,8 @@ class GateKind(ABC):
             "resourceVersion": over.version,
             "annotations": {names.ADMITTED: admitted, names.ADMITTED_UID: admitted_uid},
         }
-        patch = {"metadata": metadata, **self.routing(workload, over.active, admitted)}
+        return {"metadata": metadata, **self.routing(workload, over.active, admitted)}
+
+    async def write(self, client: Client, namespace: str, workload: str, patch: Object) -> Object:
+        """Write one of these patches; the gate object then. Raises ApiError, with status 409 if another write came first."""
         return await client.patch(self.resource, namespace, names.gate(workload), patch)

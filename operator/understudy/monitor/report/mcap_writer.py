@@ -11,13 +11,13 @@ import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import datetime
 from typing import IO, Any
 
 from pydantic import TypeAdapter
 
 from understudy import __version__
 from understudy.api.base import Model
+from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import Recovery
 from understudy.kube.client import Object
 from understudy.ros.observe.offered_qos import offers
@@ -110,7 +110,7 @@ def write(file: IO[bytes], content: Content) -> int:
         writer.add_message(channel, at, data, _nanoseconds(sent) if sent > 0 else at, sequence & 0xFFFFFFFF)
         if not count % BATCH:
             time.sleep(REST)
-    moment = _nanoseconds(_unix(content.recovery.moments.detected) or content.since)
+    moment = _nanoseconds(unix(content.recovery.moments.detected) or content.since)
     for name, attachment in _attachments(content).items():
         writer.add_attachment(moment, moment, name, "application/json", json.dumps(attachment, indent=2).encode())
     writer.add_metadata("understudy", _metadata(content))
@@ -157,14 +157,14 @@ def _event_log(content: Content) -> Iterator[Message]:
 
 def _moments(recovery: Recovery) -> Iterator[tuple[float, int, str, str]]:
     for name, moment in recovery.moments.to_wire().items():
-        if (at := _unix(moment)) is not None:
+        if (at := unix(moment)) is not None:
             text = f"{name}: {recovery.reason}" if name == "detected" else name
             yield at, _WARN if name == "detected" else _INFO, "recovery", text
 
 
 def _events(content: Content) -> Iterator[tuple[float, int, str, str]]:
     for event in content.events:
-        at = _unix(event.get("lastTimestamp") or event.get("eventTime") or event["metadata"].get("creationTimestamp"))
+        at = unix(event.get("lastTimestamp") or event.get("eventTime") or event["metadata"].get("creationTimestamp"))
         if at is not None and at >= content.since - 1:  # to whole seconds
             about = event["involvedObject"]
             level = _WARN if event.get("type") == "Warning" else _INFO
@@ -189,10 +189,6 @@ def serialized(message: Any) -> bytes:
     from rclpy.serialization import serialize_message
 
     return bytes(serialize_message(message))
-
-
-def _unix(moment: str | None) -> float | None:
-    return datetime.fromisoformat(moment).timestamp() if moment else None
 
 
 def _nanoseconds(seconds: float) -> int:

@@ -104,7 +104,7 @@ def instance_profiles_xml(tasks: Iterable[Task], outputs: Iterable[Output] = (),
     """Return the profile file for the processes of an instance and its agent; empty if they need none.
 
     rmw_fastrtps keeps the partition that a profile sets, for readers and writers both, and ownership too. Values that
-    differ between pods remain variables (see api/protocol/profile_placeholders.py).
+    differ between pods remain variables (see agent/prepare.py).
     """
     profiles = "".join(
         _PARTITIONED.format(kind=kind, name=quoteattr(name), partition=PARTITION)

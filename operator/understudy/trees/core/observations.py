@@ -255,60 +255,44 @@ class Observations(Protocol):
 
 
 class RecordedObservations:
-    """Observations from mappings of records."""
+    """Observations of recorded messages, without a graph, nodes or pods."""
 
     in_control = True
 
-    def __init__(
-        self,
-        topics: Mapping[str, TopicRecord],
-        tasks: Mapping[str, float] | None = None,
-        publishers: Mapping[str, Publishers] | None = None,
-        nodes: Mapping[str, NodePresence] | None = None,
-        states: Mapping[str, NodeState] | None = None,
-        parameters: Mapping[tuple[str, str], ParameterState] | None = None,
-        pod: PodState | None = None,
-    ) -> None:
+    def __init__(self, topics: Mapping[str, TopicRecord], tasks: Mapping[str, float] | None = None) -> None:
         """``tasks`` maps the status topic of each active action to the time at which it became active."""
-        self._topics = topics
-        self._tasks = tasks if tasks is not None else {}
-        self._publishers = publishers if publishers is not None else {}
-        self._nodes = nodes if nodes is not None else {}
-        self._states = states if states is not None else {}
-        self._parameters = parameters if parameters is not None else {}
-        self._pod = pod
+        self._topics, self._tasks = topics, tasks or {}
 
     def topic(self, name: str) -> TopicRecord | None:
         """Return the record of a topic; None if there is none."""
         return self._topics.get(name)
 
-    def own(self, name: str) -> TopicRecord | None:
-        """Return the same record: everything recorded belongs to the instance."""
-        return self._topics.get(name)
+    own = topic
+    """Everything recorded belongs to the instance."""
 
     def task(self, name: str) -> float | None:
         """Return when the action became active; None while it is not."""
         return self._tasks.get(name)
 
     def publishers(self, name: str) -> Publishers | None:
-        """Return who published the topic; None if it was not observed."""
-        return self._publishers.get(name)
+        """Return None: the ROS graph is not observed."""
+        return None
 
     def node(self, name: str) -> NodePresence | None:
-        """Return whether the node existed; None if it was not observed."""
-        return self._nodes.get(name)
+        """Return None: the ROS graph is not observed."""
+        return None
 
     def lifecycle(self, name: str) -> NodeState | None:
-        """Return the state of the node; None if nothing is known."""
-        return self._states.get(name)
+        """Return None: nodes are not asked."""
+        return None
 
     def parameter(self, node: str, name: str) -> ParameterState | None:
-        """Return the value of the parameter; None if nothing is known."""
-        return self._parameters.get((node, name))
+        """Return None: nodes are not asked."""
+        return None
 
     def pod(self) -> PodState | None:
-        """Return the pod; None if it was not observed."""
-        return self._pod
+        """Return None: pods are not observed."""
+        return None
 
 
 @dataclass

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from understudy.cli.common.text.wording import wrap_labelled
 from understudy.cli.plan.size import main
-from understudy.cli.plan.text_wrap import wrap_labelled
 
 PAPER = ["--robots", "1000", "--failures-per-robot-hour", "1", "--recovery-seconds", "6"]
 

@@ -96,15 +96,16 @@ async def test_a_slow_mark_delays_nothing_and_is_requested_once_at_a_time(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     await monitor.recover(None, DENIED)
-    asked, answered, real = 0, asyncio.Event(), GATE.end_recovery
+    asked, answered, real = 0, asyncio.Event(), GATE.write
 
-    async def slow(*arguments: Any, **named: Any) -> Object:
+    async def slow(client: Any, namespace: str, workload: str, patch: Object) -> Object:
         nonlocal asked
-        asked += 1
-        await answered.wait()
-        return await real(*arguments, **named)
+        if names.EPOCH not in patch["metadata"]["annotations"]:  # not a commit
+            asked += 1
+            await answered.wait()
+        return await real(client, namespace, workload, patch)
 
-    monkeypatch.setattr(GATE, "end_recovery", slow)
+    monkeypatch.setattr(GATE, "write", slow)
     for _ in range(3):
         monitor.abandonment.update()
         await asyncio.sleep(0)
@@ -233,7 +234,7 @@ async def test_the_mark_does_not_open_a_gate_that_somebody_fenced(monitor: Monit
     progress = begun()
     await monitor.gate.commit(STANDBY, progress)
     over = GateRecord.of(monitor.policy)
-    await GATE.commit(monitor.client, "fleet", "w", over=over, active="", active_uid="", recovery=over.recovery)
+    await GATE.write(monitor.client, "fleet", "w", GATE.commitment("w", over=over, recovery=over.recovery))
     monitor.watch()
     await monitor.recover(DENIED, progress=progress)
     await monitor.look()

@@ -38,7 +38,8 @@ async def by_another(
     over = GateRecord.of(await client.get(NETWORK_POLICIES, "fleet", "w-gate"))
     name, uid = (pod.name, pod.uid) if pod else ("", "")
     beside = over.recovery if kept else ""
-    policy = await GATE.commit(client, "fleet", "w", over=over, active=name, active_uid=uid, recovery=beside)
+    patch = GATE.commitment("w", over=over, active=name, active_uid=uid, recovery=beside)
+    policy = await GATE.write(client, "fleet", "w", patch)
     if noticed:
         found.gates.put(policy)
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Iterable
 from datetime import UTC, datetime
 
 from understudy.cli.common.text.tree_text import plain
+
+_LABEL = re.compile(r"\S+(?: \S+)?\s{2,}")
+_LONGEST = 12
+"""Most characters of a label with the blanks after it; longer ones are table cells."""
 
 _UNITS = ((86400, "d"), (3600, "h"), (60, "m"), (1, "s"))
 
@@ -40,6 +45,12 @@ def clock(moment: str | float) -> str:
     )
 
 
+def wall(moment: float, *, zone: bool = True) -> str:
+    """Format a time (unix seconds) in UTC with milliseconds."""
+    text = datetime.fromtimestamp(round(moment, 3), UTC).isoformat(sep="T" if zone else " ", timespec="milliseconds")
+    return text.replace("+00:00", "Z" if zone else "")
+
+
 def wrapped(text: str, columns: int | None, *, indent: int, hanging: int | None = None) -> list[str]:
     """Wrap an untrusted text (:func:`plain`) to a width; ``indent`` is for the first line and ``hanging`` for the others.
 
@@ -68,3 +79,25 @@ def counted(number: int, one: str, many: str = "") -> str:
 def listed(parts: Iterable[str]) -> str:
     """Join the parts that are not empty with commas."""
     return ", ".join(part for part in parts if part)
+
+
+def wrap_labelled(text: str, columns: int | None) -> str:
+    """Wrap a text, and indent the lines after a label to the text of the label. Returns it unchanged if there is no width.
+
+    Table rows without a label stay unchanged.
+    """
+    if columns is None:
+        return text
+    return "\n".join("\n".join(_broken(line, columns)) for line in text.split("\n"))
+
+
+def _broken(line: str, columns: int) -> list[str]:
+    label = _LABEL.match(line)
+    hanging = len(label[0]) if label and len(label[0]) <= _LONGEST else 0
+    if not label and "  " not in line.strip():
+        hanging = len(line) - len(line.lstrip())
+    if len(line) <= columns or ("  " in line.strip() and not hanging):
+        return [line]
+    width = max(columns, hanging + 20)
+    # Long words stay in one piece, to be copied.
+    return textwrap.wrap(line, width, subsequent_indent=" " * hanging, break_long_words=False, break_on_hyphens=False)

@@ -95,7 +95,7 @@ class GateControl:
         self._still_ours(begun, progress)
         if (instance := target) is not None:
             await claims.answered(lambda: self._fleet.label(instance))
-        record, retry, away = begun, RETRY_FIRST, -math.inf
+        record, retry, away, workload = begun, RETRY_FIRST, -math.inf, self._view.workload
         name, uid = (target.name, target.uid) if target else ("", "")
         self._crash_points.step("before commit")
         recovery = progress.model_copy(update={"epoch": begun.epoch + 1}).model_dump_json() if progress else ""
@@ -105,16 +105,10 @@ class GateControl:
         asked = time.monotonic()
         while True:
             try:
-                gate = await self._kind.commit(
-                    self._client,
-                    self._view.namespace,
-                    self._view.workload,
-                    over=record,
-                    active=name,
-                    active_uid=uid,
-                    recovery=recovery,
-                    waits_for=waits_for,
+                patch = self._kind.commitment(
+                    workload, over=record, active=name, active_uid=uid, recovery=recovery, waits_for=waits_for
                 )
+                gate = await self._kind.write(self._client, self._view.namespace, workload, patch)
                 break
             except ApiError as error:
                 waking = error.status in (401, 403) and time.monotonic() - away < WAKING
@@ -175,14 +169,8 @@ class GateControl:
         try:
             if standby is not None:
                 await self._fleet.label(standby)
-            gate = await self._kind.admit(
-                self._client,
-                self._view.namespace,
-                self._view.workload,
-                over=record,
-                admitted=name,
-                admitted_uid=uid,
-            )
+            patch = self._kind.admission(self._view.workload, over=record, admitted=name, admitted_uid=uid)
+            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
         except FAILURES as error:
             _logger.warning("could not admit %s at the gate: %r", name or "no standby", error)
             return False
@@ -208,14 +196,9 @@ class GateControl:
         found = beside(over.recovery)
         if found is None:
             return
+        patch = self._kind.ending(over=over, recovery=ended(found).model_dump_json())
         try:
-            gate = await self._kind.end_recovery(
-                self._client,
-                self._view.namespace,
-                self._view.workload,
-                over=over,
-                recovery=ended(found).model_dump_json(),
-            )
+            gate = await self._kind.write(self._client, self._view.namespace, self._view.workload, patch)
         except FAILURES as error:
             _logger.warning("could not mark recovery %s as abandoned at the gate: %r", found.id, error)
             return

@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pydantic import ValidationError
 
 from understudy.api import names
+from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.bring_up import BringUp
@@ -232,7 +233,7 @@ class Dependencies:
         found = due(self._direct, self._given.upstream, seen, self._outages, followed=self._known(), now=now)
         if found is None:
             return None
-        if _created(active) >= found.since:
+        if (unix(active.created) or 0.0) >= found.since:
             _logger.info(
                 "%s was created after this, so no procedure runs on it: %s", active.name, describe(found.follows)
             )
@@ -321,8 +322,3 @@ def following(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec, choi
     name = "Reinitialize" if all(one.name == "bringUp" for one in listed) else "Procedure"
     within = sum(one.within for one in listed) + VERIFIED_WITHIN
     return [Choice(Reinitialize(name, listed), within), *choices]
-
-
-def _created(instance: Instance) -> float:
-    """Return when its pod was created, in whole Unix seconds; 0 if unknown."""
-    return datetime.fromisoformat(instance.created).timestamp() if instance.created else 0.0

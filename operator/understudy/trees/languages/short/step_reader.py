@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Mapping
 from typing import Any
 
-from understudy.trees.core.answer_matching import mismatch
 from understudy.trees.core.health_tree import HealthTree, WatchedTopic
 from understudy.trees.core.procedure_steps import Actions, ProcedureFailed, Work
 from understudy.trees.languages.short.health_loader import load
@@ -56,7 +55,7 @@ class StepReader(Reader):
 
         async def work(actions: Actions, within: float) -> None:
             answer = await actions.call(str(service), str(type_), request, within, repeat=repeat)
-            if (reason := mismatch(answer, expect)) is not None:
+            if (reason := _mismatch(answer, expect)) is not None:
                 raise ProcedureFailed(f"service {service} gave another answer: {reason}")
 
         return work
@@ -231,3 +230,18 @@ class StepReader(Reader):
 
 def _is_name(value: object) -> bool:
     return isinstance(value, str) and value.startswith("/") and len(value) > 1
+
+
+def _mismatch(found: Mapping[str, Any], expected: Mapping[str, Any], *, path: str = "") -> str | None:
+    """Return the first expected field that differs, in words; None if all match. Fields that are not named may have any value."""
+    for field, value in expected.items():
+        place = f"{path}.{field}" if path else str(field)
+        if field not in found:
+            return f"there is no field {place}; there are {', '.join(found)}"
+        present = found[field]
+        if isinstance(value, Mapping) and isinstance(present, Mapping):
+            if (reason := _mismatch(present, value, path=place)) is not None:
+                return reason
+        elif present != value:
+            return f"{place} is {present!r:.100}, expected {value!r:.100}"
+    return None
