@@ -192,7 +192,7 @@ def test_a_change_of_a_pool_reconciles_workloads_with_automatic_strategies() -> 
     store = stored(auto(), workload("w"))
     held = held_pod("s-1", of=spare())
     for change in (ObservedChange(POOLS, None, hot()), ObservedChange(PODS, None, held)):
-        assert change_index.Key("robotworkloads", "fleet", "w") in change_index.keys(change, store)
+        assert change_index.Key("robotworkloads", "fleet", "w") in change_index.of(change, store).keys
 
 
 def test_a_change_of_the_chosen_order_reconciles_every_pool() -> None:
@@ -202,7 +202,7 @@ def test_a_change_of_the_chosen_order_reconciles_every_pool() -> None:
         workload("w", status={"strategies": "Executing (hot)"}),
     )
     for old, new, expected in ((before, after, {"hot", "warm", "spare"}), (before, before, set())):
-        found = change_index.keys(ObservedChange(WORKLOADS, old, new), store)
+        found = change_index.of(ObservedChange(WORKLOADS, old, new), store).keys
         assert {key.name for key in found if key.plural == "fallbackpools"} == expected
 
 

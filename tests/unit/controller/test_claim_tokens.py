@@ -198,7 +198,7 @@ def test_the_token_of_a_pool_in_deletion_is_kept_without_an_owner() -> None:
 
 def test_a_created_or_deleted_token_reconciles_its_pool() -> None:
     for change in (ObservedChange(SECRETS, secret(), None), ObservedChange(SECRETS, None, secret())):
-        assert change_index.keys(change, Store()) == {Key(POOLS.plural, NAMESPACE, "spare")}
+        assert change_index.of(change, Store()).keys == {Key(POOLS.plural, NAMESPACE, "spare")}
 
 
 @pytest.mark.parametrize(

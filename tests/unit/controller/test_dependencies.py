@@ -167,7 +167,7 @@ def keys(old: Object | None, new: Object | None, *there: Object) -> set[str]:
     store = Store()
     for one in there:
         store.put(WORKLOADS, one)
-    found = change_index.keys(ObservedChange(WORKLOADS, old, new), store)
+    found = change_index.of(ObservedChange(WORKLOADS, old, new), store).keys
     return {key.name for key in found if key.plural == Key(WORKLOADS.plural, "", "").plural}
 
 

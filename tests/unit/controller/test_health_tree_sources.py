@@ -116,11 +116,11 @@ def test_a_change_of_a_config_map_reconciles_its_policies_and_their_workloads() 
     store.put(POLICIES, policy("Restart", name="other"))
     store.put(WORKLOADS, workload())
     (config_map,) = trees(health_yaml=GOOD).values()
-    found = change_index.keys(ObservedChange(CONFIG_MAPS, None, config_map), store)
+    found = change_index.of(ObservedChange(CONFIG_MAPS, None, config_map), store).keys
     assert found == {Key(POLICIES.plural, NAMESPACE, "policy"), Key(WORKLOADS.plural, NAMESPACE, "w")}
-    assert not change_index.keys(
+    assert not change_index.of(
         ObservedChange(CONFIG_MAPS, None, {"metadata": {**config_map["metadata"], "name": "x"}}), store
-    )
+    ).keys
 
 
 def test_only_labelled_config_maps_are_stored() -> None:

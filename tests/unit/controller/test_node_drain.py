@@ -203,7 +203,7 @@ def test_a_node_is_stored_without_other_fields_and_only_a_cordon_reconciles_work
     store.put(PODS, on("node-1", source_pod("w-1")))
     store.put(PODS, on("node-2", source_pod("v-1", of="v")))
     store.put(PODS, on("node-1", pod("stranger")))
-    store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
+    store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
     store.put(NODES, node(1, podCIDR="10.0.0.0/24"))
     store.put(NODES, node(2))
     store.put(NODES, node(3, unschedulable=True))
@@ -220,7 +220,7 @@ def test_a_node_is_stored_without_other_fields_and_only_a_cordon_reconciles_work
 def test_a_new_budget_of_the_user_reconciles_every_workload_of_its_namespace() -> None:
     store, seen = Store(), []
     store.put(WORKLOADS, workload())
-    store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
+    store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
     theirs = budget("theirs")
     store.put(DISRUPTION_BUDGETS, theirs)
     theirs = {**theirs, "metadata": {**theirs["metadata"], "resourceVersion": "6"}, "status": {"currentHealthy": 1}}

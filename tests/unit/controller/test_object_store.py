@@ -148,7 +148,7 @@ class TestChangeIndex:
         return store
 
     def keys(self, change: ObservedChange) -> set[tuple[str, str]]:
-        return {(key.plural, key.name) for key in change_index.keys(change, self.store())}
+        return {(key.plural, key.name) for key in change_index.of(change, self.store()).keys}
 
     def test_an_instance_reconciles_its_workload(self) -> None:
         assert self.keys(ObservedChange(PODS, None, source_pod("w-a"))) == {("robotworkloads", "w")}
@@ -168,7 +168,7 @@ class TestChangeIndex:
         for others, known in ((0, True), (1, False)):
             if others:
                 store.put(PODS, held_pod("spare-b", of=pool))
-            found = {(key.plural, key.name) for key in change_index.keys(first, store)}
+            found = {(key.plural, key.name) for key in change_index.of(first, store).keys}
             assert ("fallbackpools", "spare") in found
             assert (("robotworkloads", "w") in found) is known
 
@@ -180,7 +180,7 @@ class TestChangeIndex:
             store = self.store()
             store.put(POOLS, at(pool, 11))
             store.put(PODS, other)
-            found = change_index.keys(ObservedChange(PODS, None, held_pod("spare-a", of=spare())), store)
+            found = change_index.of(ObservedChange(PODS, None, held_pod("spare-a", of=spare())), store).keys
             assert Key("robotworkloads", "fleet", "w") in found
 
     @pytest.mark.parametrize("others", [0, 1])

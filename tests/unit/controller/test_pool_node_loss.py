@@ -68,7 +68,7 @@ class TestLeavingNodes:
         store.put(PODS, held(pool, "n")[0])
         store.put(PODS, on("n", standby_pod("w-s", of=workload())))
         store.put(PODS, on("other", standby_pod("x-s", of=workload("x"))))
-        store.noticed = lambda sight: told.append(change_index.keys(sight, store))
+        store.noticed = lambda sight: told.append(change_index.of(sight, store).keys)
         store.put(NODES, node("n"))
         store.put(NODES, node("n", version=6) | {"status": {}})
         store.put(NODES, node("n", version=7, unschedulable=True))
@@ -84,7 +84,7 @@ class TestLeavingNodes:
         store, told = Store(), []
         store.put(PODS, held(spare(), "n")[0])
         store.put(NODES, node("n", unschedulable=True))
-        store.noticed = lambda sight: told.append(change_index.keys(sight, store))
+        store.noticed = lambda sight: told.append(change_index.of(sight, store).keys)
         store.put(NODES, node("m", version=9))
         assert told == [{Key(POOLS.plural, "fleet", "spare")}]
 

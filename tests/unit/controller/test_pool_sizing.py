@@ -277,12 +277,12 @@ class TestDemand:
             store.put(POOLS, pool)
         before, after = robot("w"), robot("w", *failed(1))
         key = Key(POOLS.plural, "fleet", "spare")
-        assert change_index.keys(ObservedChange(WORKLOADS, before, after), store) == {
+        assert change_index.of(ObservedChange(WORKLOADS, before, after), store).keys == {
             Key(WORKLOADS.plural, "fleet", "w"),
             key,
         }
         same = before | {"status": before["status"] | {"health": "Healthy"}}
-        assert change_index.keys(ObservedChange(WORKLOADS, before, same), store) == {
+        assert change_index.of(ObservedChange(WORKLOADS, before, same), store).keys == {
             Key(WORKLOADS.plural, "fleet", "w")
         }
 

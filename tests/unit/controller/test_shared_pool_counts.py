@@ -86,7 +86,7 @@ class TestCounts:
         for resource, found in ((WORKLOADS, item), (PODS, driving), (PODS, own), (NETWORK_POLICIES, opened)):
             store.put(resource, found)
         seen: list[set[change_index.Key]] = []
-        store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
+        store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
         store.put(PODS, ready)
         assert seen == [
             {change_index.Key("fallbackpools", "fleet", "hot"), change_index.Key("robotworkloads", "fleet", "w")}

@@ -101,7 +101,7 @@ class TestStandbys:
         ]:
             store.put(resource, item)
         seen: list[set[Key]] = []
-        store.noticed = lambda sight: seen.append(change_index.keys(sight, store))
+        store.noticed = lambda sight: seen.append(change_index.of(sight, store).keys)
         store.put(NODES, node("m", version=6, unschedulable=True))
         assert seen == [{Key(POOLS.plural, "fleet", "hot"), Key(WORKLOADS.plural, "fleet", "w")}]
         client: Any = None

@@ -121,17 +121,19 @@ def test_a_change_of_health_reconciles_only_policies_with_a_storm_guard() -> Non
     store.put(change_index.POLICIES, policy)
     key = Key("failurepolicies", world.NAMESPACE, "policy")
     well, failed = robot(0), robot(0, "Failed")
-    assert key not in change_index.keys(ObservedChange(WORKLOADS, well, failed), store)
+    assert key not in change_index.of(ObservedChange(WORKLOADS, well, failed), store).keys
     guarded = world.policy("Restart")
     guarded["spec"]["limits"] = {"stormGuard": {"percent": 40}}
     guarded["metadata"]["resourceVersion"] = "999"
     store.put(change_index.POLICIES, guarded)
-    assert key in change_index.keys(ObservedChange(WORKLOADS, well, failed), store)
-    assert key not in change_index.keys(ObservedChange(WORKLOADS, failed, failed), store)
+    assert key in change_index.of(ObservedChange(WORKLOADS, well, failed), store).keys
+    assert key not in change_index.of(ObservedChange(WORKLOADS, failed, failed), store).keys
     store.put(WORKLOADS, well)
     first = gate(well, Progress.begin("crashed", last_healthy=NOW - 1, detected=NOW))
-    assert key in change_index.keys(ObservedChange(NETWORK_POLICIES, gate(well, None), first), store), (
+    assert key in change_index.of(ObservedChange(NETWORK_POLICIES, gate(well, None), first), store).keys, (
         "its gate tells first"
     )
     opened = {**first, "spec": {"podSelector": {}}}
-    assert key not in change_index.keys(ObservedChange(NETWORK_POLICIES, first, opened), store), "of the same recovery"
+    assert key not in change_index.of(ObservedChange(NETWORK_POLICIES, first, opened), store).keys, (
+        "of the same recovery"
+    )

@@ -68,11 +68,6 @@ def of(change: ObservedChange, store: Store) -> Affected:
     return Affected(set(_keys(change, store, plenty)), _is_claim(change, plenty))
 
 
-def keys(change: ObservedChange, store: Store) -> set[Key]:
-    """Return only the keys of :func:`of`."""
-    return of(change, store).keys
-
-
 def _keys(change: ObservedChange, store: Store, plenty: Collection[str]) -> Iterator[Key]:
     found = change.new or change.old
     assert found is not None

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from understudy.api.base import API_VERSION
 from understudy.kube.client import FAILURES, WORKLOADS, ApiError, Client, Object
-from understudy.kube.events import Recorder
+from understudy.kube.events import Recorder, reference
 from understudy.kube.undeclared_fields import apply_declared, lacking
 from understudy.kube.watched_collection import version_of
 from understudy.monitor.notices import (
@@ -52,7 +52,8 @@ class StatusWriter:
 
     def __init__(self, client: Client, view: ClusterView, recorder: Recorder, notices: Notices) -> None:
         self._client, self._view, self._recorder, self._notices = client, view, recorder, notices
-        self._reference: Object = _reference_to(view.object) if view.object is not None else {}
+        identity = {"apiVersion": API_VERSION, "kind": "RobotWorkload"}
+        self._reference: Object = reference(view.object | identity) if view.object is not None else {}
         self._stream = notices.subscribe()
         self._changed = asyncio.Event()
         self._urgent = asyncio.Event()
@@ -166,20 +167,6 @@ class StatusWriter:
             _logger.warning("%s", lacking(WORKLOADS, unknown, "monitor"))
         self._unknown = unknown
         self._applied, self._written, self._answer = text, body["status"], answer
-
-
-def _reference_to(item: Object) -> Object:
-    metadata = item["metadata"]
-    return {
-        "apiVersion": API_VERSION,
-        "kind": "RobotWorkload",
-        "metadata": {
-            "name": metadata["name"],
-            "namespace": metadata["namespace"],
-            "uid": metadata["uid"],
-            "resourceVersion": metadata.get("resourceVersion", ""),
-        },
-    }
 
 
 def _share(item: Object, written: Object) -> Object:
