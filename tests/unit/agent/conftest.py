@@ -17,7 +17,6 @@ from pathlib import Path
 import pytest
 
 from understudy.api.protocol import hold_script
-from understudy.api.protocol.agent_messages import AgentStatus
 from understudy.kube.agent_client import AgentLink
 
 UID = "0b5d9f5e-7c1e-4a8e-9f2b-5d2f3f6f9a10"
@@ -30,12 +29,6 @@ def free_port() -> int:
         sock.bind(("127.0.0.1", 0))
         port: int = sock.getsockname()[1]
         return port
-
-
-async def status_of(link: AgentLink) -> AgentStatus:
-    """Ask an agent for its present status."""
-    answer = await link.request("status", {})
-    return AgentStatus.from_wire(answer["status"])
 
 
 class Pod:

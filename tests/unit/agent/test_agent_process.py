@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually, status_of
+from tests.support.agents import status_of
+from tests.unit.agent.conftest import TOKEN, UID, Pod, eventually
 from understudy.agent import process as running
 from understudy.api.protocol import agent_messages as wire
 from understudy.kube.agent_client import AgentGone, AgentRefused

@@ -14,8 +14,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.agents import status_of
 from tests.support.golden import assert_golden
-from tests.unit.agent.conftest import Pod, eventually, status_of
+from tests.unit.agent.conftest import Pod, eventually
 from tests.unit.ros.network import network
 from understudy.api.protocol.agent_messages import AgentStatus
 

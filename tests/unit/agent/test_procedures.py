@@ -6,8 +6,9 @@ import asyncio
 
 import pytest
 
+from tests.support.agents import status_of
 from tests.support.golden import assert_golden
-from tests.unit.agent.conftest import Pod, eventually, status_of
+from tests.unit.agent.conftest import Pod, eventually
 from tests.unit.agent.localization import OUTPUTS, TREE, WITHIN, localize, run
 from understudy.kube.agent_client import AgentLink, AgentRefused
 from understudy.trees.languages.procedure_notations import compose

@@ -80,29 +80,30 @@ def test_a_claim_without_its_precondition_is_detected() -> None:
 
 
 def test_a_commit_without_its_precondition_is_detected() -> None:
-    commit = GATE.commit
+    commitment = GATE.commitment
 
-    async def careless(client: Client, *rest: Any, **more: Any) -> Object:
-        with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
-            return await commit(client, *rest, **more)
+    def careless(workload: str, **more: Any) -> Object:
+        patch = commitment(workload, **more)
+        del patch["metadata"]["resourceVersion"]
+        return patch
 
-    with mock.patch.object(GATE, "commit", careless):
+    with mock.patch.object(GATE, "commitment", careless):
         assert found("went from epoch", EXECUTING, "second_monitor", "all_fail")
 
 
 def test_a_gate_that_opens_before_the_failed_pod_is_fenced_is_detected() -> None:
-    commit, routing = GATE.commit, GATE.routing
+    commitment, routing = GATE.commitment, GATE.routing
     before: dict[str, str] = {}
 
-    async def careless(client: Client, *rest: Any, over: GateRecord, active: str, **more: Any) -> Object:
-        before[rest[1]] = over.active if active else ""
-        return await commit(client, *rest, over=over, active=active, **more)
+    def careless(workload: str, *, over: GateRecord, active: str, **more: Any) -> Object:
+        before[workload] = over.active if active else ""
+        return commitment(workload, over=over, active=active, **more)
 
     def both(workload: str, active: str, admitted: str = "") -> Object:
         return routing(workload, active, admitted or before.get(workload, ""))
 
     # Both for the whole test: a monitor that is killed ends no context that it is in.
-    with mock.patch.object(GATE, "commit", careless), mock.patch.object(GATE, "routing", both):
+    with mock.patch.object(GATE, "commitment", careless), mock.patch.object(GATE, "routing", both):
         assert found("through and names", EXECUTING, "all_fail")
 
 

@@ -14,7 +14,7 @@ from unittest import mock
 import pytest
 
 from tests.unit.interleavings import reflexes, simulation
-from tests.unit.interleavings.comparison import told_alike, without
+from tests.unit.interleavings.comparison import told_alike
 from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
 from tests.unit.interleavings.scenes import Outcome, Scene
@@ -23,7 +23,7 @@ from understudy.agent.writer_strength import WriterStrengths
 from understudy.api.protocol.ownership_strength import STRONGEST
 from understudy.failover import reflex
 from understudy.failover.interfaces import Instance
-from understudy.kube.client import Client, Object
+from understudy.kube.client import Object
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.monitor.act.gate import permits
 from understudy.monitor.act.gate.reflex_guard import ReflexGuard
@@ -176,13 +176,14 @@ def test_a_standby_that_is_stronger_than_the_active_instance_is_detected() -> No
 
 
 def test_a_standby_that_is_admitted_over_another_write_is_detected() -> None:
-    admit = GATE.admit
+    admission = GATE.admission
 
-    async def careless(client: Client, *rest: Any, **more: Any) -> Object:
-        with mock.patch.object(client, "patch", without("resourceVersion").__get__(client)):
-            return await admit(client, *rest, **more)
+    def careless(workload: str, **more: Any) -> Object:
+        patch = admission(workload, **more)
+        del patch["metadata"]["resourceVersion"]
+        return patch
 
-    with mock.patch.object(GATE, "admit", careless):
+    with mock.patch.object(GATE, "admission", careless):
         assert found("lets ", ALONE, "active_hangs", "standby_hangs", "second_monitor", weather=3.0, within=200)
 
 

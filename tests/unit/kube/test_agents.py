@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from tests.support.agents import status_of
 from understudy.api.protocol import agent_messages as wire
 from understudy.api.protocol.agent_messages import AgentStatus, OutputCount, ProtocolError
 from understudy.kube.agent_client import AgentGone, AgentLink, AgentRefused
@@ -167,7 +168,7 @@ async def test_a_silent_agent_counts_as_disconnected(agent, link, changes, monke
 
     agent.follow = fall_silent
     await link.wait_connected(2)
-    asking = asyncio.create_task(link.ask())
+    asking = asyncio.create_task(status_of(link))
     with pytest.raises(AgentGone, match="lost"):
         await asking
     assert (link.connected, link.status) == (False, None)
@@ -185,7 +186,7 @@ async def test_a_refusal_is_reported(agent, link):
     with pytest.raises(AgentGone, match="claimed by other"):
         await link.wait_connected(0.3)
     with pytest.raises(AgentGone, match="claimed by other"):
-        await link.ask()
+        await status_of(link)
     assert agent.sessions == 1
 
 
@@ -202,7 +203,7 @@ async def test_an_error_is_an_answer_to_its_request(agent, link):
 
     agent.follow = answer
     await link.wait_connected(2)
-    asked, refused = await asyncio.gather(link.ask(), link.request("probe", {}), return_exceptions=True)
+    asked, refused = await asyncio.gather(status_of(link), link.request("probe", {}), return_exceptions=True)
     assert asked == STATUS
     assert isinstance(refused, AgentRefused)
     assert "probe: no" in str(refused)
@@ -260,7 +261,7 @@ async def test_a_listener_that_fails_does_not_end_the_link(agent):
 
 async def test_close_ends_the_link(agent, link):
     await link.wait_connected(2)
-    asking = asyncio.create_task(link.ask())
+    asking = asyncio.create_task(status_of(link))
     await asyncio.sleep(0)
     await link.close()
     with pytest.raises(AgentGone):

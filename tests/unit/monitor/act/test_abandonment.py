@@ -197,14 +197,16 @@ async def test_a_resumed_recovery_that_stops_before_its_commit_is_abandoned_too(
 async def test_a_commit_that_takes_effect_after_its_recovery_stopped_is_marked(
     monitor: Monitor, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = GATE.commit
+    real = GATE.write
     late: list[Callable[[], Any]] = []
 
-    async def unanswered(*arguments: Any, **named: Any) -> Object:
-        late.append(lambda: real(*arguments, **named))
+    async def unanswered(client: Any, namespace: str, workload: str, patch: Object) -> Object:
+        if names.EPOCH not in patch["metadata"]["annotations"]:  # not a commit
+            return await real(client, namespace, workload, patch)
+        late.append(lambda: real(client, namespace, workload, patch))
         raise DENIED  # by somebody in between, such as a proxy
 
-    monkeypatch.setattr(GATE, "commit", unanswered)
+    monkeypatch.setattr(GATE, "write", unanswered)
     await monitor.recover(None)
     await monitor.look()
     assert not monitor.seen().failing

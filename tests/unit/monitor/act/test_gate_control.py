@@ -102,16 +102,16 @@ async def test_an_unanswered_commit_that_took_effect_counts_as_own(
     client: MemoryClient, found: ClusterView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     gate, progress = await open_gate(client, found, tmp_path, FAILED), recovery()
-    real = GATE.commit
+    real = GATE.write
 
     async def unanswered(*arguments: Any, **named: Any) -> Object:
         found.gates.put(await real(*arguments, **named))
         raise RuntimeError("given up in its time")
 
-    monkeypatch.setattr(GATE, "commit", unanswered)
+    monkeypatch.setattr(GATE, "write", unanswered)
     with pytest.raises(RuntimeError):
         await gate.commit(None, progress)
-    monkeypatch.setattr(GATE, "commit", real)
+    monkeypatch.setattr(GATE, "write", real)
     await gate.commit(STANDBY, progress)
     assert (gate.state.active, gate.state.epoch) == (STANDBY.name, 6)
 
