@@ -261,7 +261,7 @@ class RecordedObservations:
 
     def __init__(self, topics: Mapping[str, TopicRecord], tasks: Mapping[str, float] | None = None) -> None:
         """``tasks`` maps the status topic of each active action to the time at which it became active."""
-        self._topics, self._tasks = topics, tasks or {}
+        self._topics, self._tasks = topics, tasks if tasks is not None else {}
 
     def topic(self, name: str) -> TopicRecord | None:
         """Return the record of a topic; None if there is none."""
