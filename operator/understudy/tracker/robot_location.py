@@ -65,7 +65,7 @@ class Locator:
         except cv2.error as error:
             raise Unusable(f"OpenCV cannot look for markers in it: {error}") from error
         if self.view is None:
-            self._look_for_references(found, calibration)
+            self._find_references(found, calibration)
         if self.view is None:
             return []
         sightings = []
@@ -81,7 +81,7 @@ class Locator:
             sightings.append(DetectedRobot(marker, found[number], placed, self._velocities[number].add(seen)))
         return sightings
 
-    def _look_for_references(self, found: dict[int, Corners], calibration: Calibration) -> None:
+    def _find_references(self, found: dict[int, Corners], calibration: Calibration) -> None:
         references = self._configuration.camera.references
         if missing := [str(reference.id) for reference in references if reference.id not in found]:
             self.problems.append(f"the markers {', '.join(missing)} of camera.references are not seen yet")

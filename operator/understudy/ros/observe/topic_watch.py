@@ -267,7 +267,7 @@ class TopicWatch:
             topic.subscription = None
         topic.active.clear()
 
-    def _look_up_types(self) -> None:
+    def _find_types(self) -> None:
         """Try again to subscribe to topics whose type is known only from the graph."""
         for topic in self._topics.values():
             if topic.subscription is None and topic.want.type is None:
@@ -353,7 +353,7 @@ class TopicWatch:
         now = time.monotonic()
         if now >= self._next_look_up:
             self._next_look_up = now + TYPE_CHECK_PERIOD
-            self._look_up_types()
+            self._find_types()
             self._forget_servers()
         self._presence.refresh()
         self._inhabitants.refresh()
