@@ -50,17 +50,14 @@ class TestClient:
         from understudy.ros.actions.action_endpoints import ActionClient, ActionType
 
         self.feedback: list[tuple[str, bytes]] = []
-        self.statuses: list = []
         made = ActionClient(
             served,
             ACTION,
             ActionType.of(TYPE),
             on_feedback=lambda goal, data: self.feedback.append((goal, data)),
-            on_status=self.statuses.append,
         )
         await made.open()
-        yield made
-        await made.close()
+        return made
 
     async def ready(self, client) -> None:
         """Wait for a server that has matched the client too: until then it drops its answers when CPU is scarce."""
@@ -99,7 +96,6 @@ class TestClient:
             assert steps
             assert steps == sorted(set(steps) & set(range(4 + i)))
         assert {line["goal"] for line in server.said("executing")} == set(ids)
-        await eventually(lambda: {(g.goal, g.status) for g in self.statuses[-1]} == {(g, SUCCEEDED) for g in ids})
 
     async def test_goals_can_be_cancelled_aborted_rejected_and_unknown(self, client, start):  # noqa: F811
         start("serve", ACTION)
