@@ -151,7 +151,7 @@ class Robot:
             return bool(others) and status.get("strategy") == "Executing"
 
         eventually(standing_by, within=within, what=f"{self.name} has an understudy", note=self.describe)
-        time.sleep(2.5)  # the monitor looks at its means once a second
+        time.sleep(2.5)  # the monitor updates what is not urgent once a second
 
     def begin(self) -> None:
         """Forget what happened so far: the log begins now, and the next recovery is number 1 of this test.

@@ -160,7 +160,7 @@ def test_a_standby_is_created_while_the_workload_is_degraded_and_takes_over(kube
         what="a standby is ready and the monitor counts on it",
         note=cell.describe,
     )
-    time.sleep(2.5)  # the monitor looks at its means once a second
+    time.sleep(2.5)  # the monitor updates what is not urgent once a second
     kubectl("delete", "pod", first, "--grace-period=0", "--force", "--wait=false")
     recovery = eventually(
         lambda: next((r for r in cell.recoveries() if r["result"] == "Recovered"), None),

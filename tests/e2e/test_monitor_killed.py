@@ -8,6 +8,8 @@ from tests.e2e.kubectl import Failed
 from tests.e2e.scenario import Robot, eventually
 from tests.e2e.test_strategies import assert_handed_over
 
+pytestmark = pytest.mark.shared_robots
+
 CRASH_FILE = "/var/lib/understudy/crash-after"
 MOST_STEPS = 20
 

@@ -66,7 +66,7 @@ def test_a_task_raises_the_readiness_of_the_standby_until_the_task_ends(
     situation = cell.status()["situation"]
     assert (situation["name"], situation["reason"]) == ("carrying", f"a goal of {ACTION} is active")
     assert cell.status()["strategies"] == f"Executing ({NAME}), Restart"
-    time.sleep(2.5)  # the monitor looks at its means once a second
+    time.sleep(2.5)  # the monitor updates what is not urgent once a second
 
     kubectl("delete", "pod", first, "--grace-period=0", "--force", "--wait=false")
 
