@@ -14,7 +14,7 @@ from unittest import mock
 import pytest
 
 from tests.unit.interleavings import simulation
-from tests.unit.interleavings.comparison import told_alike, without
+from tests.unit.interleavings.comparison import told_alike, unconditional, without
 from tests.unit.interleavings.scenes import SCENES, Outcome, Scene
 from understudy.controller.reconcile.executor import Executor
 from understudy.controller.reconcile.expectations import Expectations
@@ -80,14 +80,7 @@ def test_a_claim_without_its_precondition_is_detected() -> None:
 
 
 def test_a_commit_without_its_precondition_is_detected() -> None:
-    commitment = GATE.commitment
-
-    def careless(workload: str, **more: Any) -> Object:
-        patch = commitment(workload, **more)
-        del patch["metadata"]["resourceVersion"]
-        return patch
-
-    with mock.patch.object(GATE, "commitment", careless):
+    with mock.patch.object(GATE, "commitment", unconditional(GATE.commitment)):
         assert found("went from epoch", EXECUTING, "second_monitor", "all_fail")
 
 

@@ -14,7 +14,7 @@ from unittest import mock
 import pytest
 
 from tests.unit.interleavings import reflexes, simulation
-from tests.unit.interleavings.comparison import told_alike
+from tests.unit.interleavings.comparison import told_alike, unconditional
 from tests.unit.interleavings.ownership import PERIOD, Reader, Writer
 from tests.unit.interleavings.reflexes import SCENES, Reflexive
 from tests.unit.interleavings.scenes import Outcome, Scene
@@ -23,7 +23,6 @@ from understudy.agent.writer_strength import WriterStrengths
 from understudy.api.protocol.ownership_strength import STRONGEST
 from understudy.failover import reflex
 from understudy.failover.interfaces import Instance
-from understudy.kube.client import Object
 from understudy.kube.gates.kinds.network_policy import GATE
 from understudy.monitor.act.gate import permits
 from understudy.monitor.act.gate.reflex_guard import ReflexGuard
@@ -176,14 +175,7 @@ def test_a_standby_that_is_stronger_than_the_active_instance_is_detected() -> No
 
 
 def test_a_standby_that_is_admitted_over_another_write_is_detected() -> None:
-    admission = GATE.admission
-
-    def careless(workload: str, **more: Any) -> Object:
-        patch = admission(workload, **more)
-        del patch["metadata"]["resourceVersion"]
-        return patch
-
-    with mock.patch.object(GATE, "admission", careless):
+    with mock.patch.object(GATE, "admission", unconditional(GATE.admission)):
         assert found("lets ", ALONE, "active_hangs", "standby_hangs", "second_monitor", weather=3.0, within=200)
 
 
