@@ -11,8 +11,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from understudy.api.base import seconds
-from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadStatus
+from understudy.api.moments import unix
 from understudy.api.protocol.monitor_settings import Upstream
 from understudy.failover.progress import Committed, Progress, listed_recoveries, under_way
 

@@ -14,9 +14,9 @@ import yaml
 
 from scripts.generation import commands, leaves, metrics
 from tests.support.pages import PAGES, page_name, typed
+from tests.unit.trees.btcpp_texts import load_xml
 from understudy.main import VERBS
 from understudy.trees.languages.btcpp.library import NODES, tag_of
-from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.leaves import procedure_leaves
 from understudy.trees.leaves.registry import LEAVES
 

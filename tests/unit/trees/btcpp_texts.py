@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
-from understudy.trees.languages.btcpp.loader import load_xml
+from understudy.trees.languages.notations import load_health
 from understudy.trees.source.problems import TreeError
+
+load_xml = partial(load_health, "xml", grace=30.0)
 
 LEAF = '<Topic topic="/scan" gap="1s"/>'
 

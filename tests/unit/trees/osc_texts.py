@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import pytest
 
-from understudy.trees.languages.osc.loader import load_osc
+from understudy.trees.languages.notations import load_health
 from understudy.trees.source.problems import TreeError
+
+load_osc = partial(load_health, "osc", grace=30.0)
 
 LEAF = 'topic("/scan", gap: 1s)'
 

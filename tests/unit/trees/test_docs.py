@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.unit.trees.btcpp_texts import load_xml
 from tests.unit.trees.messages import Figure
 from tests.unit.trees.world import World
 from understudy.trees.languages.btcpp import steps
 from understudy.trees.languages.btcpp.library import NODES, REFUSED, tag_of
-from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.btcpp.xml_elements import parse
 from understudy.trees.languages.procedure_notations import compose
 from understudy.trees.languages.short.health_loader import KINDS, TreeError, load

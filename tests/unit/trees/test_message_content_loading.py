@@ -7,11 +7,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.support.golden import assert_golden
+from tests.unit.trees.btcpp_texts import load_xml
 from tests.unit.trees.content_messages import Array, Status, age, during, levels, value
 from tests.unit.trees.messages import fields
 from tests.unit.trees.world import ROOT, START, World, written
 from understudy.trees.core.health_tree import SEVERITY
-from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
 from understudy.trees.leaves.registry import LEAVES
 

@@ -10,9 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.support.golden import assert_golden
+from tests.unit.trees.btcpp_texts import load_xml
 from tests.unit.trees.world import START, TASK, World, mistakes, states_in_both_forms, written
 from understudy.trees.core.health_tree import SEVERITY, Verdict
-from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
 
 CONTROLLER = "/controller"

@@ -10,13 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.trees.garbled import garbled, loads_or_is_refused
-from tests.unit.trees.osc_texts import LEAF, problems, scenario
+from tests.unit.trees.osc_texts import LEAF, load_osc, problems, scenario
 from tests.unit.trees.replays import POLICIES, SCRIPTS, TREES, Replay, named, numbers, shape
 from tests.unit.trees.scenarios import ScenarioWriter
 from understudy.api.base import LONGEST_TEXT
 from understudy.trees.languages.osc import tokens
 from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS
-from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.short.health_loader import load
 
 

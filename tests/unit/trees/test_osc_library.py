@@ -26,11 +26,11 @@ from scenario_execution.model.types import (
 )
 from scenario_execution.osc2_parsing.OpenSCENARIO2Lexer import OpenSCENARIO2Lexer
 
+from tests.unit.trees.osc_texts import load_osc
 from tests.unit.trees.replays import POLICIES
 from tests.unit.trees.scenarios import ScenarioWriter
 from understudy.trees.languages.osc import steps, tokens
 from understudy.trees.languages.osc.library import ACTIONS, ENUMS, MODIFIERS, REFUSED, WORDS
-from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.osc.units import OWN, UNITS
 from understudy.trees.languages.procedure_notations import compose
 from understudy.trees.languages.short.health_loader import TASK_KEYS, load
@@ -251,9 +251,12 @@ def test_the_parser_is_loaded_only_for_a_policy_in_this_language() -> None:
 
 _WATCHED = """
 import sys
-from understudy.trees.languages.osc.loader import load_osc
+from functools import partial
+
+from understudy.trees.languages.notations import load_health
 from understudy.trees.source.problems import TreeError
 
+load_osc = partial(load_health, "osc", grace=30.0)
 GOOD = 'import osc.understudy\\nimport osc.types\\nscenario a:\\n  do topic("/a", gap: 1s)\\n'
 BAD = [
     'import "/etc/passwd"\\n' + GOOD,

@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.support.golden import assert_golden
-from tests.unit.trees.osc_texts import LEAF, problems, scenario
+from tests.unit.trees.osc_texts import LEAF, load_osc, problems, scenario
 from understudy.trees.languages.osc.library import ACTIONS, MODIFIERS
-from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.source.positions import TextOffset
 from understudy.trees.source.problems import TreeError
 

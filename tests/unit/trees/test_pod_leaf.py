@@ -9,6 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.support.golden import assert_golden
+from tests.unit.trees.btcpp_texts import load_xml
 from tests.unit.trees.world import (
     START,
     TASK,
@@ -20,7 +21,6 @@ from tests.unit.trees.world import (
 )
 from understudy.trees.core.health_tree import Verdict
 from understudy.trees.core.observations import PodUsage
-from understudy.trees.languages.btcpp.loader import load_xml
 from understudy.trees.languages.short.health_loader import TreeError, load
 from understudy.trees.languages.short.procedure_loader import CONDITIONS
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from tests.unit.trees.osc_texts import load_osc
 from tests.unit.trees.procedure_texts import ACTIVE, ACTIVE_OSC, ACTIVE_XML, PATH, file, problems, scenario
-from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.procedure_notations import compose
 from understudy.trees.source.positions import TextOffset
 from understudy.trees.source.problems import TreeError

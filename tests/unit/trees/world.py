@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from tests.unit.trees.btcpp_texts import load_xml
 from tests.unit.trees.messages import Battery, Feedback, Heard, fields
+from tests.unit.trees.osc_texts import load_osc
 from tests.unit.trees.scenarios import ScenarioWriter
 from understudy.trees.core.health_tree import SEVERITY, HealthTree, Verdict
 from understudy.trees.core.observations import (
@@ -23,8 +25,6 @@ from understudy.trees.core.observations import (
     RecordedObservations,
     TopicRecord,
 )
-from understudy.trees.languages.btcpp.loader import load_xml
-from understudy.trees.languages.osc.loader import load_osc
 from understudy.trees.languages.short.health_loader import TreeError, load
 
 START = 1.7e9

@@ -8,7 +8,8 @@ import time
 from datetime import UTC, datetime
 
 from understudy.api.base import DURATION_MESSAGE, seconds
-from understudy.api.kinds.pause_spec import MOMENT_MESSAGE, MOMENT_PATTERN, Pause, unix
+from understudy.api.kinds.pause_spec import Pause
+from understudy.api.moments import MOMENT_MESSAGE, MOMENT_PATTERN, unix
 from understudy.cli.common.cluster_access.kubectl import WORKLOADS, Kubectl, add_options
 from understudy.cli.common.errors import CommandError, reports_errors
 from understudy.cli.control import signature

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from understudy.api import names
 from understudy.api.kinds.failure_policy import FailurePolicySpec
-from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import RobotWorkloadSpec, RobotWorkloadStatus
+from understudy.api.moments import unix
 from understudy.cli.common.robots import Robot
 from understudy.failover.decide import Facts, Limit, Occurrence, Trigger, in_force, left
 from understudy.failover.limits import budget, cooldown, pause, storm

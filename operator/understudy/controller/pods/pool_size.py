@@ -16,7 +16,7 @@ from understudy.advice.failure_rate import SURE, Rate, estimate_rate
 from understudy.api.base import fraction, seconds
 from understudy.api.conditions import Condition, condition
 from understudy.api.kinds.fallback_pool import LEVELS, FallbackPoolSpec, Sizing, SizingStatus
-from understudy.api.kinds.pause_spec import unix
+from understudy.api.moments import unix
 from understudy.controller.observed import kube_objects
 from understudy.kube.client import Object
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from understudy.api.kinds.failure_policy import Budget
-from understudy.api.kinds.pause_spec import in_words
+from understudy.api.moments import in_words
 from understudy.failover.limits.state import ActiveLimit
 
 CLOCKS_DIFFER = 60.0

@@ -10,7 +10,7 @@ from typing import Any
 
 from understudy.api.base import seconds
 from understudy.api.kinds.failure_policy import StormGuard
-from understudy.api.kinds.pause_spec import unix
+from understudy.api.moments import unix
 from understudy.failover.limits.state import ActiveLimit
 
 CONDITION = "Storm"

@@ -11,7 +11,7 @@ import logging
 
 from understudy.api import names
 from understudy.api.kinds.failure_policy import Budget
-from understudy.api.kinds.pause_spec import in_words, unix
+from understudy.api.moments import in_words, unix
 from understudy.failover.limits import budget as budgets
 from understudy.failover.limits.state import ActiveLimit
 from understudy.failover.progress import Progress

@@ -17,8 +17,8 @@ from pydantic import TypeAdapter
 
 from understudy import __version__
 from understudy.api.base import Model
-from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import Recovery
+from understudy.api.moments import unix
 from understudy.kube.client import Object
 from understudy.ros.observe.offered_qos import offers
 from understudy.ros.observe.sample_rings import Message, RecordedTopic

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from understudy.api.durations import seconds
 from understudy.trees.core.health_tree import HealthTree
-from understudy.trees.languages.btcpp.loader import load_xml
-from understudy.trees.languages.osc.loader import load_osc
+from understudy.trees.languages.btcpp import library as xml
+from understudy.trees.languages.btcpp import loader as btcpp
+from understudy.trees.languages.osc import dialects as scenarios
+from understudy.trees.languages.osc import loader as osc
 from understudy.trees.languages.short.health_loader import load
+from understudy.trees.languages.text.loader import load_translated
+from understudy.trees.languages.text.source_map import SourceMap
 from understudy.trees.source.expressions import Fields
 from understudy.trees.source.positions import WHOLE_FILE, TextOffset
 from understudy.trees.source.problems import Problem, TreeError, did_you_mean
@@ -18,12 +21,12 @@ if TYPE_CHECKING:  # agents do not need it, and must start quickly
     from understudy.api.kinds.failure_policy import Monitoring
     from understudy.api.kinds.tree_spec import Written
 
-_LOADERS: dict[str, Callable[..., HealthTree]] = {"yaml": load, "xml": load_xml, "osc": load_osc}
+_LANGUAGES = {"xml": (btcpp.reader(xml.HEALTH), btcpp.CALLED), "osc": (osc.reader(scenarios.HEALTH), osc.CALLED)}
 
-FORMS = tuple(_LOADERS)
+FORMS = ("yaml", *_LANGUAGES)
 """All notations. Each is the field of ``spec.monitoring`` that holds such a tree."""
 
-TEXTS = ("xml", "osc")
+TEXTS = tuple(_LANGUAGES)
 """The notations that are texts, with lines and columns of their own."""
 
 
@@ -44,10 +47,17 @@ def load_health(
 
     Raises TreeError with all problems.
     """
-    if form not in _LOADERS:
-        raise TreeError([Problem("form", f"found {form!r:.60}{did_you_mean(str(form), _LOADERS)}")])
-    placed = {"begins": begins} if form in TEXTS else {}
-    return _LOADERS[form](tree, path=path or f"spec.monitoring.{form}", grace=grace, fields=fields, **placed)
+    if form not in FORMS:
+        raise TreeError([Problem("form", f"found {form!r:.60}{did_you_mean(str(form), FORMS)}")])
+    path = path or f"spec.monitoring.{form}"
+    if form not in TEXTS:
+        return load(tree, path=path, grace=grace, fields=fields)
+
+    def loaded(node: dict[str, Any], source: SourceMap) -> HealthTree:
+        return load(node, path=path, grace=grace, fields=fields, called=source.called)
+
+    read, called = _LANGUAGES[form]
+    return load_translated(tree, read, loaded, called=called, path=path, begins=begins)
 
 
 def load_monitoring(monitoring: Monitoring, *, fields: Fields | None = None) -> HealthTree:

@@ -14,8 +14,8 @@ from datetime import UTC, datetime
 from pydantic import ValidationError
 
 from understudy.api import names
-from understudy.api.kinds.pause_spec import unix
 from understudy.api.kinds.robot_workload import Dependency, DependencyRecovery, RobotWorkloadSpec, RobotWorkloadStatus
+from understudy.api.moments import unix
 from understudy.api.protocol.monitor_settings import WorkloadSettings
 from understudy.failover.bring_up import BringUp
 from understudy.failover.dependency import DueReaction, HeldFailure, Outage, UpstreamState, due, held, outage

@@ -1,36 +1,17 @@
-"""Loads a health tree from BehaviorTree.CPP 4 XML (docs/trees.md), and reports all problems at once."""
+"""Reads trees in BehaviorTree.CPP 4 XML (docs/trees.md). Reports all problems at once."""
 
 from __future__ import annotations
 
-from understudy.trees.core.health_tree import HealthTree
 from understudy.trees.languages.btcpp.document import Document
-from understudy.trees.languages.btcpp.library import HEALTH, Library
+from understudy.trees.languages.btcpp.library import Library
 from understudy.trees.languages.btcpp.nodes import Nodes
 from understudy.trees.languages.btcpp.xml_elements import parse
-from understudy.trees.languages.text.loader import Read, load_language
+from understudy.trees.languages.text.loader import Read
 from understudy.trees.languages.text.source_map import LocatedProblem, ParsedNode
-from understudy.trees.source.expressions import Fields
-from understudy.trees.source.positions import WHOLE_FILE, TextOffset
+from understudy.trees.source.positions import TextOffset
 
 CALLED = "a BehaviorTree.CPP 4 file"
 """What messages call such a text."""
-
-
-def load_xml(
-    text: object,
-    *,
-    path: str = "spec.monitoring.xml",
-    grace: float = 30.0,
-    fields: Fields | None = None,
-    begins: TextOffset = WHOLE_FILE,
-) -> HealthTree:
-    """Load a health tree from a text. It is the tree of the equivalent short form.
-
-    Problems are reported with ``path``; ``grace`` is the number of seconds within which an instance must become healthy
-    for the first time. Conditions over messages are checked with the ``fields`` of their types, if these are known.
-    Lines and columns are those of the file in which the text ``begins``. Raises TreeError with all problems.
-    """
-    return load_language(text, reader(HEALTH), called=CALLED, path=path, grace=grace, fields=fields, begins=begins)
 
 
 def reader(library: Library) -> Read:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from understudy.trees.languages.osc import values
 from understudy.trees.languages.osc.document import Document
@@ -86,11 +86,8 @@ class Nodes:
             return _written(Origin(label, part.line, part.column), action, arguments, self._named(name))
         if called in dialect.modifiers:
             self._note(part, label, f"is a modifier; write it in the with: of the node that it is for: with: {label}")
-        elif called in dialect.refused:
-            self._note(part, label, f"is not for {dialect.subject.many}: {dialect.refused[called]}")
         else:
-            known = (*dialect.actions, *dialect.modifiers)
-            self._note(part, label, f"unknown behaviour{did_you_mean(called, known)}")
+            self._refuse(part, label, called, "behaviour", (*dialect.actions, *dialect.modifiers))
         return None
 
     def _named(self, name: Part | None) -> Part | None:
@@ -120,13 +117,19 @@ class Nodes:
             modifier = dialect.modifiers[called]
             arguments = self._arguments(part, label, modifier)
             return (modifier, Origin(label, part.line, part.column), arguments) if arguments is not None else None
-        if called in dialect.refused:
-            self._note(part, label, f"is not for {dialect.subject.many}: {dialect.refused[called]}")
-        elif called in dialect.actions:
+        if called in dialect.actions:
             self._note(part, label, "is a node of its own; put it beside the other, in a parallel:")
         else:
-            self._note(part, label, f"unknown modifier{did_you_mean(called, dialect.modifiers)}")
+            self._refuse(part, label, called, "modifier", dialect.modifiers)
         return None
+
+    def _refuse(self, part: Part, label: str, called: str, what: str, known: Iterable[str]) -> None:
+        """Report a behaviour or modifier that the dialect does not have, or refuses."""
+        refused = self._dialect.refused
+        if called in refused:
+            self._note(part, label, f"is not for {self._dialect.subject.many}: {refused[called]}")
+        else:
+            self._note(part, label, f"unknown {what}{did_you_mean(called, known)}")
 
     # -- arguments --------------------------------------------------------------------------------------------------
 

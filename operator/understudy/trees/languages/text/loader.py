@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from understudy.trees.core.health_tree import HealthTree
-from understudy.trees.languages.short.health_loader import load
 from understudy.trees.languages.text.source_map import LocatedProblem, ParsedNode, SourceMap, refusal
-from understudy.trees.source.expressions import Fields
 from understudy.trees.source.positions import Malformed, TextOffset
 from understudy.trees.source.problems import Problem, TreeError
 from understudy.trees.source.value_reader import found_text
@@ -18,21 +15,6 @@ Read = Callable[[str, str, TextOffset], tuple[ParsedNode | None, list[LocatedPro
 problems. Raises Malformed."""
 
 Loaded = TypeVar("Loaded")
-
-
-def load_language(
-    text: object, read: Read, *, called: str, path: str, grace: float, fields: Fields | None, begins: TextOffset
-) -> HealthTree:
-    """Load a health tree from a text. It is the tree of the equivalent short form.
-
-    ``called`` is what messages call such a text; the others are as in the loaders of the languages. Raises TreeError
-    with all problems.
-    """
-
-    def loaded(node: dict[str, Any], source: SourceMap) -> HealthTree:
-        return load(node, path=path, grace=grace, fields=fields, called=source.called)
-
-    return load_translated(text, read, loaded, called=called, path=path, begins=begins)
 
 
 def load_translated(
