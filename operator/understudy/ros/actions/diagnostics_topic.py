@@ -16,7 +16,7 @@ from understudy.ros.runtime.interface_types import message_class
 from understudy.trees.leaves.diagnostics import OWN, TOPIC, TYPE
 
 _QOS = QoSProfile(depth=10)
-"""Reliable and volatile, as that of diagnostic_updater: a reader that matches that also matches this."""
+"""Reliable and volatile, like that of diagnostic_updater, so that its readers match this publisher too."""
 
 
 class Status(NamedTuple):

@@ -263,7 +263,7 @@ _SERVICES = ("open", "close", "reconfigure")
 def _period(wanted: float) -> float:
     """Return the period that a tool requested, in seconds.
 
-    Infinite means only on changes; so does a value that is not a number.
+    An infinite period, or a value that is not a number, means snapshots only on changes.
     """
     return math.inf if math.isnan(wanted) else max(LEAST, wanted)
 

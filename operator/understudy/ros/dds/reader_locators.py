@@ -189,6 +189,6 @@ class _Visit(asyncio.DatagramProtocol):
         elif (participant := self._participants.get(writer[: rtps.PREFIX])) is not None:
             places = participant.discovery
         else:
-            return  # it repeats the heartbeat after its announcement has arrived
+            return  # the writer repeats the heartbeat, also after its participant was announced
         answer = rtps.acknowledgement(self._prefix, writer, missing, then=heartbeat.last + 1, count=next(self._answers))
         self._send(answer, places)

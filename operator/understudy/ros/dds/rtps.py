@@ -1,8 +1,8 @@
 """The part of DDS's wire protocol (RTPS 2.x, section 9) that is needed to learn from discovery where readers listen.
 
-ROS's graph shows who reads a topic, but not at which addresses and ports: DDS keeps those to itself. All functions are
-pure functions of bytes; the conversation is in reader_locators.py. Our side supports IPv4 only, because that is the
-transport that all of a robot's graph is given.
+ROS's graph shows who reads a topic, but not at which addresses and ports: DDS does not expose those. All functions are
+pure functions of bytes; the conversation is in reader_locators.py. This side supports IPv4 only, because a robot's
+whole graph uses that transport.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ class Sample:
     writer: bytes
     number: int
     entity: Participant | Reader | None
-    """None if it reports that something is gone, or something that is not needed."""
+    """None if the sample reports that an entity is gone, or describes an entity that is not needed."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,7 @@ def announcement(prefix: bytes, at: Locator, *, lease: float, kind: str, to: byt
 
 
 def farewell(prefix: bytes, *, to: bytes = b"") -> bytes:
-    """Return the announcement that a participant is gone, with all that it had."""
+    """Return the announcement that a participant and all its entities are gone."""
     gone = [(_KEY_HASH, prefix + PARTICIPANT), (_STATUS, bytes([0, 0, 0, _GONE]))]
     return _message(prefix, to, _data(prefix, 2, inline=gone))
 

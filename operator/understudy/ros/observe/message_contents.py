@@ -90,7 +90,7 @@ class Received:
         return self._taken - self._sent if self._sent > 0 else None
 
     def older(self, stamp: float) -> float:
-        """Return how much earlier than its receipt a stamp is, in seconds. Both are by the clocks at that time."""
+        """Return the seconds from a stamp to the receipt of the message, both by the clocks at that time."""
         return self._taken - stamp
 
     def mentions(self, text: str) -> bool:

@@ -202,7 +202,7 @@ class Inquiries(ABC, Generic[Subject, Fact, EvidenceT]):
         ends = self._graph.servers(service)
         own = frozenset(end.gid for end in ends if self._counts(end.gid))
         if inquiry.servers is not None and own != inquiry.servers and not inquiry.moved:
-            inquiry.fact, inquiry.blind = None, ""  # nothing is known about another process
+            inquiry.fact, inquiry.blind = None, ""  # the new process may have another fact
         inquiry.servers, inquiry.moved = own, False
         if not own:
             inquiry.fact, inquiry.blind = self.absent, ""

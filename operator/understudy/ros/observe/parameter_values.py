@@ -31,7 +31,7 @@ class ParameterValues(Inquiries[tuple[str, str], Setting, ParameterState]):
     def from_message(self, subject: tuple[str, str], content: Content) -> Setting | None:
         """Return the parameter in a node's event.
 
-        A message without its name, or without the node's, is not deserialized.
+        A message that does not contain the names of parameter and node is not deserialized.
         """
         node, name = subject
         if not (content.mentions(name) and content.mentions(node)):

@@ -113,7 +113,7 @@ class SampleRing:
         If necessary, the topic that uses most is left out from now on.
         """
         if self.since is not None:
-            self.full = self.full or received  # what led to the failure is worth more than what followed it
+            self.full = self.full or received  # messages from before the failure are worth more than later ones
             return False
         for each in self._tracks.values():
             each.forget(received - self.seconds)

@@ -48,7 +48,8 @@ class Captured(NamedTuple):
     """When it was received, or when it was written if that was before the subscription."""
     received_at: float
     standing: Literal["", "instance", "robot"]
-    """Who holds it for late joiners, if anybody does. It is valid until the next one."""
+    """Which side's publisher gives it to late joiners; empty if none does. Such a message is valid until the next one.
+    """
     writer: bytes = b""
     """GID of its publisher."""
 
@@ -119,7 +120,7 @@ class StateSamples:
         return {name: topic.waiting for name, topic in self._topics.items() if topic.waiting}
 
     def _counts(self, host: bytes) -> bool:
-        """Whether a host's messages are state: it is no instance at all, or certainly the active one."""
+        """Whether a host's messages are state: the host is no instance, or it is certainly the active one."""
         candidates = self._sources.candidates(host)
         return not candidates or candidates == (self._active,)
 
@@ -223,5 +224,6 @@ class StateSamples:
 
 
 def _order(message: Captured) -> float:
-    """Sort key of which the largest is the last message: among held messages of two writers, the one written later."""
+    """Return a sort key that is largest for the last message. Of two latched messages, the one that was written later
+    is last."""
     return message.taken_at if message.standing else math.inf

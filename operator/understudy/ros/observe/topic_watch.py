@@ -159,7 +159,8 @@ class TopicWatch:
     # -- topics ------------------------------------------------------------------------------------------------------
 
     def follow(self, topics: Iterable[WatchedTopic]) -> None:
-        """Watch these topics and no others. Cheap if nothing changed; what was received is kept then."""
+        """Watch these topics and no others. Cheap if nothing changed. Topics that are already watched keep their
+        samples."""
         topics = list(topics)
         self._presence.follow([topic.name for topic in topics if topic.publishers])
         self._inhabitants.follow([topic.name for topic in topics if topic.node])
@@ -313,7 +314,7 @@ class TopicWatch:
         return self._sources
 
     def _accepted(self, host: bytes) -> bool:
-        """Whether a host's samples count: it is no instance at all, or it is (or may be) the active one.
+        """Whether a host's samples count: the host is no instance, or it is (or may be) the active one.
 
         If two instances cannot be distinguished, samples through the gate are assumed to be from the one that the gate
         lets through.
@@ -322,9 +323,9 @@ class TopicWatch:
         return not candidates or self._active in candidates
 
     def _in_control(self, gid: bytes) -> bool:
-        """Whether an endpoint is (or may be) of the active instance.
+        """Whether an endpoint belongs (or may belong) to the active instance.
 
-        If no address identifies that instance: whether it is of no other.
+        If no address identifies that instance: whether the endpoint belongs to no other instance.
         """
         if self._own is not None:
             return MIDDLEWARE.host_of(gid) == self._own

@@ -39,7 +39,7 @@ class Endpoint:
 
 
 class Crossing(Protocol):
-    """A connection between a workload and its robot: a topic, service or action. The others are None."""
+    """A connection between a workload and its robot: a topic, service or action. Two of the three properties are None."""
 
     @property
     def topic(self) -> str | None:
@@ -114,9 +114,9 @@ class Graph:
         return int(self.node.count_publishers(topic))
 
     def endpoints_of(self, node: str) -> list[Endpoint]:
-        """Return publishers and subscribers of a node, or of several of that full name.
+        """Return publishers or subscribers of all nodes with this full name.
 
-        These are its endpoints on the first of its topics that shows any; empty if none does.
+        These are the endpoints on the first of the node's topics for which the graph lists any; empty if there is none.
         """
         namespace, _, name = node.rpartition("/")
         try:

@@ -66,7 +66,7 @@ def message_class(type_name: str) -> Any:
     """Return the Python class of ``package/msg/Name``; errors as in :func:`interface_class`.
 
     It also accepts ``package/action/Name_FeedbackMessage``, which is the graph's type of an action's feedback topic,
-    and ``package/action/Name_Feedback``, which that contains beside the goal's id.
+    and ``package/action/Name_Feedback``, which that message contains beside the goal's id.
     """
     if "/action/" in type_name:
         action, _, part = type_name.rpartition("_")

@@ -59,11 +59,12 @@ class _Bytes(ctypes.Structure):
 
 _INFO = struct.Struct("@qqQQP16s?")
 """rmw_message_info_t: source and received timestamp (ns), publication and reception sequence number, the GID of the
-publisher (rmw_gid_t: pointer to the implementation's name, 16 bytes), whether from within the process."""
+publisher (rmw_gid_t: pointer to the implementation's name, 16 bytes), whether it was sent from within the process."""
 
 
 def loaded(name: str) -> ctypes.CDLL:
-    """Return the library that rclpy has loaded; by its path, since wheels keep it off the loader's search path."""
+    """Return a library that rclpy has loaded. It is found by its path, since wheels keep it off the loader's search
+    path."""
     pattern = re.compile(rf"/{name}(-[0-9a-f]+)?\.so[.0-9]*$")
     with open("/proc/self/maps") as maps:
         for line in maps:
@@ -74,7 +75,7 @@ def loaded(name: str) -> ctypes.CDLL:
 
 
 class SampleTaker:
-    """Takes samples into one reused buffer. For one thread; one serves all subscriptions of a process."""
+    """Takes samples into one reused buffer. For use in one thread; one taker serves all subscriptions of a process."""
 
     def __init__(self) -> None:
         utils = loaded("librcutils")
@@ -90,8 +91,8 @@ class SampleTaker:
         self._bytes = _Bytes()
         if utils.rcutils_uint8_array_init(self._bytes, _FIRST_CAPACITY, self._allocator) != _OK:
             raise MemoryError(f"no {_FIRST_CAPACITY} bytes for samples")
-        # Rounded up as the compiler does. It is read by one unpack, which costs a tenth of accessing the fields by
-        # ctypes.
+        # The compiler rounds the size of the struct up like this. One unpack reads it, for a tenth of the cost of
+        # accessing the fields by ctypes.
         self._info = ctypes.create_string_buffer((_INFO.size + 7) // 8 * 8)
         self._take = loaded("librcl").rcl_take_serialized_message
         self._take.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]

@@ -89,12 +89,13 @@ class ServedNode:
 
     @property
     def silent_for(self) -> float:
-        """Seconds since the thread's last round: at most one more than its longest piece of work, unless it hangs."""
+        """Seconds since the thread's last round. More than its longest piece of work plus one second means that it
+        hangs."""
         return time.monotonic() - self._turned
 
     @property
     def alive(self) -> bool:
-        """Whether its context is still valid. If another component shuts the context down, the thread ends."""
+        """Whether the node's context is still valid. If another component shuts the context down, the thread ends."""
         return bool(self._context.ok())
 
     async def close(self) -> None:

@@ -44,9 +44,9 @@ def request_writer(request: RequestId, writers: Iterable[bytes]) -> bytes | None
     """Return the writer, among those of a service's requests (their GUIDs), of the client that made a request.
 
     rmw_fastrtps identifies a client by its reader, and sends no answer to a client from which it has taken no request.
-    A client also accepts answers that are addressed to its writer, so any process can answer by that. Both belong to
-    one participant, and the writer is created right after the reader, so if there are several the next one is the
-    client's.
+    A client also accepts answers that are addressed to its writer, so any process can answer that way. Reader and
+    writer belong to one participant, and the writer is created right after the reader. So if the participant has
+    several writers, the next one after the reader is the client's.
     """
     reader = bytes.fromhex(request.client)
     if not reader[15] & _READER:
@@ -99,7 +99,7 @@ def _pointer(capsule: object) -> int:
 
 
 class ServiceExchange:
-    """Takes requests and sends answers. For one thread; one serves all services of a process."""
+    """Takes requests and sends answers. For use in one thread; one exchange serves all services of a process."""
 
     def __init__(self) -> None:
         library, utils = loaded("librcl"), loaded("librcutils")
