@@ -42,7 +42,7 @@ SETTLE = 2.0
 """Maximum seconds that a new monitor waits for the agents of understudies before it begins or continues a recovery."""
 
 SLOW = 1.0
-"""Seconds between checks of what is not urgent: labels, standbys, whether the gate is enforced."""
+"""Seconds between two rounds of work that is not urgent: labels, standbys, whether the gate is enforced."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class MonitorLoop:
         self.report = ReportStage(cluster.view, cluster.gate, senses.observer, self.decide, self.act, notices)
         self._next_slow = 0.0
         self._new_until = -math.inf
-        """Until when (monotonic seconds) an understudy may be there whose agent is not connected yet."""
+        """Until when (monotonic seconds) the agent of an understudy may not be connected yet."""
 
     async def run(self) -> None:
         """Watch and recover until cancelled."""
@@ -95,7 +95,7 @@ class MonitorLoop:
     # -- observe, judge, decide -------------------------------------------------------------------------------------
 
     async def _watch(self) -> Resolution:
-        """Evaluate at every deadline until there is something to do."""
+        """Evaluate at every deadline until a recovery, a hold or a switchover is decided. Returns the resolution."""
         schedule = self.observe.schedule
         schedule.restart()
         while True:
@@ -115,13 +115,13 @@ class MonitorLoop:
                 for deadline in (resolution.deadline, self.judge.takeover.next_check(time.time())):
                     if deadline is not None:
                         next_evaluation = min(next_evaluation, deadline + WAKE_LATE)
-            if (clock := time.monotonic()) >= self._next_slow:  # unlike the other clock it is never set
+            if (clock := time.monotonic()) >= self._next_slow:  # unlike the clock of ``now``, this one is never set
                 self._next_slow = clock + SLOW
                 self._housekeeping()
             await schedule.until(next_evaluation)
 
     def _observe(self, policy: FailurePolicySpec, now: float) -> None:
-        """Observe: what has arrived, and how the workloads are that this one depends on."""
+        """Read the samples that have arrived, and the state of the workloads that this one depends on."""
         dependencies, active = self.observe.dependencies, self._gate.state.active
         self.decide.limits.retries.update(self.decide.limits.spending.resumed, now)
         self._observer.follow(policy, self._view.spec)
@@ -147,7 +147,7 @@ class MonitorLoop:
         return resolution
 
     def _prepared_switchover(self, judgement: Judgement) -> Preparation | None:
-        """Return the planned switchover that can be carried out now, or is not settled yet."""
+        """Return the planned switchover that can be carried out now or whose outcome is still open."""
         if judgement.verdict is None or judgement.verdict.state == "Failed":
             return None
         if (unsettled := self.act.switchovers.unsettled()) is not None:
@@ -159,7 +159,7 @@ class MonitorLoop:
     # -- act --------------------------------------------------------------------------------------------------------
 
     async def _while_closed(self, decision: Decision, candidates: Candidates, now: float) -> None:
-        """Open the gate for the first pod, or request one."""
+        """Open the gate for the first candidate, or request a pod if none runs."""
         self.report.status_conditions.none_active(candidates)
         if decision.reason == "NoPodRunning":
             await self.act.opening.request_pod(now)
@@ -222,12 +222,13 @@ class MonitorLoop:
         return await self.act.recoveries.carry_out(progress, policy)
 
     async def _wait_for_agents(self, failed: Collection[str]) -> None:
-        """Let a new monitor connect to the agents before it chooses: one without a connection yet is no reason to restart."""
+        """Let a new monitor connect to the agents before it chooses a strategy. Otherwise it would restart a pod
+        although a standby is ready, because that standby's agent is not connected yet."""
         if (left := self._new_until - time.monotonic()) > 0:
             others = [i for i in self._pods.of_workload() if i.uid not in failed]
             await self._senses.agents.settle(others, left)
 
-    # -- report, and what every stage remembers ---------------------------------------------------------------------
+    # -- report, and conclude ---------------------------------------------------------------------------------------
 
     def conclude(self, outcome: Outcome | None) -> None:
         """Report the outcome of a recovery or a switchover, and let every stage remember it."""

@@ -1,6 +1,6 @@
-"""The monitor's end of the action proxy: reports to it which instance is active, and reports how the tasks are doing.
+"""The monitor's connection to the action proxy: tells the proxy which instance is active, and reports its tasks.
 
-The proxy is a separate process beside this one, and continues while this one is away.
+The proxy is a separate process in the monitor's pod, and continues if the monitor restarts.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ RETRY = 0.2
 """Seconds before the next attempt to connect to the proxy."""
 
 PATIENCE = 30.0
-"""Seconds after which a proxy that cannot be reached is reported."""
+"""Seconds after which an unreachable proxy is reported."""
 
 MOST = 1 << 20
 """Maximum bytes of one line."""
@@ -54,7 +54,7 @@ class ActionProxyLink:
         self._agents, self._notices = agents, notices
 
     async def run(self) -> None:
-        """Connect, send and listen, again and again."""
+        """Connect, send and listen; connect again if the connection ends."""
         away_since = time.monotonic()
         while True:
             spec = self._view.spec
@@ -111,7 +111,7 @@ class ActionProxyLink:
             self._report(json.loads(line)["report"])
 
     async def _situation(self, spec: RobotWorkloadSpec) -> dict[str, Any]:
-        """The present situation, as the proxy's Situation has it on the wire."""
+        """The present situation, in the wire format of the proxy's Situation."""
         state = self._gate.state
         settings = self._view.settings
         full = {choice.name for choice in settings.pools if choice.level.runs_in_full} if settings else set[str]()
@@ -182,25 +182,26 @@ class ActionProxyLink:
 
 
 def reachable(instance: Instance, state: GateState) -> bool:
-    """Whether the proxy can have goals at an instance. An instance that is being deleted counts only while it is
+    """Whether the proxy can send goals to an instance. An instance that is being deleted counts only while it is
     active."""
     leaving = instance.terminating and instance.uid != state.active_uid
     return instance.has_agent and bool(instance.ip) and instance.running and not instance.held and not leaving
 
 
 def executing(instance: Instance, state: GateState, full: set[str]) -> bool:
-    """Return whether an instance is an executing standby: of an executing pool, or of the workload's own if there is such a pool."""
+    """Whether an instance is an executing standby: a pod of an executing pool, or, if such a pool exists, a pod of the
+    workload's own controller."""
     standby = instance.uid != state.active_uid and not instance.claim
     return standby and (instance.pool in full or (instance.from_source and bool(full)))
 
 
 def settled(health: str, active: Instance | None) -> bool:
-    """Whether no failure is seen and no recovery is under way."""
+    """Whether no failure is known, no recovery is under way, and the active pod runs."""
     return health not in ("Failed", "Recovering") and active is not None and active.running and not active.leaving
 
 
 def judged(tasks: Sequence[Mapping[str, Any]], problem: str) -> tuple[str, str, str]:
-    """The condition: status, reason and message."""
+    """Status, reason and message of the condition TasksProxied."""
     messages = [f"{task['action']}: {task['message']}" for task in tasks if task["message"]]
     if any("not installed" in message for message in messages):
         return "False", "TypeNotInstalled", f"spec.tasks: {'. '.join(messages)}"

@@ -1,8 +1,8 @@
 """Sends the policy's safe commands to the robot while no instance is verified to be in control (DESIGN: safety focus).
 
 The monitor is not an instance, so the gate lets it through. Its commands begin after the failed instance was fenced,
-and end with the first output of the next one. An instance for which the gate has just opened is given the same time
-again before it counts as silent, so that the two do not contradict each other.
+and end with the first output of the next one. After the gate opens for an instance, the commands wait for
+``safety.after`` again, so that the monitor and the instance do not command the robot at the same time.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from understudy.ros.runtime.message_values import MessageError
 _logger = logging.getLogger(__name__)
 
 CLOSED, OPENED, DRIVEN = "fenced", "committing", ("first_output", "verified")
-"""The moments of a recovery between which no instance drives."""
+"""The moments of a recovery that begin a time in which no instance drives, and those that end it."""
 
 
 class Unattended:
-    """Since when no instance has been able to drive the robot, according to the outcomes of recoveries."""
+    """Records since when no instance has driven the robot, according to recoveries and their outcomes."""
 
     def __init__(self, view: ClusterView, pauses: PauseState, current: CurrentRecovery) -> None:
         self._view, self._pauses, self._current = view, pauses, current
@@ -40,7 +40,8 @@ class Unattended:
 
     @property
     def since(self) -> float | None:
-        """Since when (Unix seconds) the robot has waited for safe commands; None while it is driven, or left alone."""
+        """Since when (Unix seconds) no instance has driven the robot. None while one drives, if the workload is
+        retired, and during a pause, unless a recovery continues in it."""
         progress, held = self._current.progress, self._current.held
         if self._view.retired or (self._pauses.on is not None and (held or progress is None)):
             return None
@@ -54,12 +55,12 @@ class Unattended:
         changes = [moments[moment] for moment in (CLOSED, OPENED) if moment in moments]
         if changes:
             self._since = max(changes)
-        elif progress.attempts and self._since is None:  # of a monitor that is gone
+        elif progress.attempts and self._since is None:  # an earlier monitor began this recovery
             self._since = moments.get("detected")
         return self._since
 
     def conclude(self, outcome: Outcome) -> None:
-        """Take in the outcome of a recovery or a switchover."""
+        """Note the outcome of a recovery or a switchover."""
         if outcome.driven:
             self._since = None
         elif outcome.kind == "NothingVerified" and self._since is None:
@@ -80,12 +81,12 @@ class SafeCommands:
         self._tasks: list[asyncio.Task[None]] = []
         self._after = 0.0
         self.problems: list[str] = []
-        """The commands that cannot be sent, why, and how to correct that."""
+        """Why commands cannot be sent, and how to correct that: one text per command."""
         self.sent = 0
         """Number of messages published."""
 
     def follow(self, safety: Safety | None, spec: RobotWorkloadSpec) -> None:
-        """Prepare to publish the safe commands of this policy; without any, publish nothing."""
+        """Prepare to publish the safe commands of this policy. Without ``safety``, nothing is published."""
         outputs = [(output.topic, output.type) for output in spec.outputs if output.topic]
         wanted = (safety, outputs, spec.gate.reflex is not None)
         if wanted == self._followed:
@@ -100,7 +101,7 @@ class SafeCommands:
             try:
                 type_name = _type(command.topic, outputs, reflex=spec.gate.reflex is not None)
                 commander = Commander(self._graph, command.topic, type_name, command.message)
-            # The last of these is rclpy's: one process has a topic as one type, and the tree may watch it as another.
+            # rclpy raises RuntimeError if this process already uses the topic with another type, such as in the tree.
             except (TypeNotInstalled, MessageError, _Unusable, RuntimeError) as error:
                 _logger.error("the safe command on %s cannot be published: %s", command.topic, error)
                 self.problems.append(f"FailurePolicy: spec.safety.commands[{index}]: {error}.")
@@ -116,8 +117,8 @@ class SafeCommands:
         while True:
             since = self._unattended.since
             if since is not None and since != known:
-                # From here on by the clock that is never set. A later time comes from another node's clock, or from
-                # before the clock was set back.
+                # From here on, the monotonic clock counts. ``since`` can lie in the future if it comes from another
+                # node's clock, or if the clock was set back.
                 begins = loop.time() + min(since + self._after - time.time(), self._after)
             known, wait = since, period
             if since is not None:
@@ -129,8 +130,8 @@ class SafeCommands:
             await asyncio.sleep(min(wait, period) if wait > 0 else 0)
 
     def _publish(self, commander: Commander, failing: bool) -> bool:
-        """Publish once. Returns whether that failed. The next message may get through, and nobody else commands the
-        robot."""
+        """Publish once. Returns whether that failed. An error is not raised, because nobody else commands the robot and
+        the next message may get through."""
         try:
             commander.publish()
         except Exception:  # whatever rclpy raises
@@ -141,7 +142,7 @@ class SafeCommands:
         return False
 
     def close(self) -> None:
-        """Leave all topics."""
+        """Stop publishing, and close all publishers."""
         for task in self._tasks:
             task.cancel()
         for commander in self._commanders:
@@ -154,7 +155,7 @@ class _Unusable(Exception):
 
 
 def _type(topic: str, outputs: Sequence[tuple[str, str]], *, reflex: bool) -> str:
-    """The type of the output that a command is for. Raises _Unusable."""
+    """Return the type of the output on a command's topic. Raises _Unusable."""
     known = dict(outputs)
     if topic not in known:
         there = ", ".join(known) or "none"

@@ -1,4 +1,4 @@
-"""The act stage of one workload: its parts, put together."""
+"""The act stage of one workload, assembled from its parts."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from understudy.monitor.outcome import Outcome
 
 
 class ActStage:
-    """What changes the cluster, commands agents and sends to the robot."""
+    """Changes the cluster, commands agents, and sends safe commands to the robot."""
 
     def __init__(
         self,
@@ -54,7 +54,7 @@ class ActStage:
         self._standbys = StandbySupervision(cluster, senses.agents, senses.roles, current, state_manager, notices)
 
     def judged(self, judgement: Judgement) -> None:
-        """Remember how the active instance is: its state is kept while it is healthy, and then nothing is unattended."""
+        """Note the judgement: state is kept and no safe command is sent while the active instance is healthy."""
         if judgement.verdict is not None:
             self.state_manager.judge(judgement.verdict.state, judgement.now)
         elif judgement.failure is not None and judgement.failure.taken is None:
@@ -63,12 +63,13 @@ class ActStage:
             self.unattended.driven()
 
     def follow_safety(self, policy: FailurePolicySpec) -> None:
-        """Be ready to send the policy's safe commands."""
+        """Prepare to send the policy's safe commands."""
         if (spec := self._cluster.view.spec) is not None:
             self.safety.follow(policy.safety, spec)
 
     def get_ready(self, policy: FailurePolicySpec) -> None:
-        """Prepare for a recovery by this policy: one that an earlier monitor began comes before the first evaluation."""
+        """Prepare every part for a recovery by this policy. Needed for a recovery that an earlier monitor began, which
+        is continued before the first evaluation."""
         self._senses.observer.follow(policy, self._cluster.view.spec)
         self.follow_safety(policy)
         self.state_manager.follow(policy.state)

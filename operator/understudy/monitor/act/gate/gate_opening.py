@@ -25,7 +25,7 @@ class GateOpening:
 
     async def open(self, first: Instance) -> bool:
         """Open the gate for a pod; return whether it was opened."""
-        # A recovery that closed the gate and did not succeed is not continued, but the other pods that failed still count as failed.
+        # The recovery that closed the gate has ended, but the other pods that failed in it still count as failed.
         left = self._gate.state.recovery
         if left is not None:
             failed = [pod for pod in left.failed if pod.uid != first.uid]
@@ -41,10 +41,10 @@ class GateOpening:
         return True
 
     async def request_pod(self, now: float) -> None:
-        """Have the workload's own controller run a pod. It may have been scaled to none while a pod of a shared pool was active, and
-        nobody else scales it up while the gate is closed.
+        """Have the workload's own controller run a pod. The controller may have been scaled to zero while a pod of a shared pool was
+        active, and nobody else scales it up while the gate is closed.
         """
-        if now < self._next_asked <= now + ASK_AGAIN:  # later than that if the clock was set back
+        if now < self._next_asked <= now + ASK_AGAIN:  # a later time means that the clock was set back
             return
         self._next_asked = now + ASK_AGAIN
         try:

@@ -1,8 +1,8 @@
-"""Decides whether an instance that was cut off and is held by its agent (agent/permit.py) may act again, and which
+"""Decides whether an instance that was cut off and frozen by its agent (agent/permit.py) may act again, and which
 addresses can show an instance that it is not cut off.
 
-Once the instance is connected again, the policies on its node may be outdated for a while. Its agent therefore keeps it
-held until this monitor confirms that it still drives, or stands by.
+Once the instance is connected again, the network policies on its node may be outdated for a while. Its agent therefore
+keeps it frozen until this monitor confirms that it is still active or a standby.
 """
 
 from __future__ import annotations
@@ -43,15 +43,16 @@ REMEMBERED = 1000
 """Number of replaced pods that are remembered."""
 
 SAY_AGAIN = 0.5
-"""Seconds after which an order that was not followed is sent again."""
+"""Seconds after which an order is sent again if the agent did not follow it."""
 
 CATCH_UP = 1.0
-"""Seconds that the node of an instance that is connected again has to learn of the policies of now. One that is not in control hears what
-becomes of it only then: by an old policy it might be let through, and be the robot's choice.
+"""Seconds that the node of a reconnected instance has to apply the present policies. An instance that is not active gets its order only
+then: an outdated policy might let it through, and the robot might follow it.
 """
 
 MOST_OTHERS = 3
-"""Maximum number of pods, besides the robots, that an agent receives; each is on another node than the instance."""
+"""Maximum number of pods besides the robots whose addresses an agent receives. Each is on another node than the
+instance."""
 
 Word = Literal["Go", "Stay"]
 
@@ -75,11 +76,12 @@ def word(instance: Instance, state: GateState, replaced: Collection[str], recove
 def witnesses(
     instance: Instance, pods: Sequence[Object], *, workload: str, readers: Collection[bytes], robots: Sequence[str]
 ) -> list[str]:
-    """Addresses that prove to an instance that it is not cut off, if one of them answers.
+    """Return addresses that prove to an instance that it is not cut off, if one of them answers.
 
-    First the robots, wherever they are, since who reaches its robot may drive it: pods on whose hosts (the first four bytes
-    of a GID) there are readers of its outputs, and single addresses outside the cluster (CIDRs). Then pods on other nodes.
-    Those of its own workload answer to none of each other, and its monitor it knows.
+    The robots come first, on any node, because an instance that reaches its robot may drive it: pods on whose hosts (the
+    first four bytes of a GID) there are readers of the outputs, and single addresses outside the cluster (CIDRs). Then pods
+    on other nodes. Pods of the same workload are left out because they do not answer each other; the agent knows the
+    address of the monitor already.
     """
     found = [str(net.network_address) for net in map(ipaddress.ip_network, robots) if net.num_addresses == 1]
     node = next((_node(pod) for pod in pods if pod["metadata"]["uid"] == instance.uid), "")
@@ -98,7 +100,7 @@ def witnesses(
 
 
 def _apart(others: dict[str, str]) -> list[str]:
-    """Some of these addresses, on as many different nodes as possible."""
+    """Return up to MOST_OTHERS of these addresses, on as many different nodes as possible."""
     first = {node: ip for ip, node in reversed(others.items())}
     return [*first.values(), *(ip for ip in others if ip not in first.values())][:MOST_OTHERS]
 
@@ -116,7 +118,8 @@ def _host(ip: str) -> bytes:
 
 
 class Permits:
-    """The permits of one workload's instances. Idle unless the workload has a reflex, whose agents can hold instances."""
+    """The permits of one workload's instances. Idle unless the workload has a reflex: only then do agents freeze
+    instances."""
 
     def __init__(
         self,
@@ -127,7 +130,7 @@ class Permits:
         wakeups: Wakeups,
         notices: Notices,
     ) -> None:
-        """``graph`` is the robot's: any reader of the outputs there may answer an instance."""
+        """``graph`` is the robot's ROS graph: any reader of the outputs in it may answer an instance."""
         self._cluster, self._agents, self._graph = cluster, agents, graph
         self._current, self._wake, self._notices = current, wakeups.permits, notices
         self._pods: list[Object] = []
@@ -137,7 +140,7 @@ class Permits:
         self._refresh_at = 0.0
         self._replaced: dict[str, None] = {}
         self._back: dict[str, float] = {}
-        """When each instance that is held after a cut-off was first heard again, by UID."""
+        """When each instance that is frozen after a cut-off was first connected again, by UID."""
         self._sent: dict[str, tuple[Any, float]] = {}
         self._requests: dict[str, asyncio.Task[None]] = {}
         self._reported: set[tuple[str, float, Word]] = set()
@@ -155,7 +158,7 @@ class Permits:
                     await self._wake.wait()
 
     def _refresh(self, spec: RobotWorkloadSpec) -> None:
-        """Look now and then which pods exist, in the background: an API server that is away must not delay an order."""
+        """List the pods every REFRESH seconds, in the background: an unreachable API server must not delay an order."""
         if time.monotonic() < self._refresh_at or (self._refreshing is not None and not self._refreshing.done()):
             return
 
@@ -177,12 +180,11 @@ class Permits:
     def _renew(self, spec: RobotWorkloadSpec) -> None:
         state, recovering = self._cluster.gate.state, self._current.progress
         committed = state.recovery
-        # A recovery that is stopped before its commit has replaced no pod.
+        # A recovery that has not committed has not replaced a pod.
         under_way = recovering if committed and recovering and committed.id == recovering.id else None
         for progress in filter(None, (committed, under_way)):
             for pod in progress.replaced:
-                # A pod that is cut off may come back late, and is not always listed meanwhile: only the oldest are
-                # forgotten.
+                # A pod that is cut off may be missing from lists and come back late, so only the oldest are forgotten.
                 self._replaced.pop(pod.uid, None)
                 self._replaced[pod.uid] = None
         while len(self._replaced) > REMEMBERED:
@@ -207,12 +209,13 @@ class Permits:
             sent, at = self._sent.get(uid, (None, 0.0))
             if sent != wanted or ("word" in body and time.monotonic() - at >= SAY_AGAIN):
                 self._sent[uid] = (wanted, time.monotonic())
-                # Each by itself: an agent that does not answer must not delay the others.
+                # One task per agent: an agent that does not answer must not delay the others.
                 self._requests[uid] = task = asyncio.create_task(self._request(instance, body))
                 task.add_done_callback(partial(self._done, uid))
 
     def _word_for(self, instance: Instance, state: GateState, recovering: Progress | None) -> Word | None:
-        """The order for a held instance that is connected again; None while its node may still apply old policies."""
+        """Return the order for a frozen instance that is connected again; None while its node may still apply old
+        policies."""
         now = time.monotonic()
         caught_up = now - self._back.setdefault(instance.uid, now) >= CATCH_UP
         found = word(instance, state, self._replaced, recovering)

@@ -1,8 +1,8 @@
 """The monitor's part of the reflex: which standby the gate lets through beside the active pod.
 
-A standby that is let through drives the robot as soon as the active pod is silent; no other decision is needed. So it
-is let through only while its own outputs are healthy, its writers are weaker than those of the active pod, and the gate
-was seen to hold it back before.
+A standby that is let through drives the robot as soon as the active pod is silent; no other decision is needed. So the
+gate lets it through only while its own outputs are healthy, its writers are weaker than those of the active pod, and
+probes have shown that the gate blocked it before.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ TOO_STRONG_FOR = 5.0
 """Seconds that a standby may be as strong as the active pod before it is replaced by a new, weaker one."""
 
 REPLACE_AGAIN = 60.0
-"""Seconds between two such replacements: if the clocks of nodes differ, a replacement may not help."""
+"""Minimum seconds between two such replacements: if the clocks of nodes differ, a replacement may not help."""
 
 PAUSED: ConditionReport = (
     "False",
@@ -54,7 +54,7 @@ class ReflexGuard:
         self._replace_after = 0.0
 
     def guard(self) -> None:
-        """Stop letting a standby through once it is not healthy: it could take the robot."""
+        """Block the admitted standby once it is not ready: it could take over the robot."""
         state = self._gate.state
         if not state.admitted:
             return
@@ -62,13 +62,13 @@ class ReflexGuard:
         if standby is None or not standby.usable or not self._agents.is_ready(standby)[0]:
             self._write(None)
 
-    # -- keeping ----------------------------------------------------------------------------------------------------
+    # -- choose the standby -----------------------------------------------------------------------------------------
 
     def keep(self, now: float, *, enforced: bool, paused: bool = False) -> None:
-        """Let the right standby through, and report the state of the reflex.
+        """Let the best standby through, and report the state of the reflex.
 
-        ``enforced``: the gate was seen to hold standbys back. ``paused``: no instance may take the robot, regardless of
-        the active pod.
+        ``enforced``: probes have shown that the gate blocks standbys. ``paused``: no standby may take over the robot,
+        whatever happens to the active pod.
         """
         state = self._gate.state
         if state.admitted_uid != self._admitted[0]:
@@ -92,7 +92,7 @@ class ReflexGuard:
         active = self._fleet.find(state.active_uid)
         if state.closed or active is None:
             return None, ("False", "NoneInControl", "No pod is active.")
-        # One that was claimed and is not in control was left behind by a recovery, or another monitor brings it up: it will not stay.
+        # A claimed pod that is not active was left behind by a recovery, or another monitor prepares it. It will not stay a standby.
         others = [
             i
             for i in self._fleet.of_workload()
@@ -100,7 +100,7 @@ class ReflexGuard:
         ]
         current = next((i for i in others if i.uid == state.admitted_uid), None)
         ready = [i for i in others if self._agents.is_ready(i)[0]]
-        # The clock may have been set back.
+        # ``min``: the clock may have been set back.
         self._ready_since = {i.uid: min(now, self._ready_since.get(i.uid, now)) for i in ready}
         if not ready:
             why = "; ".join(f"{i.name}: {self._agents.is_ready(i)[1]}" for i in others) or "none exists"
@@ -191,10 +191,10 @@ class ReflexGuard:
             "same time, or the clocks of their nodes differ. The monitor deletes the standby, and a new one replaces it.",
         )
 
-    # -- writing ----------------------------------------------------------------------------------------------------
+    # -- write the gate ---------------------------------------------------------------------------------------------
 
     def _write(self, standby: Instance | None) -> None:
-        """Write in the background: an API server that is slow to answer must not delay a detection."""
+        """Write the gate in the background: a slow API server must not delay a detection."""
         if time.monotonic() >= self._write_after:
             self._start(partial(self._admit, standby))
 

@@ -1,4 +1,4 @@
-"""The pods of a workload: labels, standbys, the state that they get, and garbage.
+"""The pods of a workload: labels, standbys, the state that standbys get, and garbage collection.
 
-Who of them drives is decided in `gate`.
+`gate` decides which pod drives.
 """

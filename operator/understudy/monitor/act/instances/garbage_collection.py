@@ -1,8 +1,8 @@
 """Deletes what recoveries left behind: claimed pods that nobody prepares, and failed pods whose deletion failed.
 
-A claim may succeed after its monitor gave it up, or died together with its journal. Such a pod is useless: it belongs
-to this workload, but no recovery knows it and no pool counts it. A failed pod counts as a standby, and would keep its
-place.
+A claim may succeed after its monitor gave up, or died together with its journal. Such a pod is useless: it belongs to
+this workload, but no recovery knows it and no pool counts it. A failed pod would be counted as a standby and prevent
+a new one.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from understudy.monitor.notices import Notices
 _logger = logging.getLogger(__name__)
 
 LEFT_FOR = 30.0
-"""Minimum seconds that a claimed pod was not active before it is deleted. Another monitor of this workload may be
-preparing it, while this one is about to be replaced by it."""
+"""Minimum seconds that a claimed pod was not active before it is deleted. Another monitor of this workload, which is
+about to replace this one, may be preparing the pod."""
 
 
 FAILED_FOR = 2.0
-"""Seconds after which a failed pod is deleted again: its first deletion may be seen only then."""
+"""Seconds after which a failed pod is deleted again. The monitor may take that long to see the first deletion."""
 
 
 class GarbageCollection:
@@ -41,13 +41,13 @@ class GarbageCollection:
         self._deleting: asyncio.Task[None] | None = None
 
     def remember(self) -> None:
-        """Note the pods that failed in the recovery in the gate's record: the next recovery may begin at once."""
+        """Note the pods that failed in the recovery in the gate's record, before the next recovery replaces that record."""
         recovery = self._gate.state.recovery
         if recovery is not None:
             self._failed |= {pod.uid: pod for pod in recovery.replaced}
 
     def add(self, pod: PodIdentity) -> None:
-        """Add a pod that a recovery began to prepare and does not need."""
+        """Add a pod that was prepared and is not needed."""
         self._failed[pod.uid] = pod
 
     def failed(self) -> list[PodIdentity]:
@@ -59,7 +59,7 @@ class GarbageCollection:
         return [pod for uid, pod in self._failed.items() if uid in there and uid != active]
 
     def housekeeping(self, instances: Sequence[Instance], now: float) -> None:
-        """Look at every instance while no recovery is under way. ``now`` is by a clock that is never set. Returns at
+        """Delete unused pods in the background; called while no recovery is under way. ``now`` is monotonic. Returns at
         once."""
         state = self._gate.state
         in_use = (state.active_uid, state.admitted_uid)
@@ -82,7 +82,7 @@ class GarbageCollection:
     async def _delete(self, due: Sequence[Instance]) -> None:
         for instance in due:
             with contextlib.suppress(*FAILURES):
-                # The last seen state of the gate may be old.
+                # The watched state of the gate may be outdated.
                 if await self._gate.lets_through(instance):
                     continue
                 await self._fleet.retire(instance)

@@ -1,4 +1,4 @@
-"""Labels the new pods of a workload: the gate fences and routes a pod by its labels."""
+"""Labels the new pods of a workload: the gate selects pods by these labels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from understudy.monitor.act.objects.pod_control import PodControl
 
 
 class PodLabels:
-    """Labels beside the monitor's loop: an API server that is slow to answer must not delay a detection."""
+    """Labels pods in the background: a slow API server must not delay a detection."""
 
     def __init__(self, fleet: PodControl) -> None:
         self._fleet = fleet

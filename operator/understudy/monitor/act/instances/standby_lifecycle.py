@@ -1,8 +1,8 @@
-"""Prepares instances while no recovery is under way: brings the first one into control, and standbys to their pool's
-readiness. Replaces a standby that was ready and no longer is.
+"""Prepares instances while no recovery is under way: runs the procedures of the active instance, and brings standbys to
+their pool's readiness. Replaces a standby that was ready and no longer is.
 
-The procedures run in the agents (agent/restoration/procedure_runner.py). The agents remember what they brought their instance to,
-so that nothing is done twice after a restart of this process.
+The procedures run in the agents (agent/restoration/procedure_runner.py). The agents remember which procedure their instance has
+completed, so that no procedure runs twice if this process restarts.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ LOST_FOR = 10.0
 """Seconds without readiness after which a standby that was ready is replaced."""
 
 RETRY_FIRST, RETRY_MOST = 5.0, 60.0
-"""Seconds before a procedure that failed is tried again: first and maximum."""
+"""Seconds before a failed procedure is tried again: first and maximum."""
 
 
 @dataclass
 class _InstanceState:
-    """One instance that is cared for."""
+    """What this module remembers of one instance."""
 
     task: asyncio.Task[None] | None = None
     procedure: BringUp | None = None
     brought: str = ""
-    """What the task brings it to."""
+    """The identifier of the procedure and readiness that the task works towards (``Role.brought``)."""
     again: float = 0.0
     wait: float = RETRY_FIRST
     problem: str = ""
@@ -52,7 +52,7 @@ class _InstanceState:
 
 @dataclass
 class StandbyLifecycle:
-    """Cares for all instances of one workload."""
+    """Prepares and supervises all instances of one workload."""
 
     fleet: PodControl
     agents: AgentConnections
@@ -71,7 +71,8 @@ class StandbyLifecycle:
         active_uid: str,
         kept: Callable[[], KeptState],
     ) -> None:
-        """Look at every instance; called about once a second while nothing is being recovered, and returns at once."""
+        """Start the procedures that are due, replace lost standbys, and report. Called about once a second while nothing is being
+        recovered; returns at once."""
         now = time.monotonic()
         known = {instance.uid for instance in instances}
         for uid in [uid for uid in self._cared if uid not in known]:
@@ -116,7 +117,7 @@ class StandbyLifecycle:
                 self._stop(care)
             return
         if (care.procedure, care.brought) != (procedure, found.brought):
-            # This procedure may correct the last one, so the outcome of the last one does not count.
+            # This procedure may be the correction of the last one, so it starts at once, even if the last one failed.
             self._stop(care)
             care.procedure, care.brought = procedure, found.brought
             care.problem, care.wait = "", RETRY_FIRST
@@ -142,14 +143,14 @@ class StandbyLifecycle:
             _logger.info("%s: %s done", instance.name, procedure.name)
 
     def _watch_readiness(self, instance: Instance, care: _InstanceState, now: float) -> None:
-        """Replace a standby that was ready and has not been for a while. While the active instance is not healthy
-        either, the reason may be the robot."""
+        """Replace a standby that was ready and has not been for LOST_FOR seconds. It stays if the active instance is
+        not healthy either, because then the cause may be the robot."""
         ready, reason = self.agents.is_ready(instance)
         if ready:
             self.roles.mark_ready(instance)
             care.lost_at = None
             return
-        # A standby that only this monitor cannot reach may be in order: the API server then decides.
+        # If only this monitor cannot reach the standby's agent, the pod's readiness at the API server counts.
         unreachable = self.agents.status(instance) is None and instance.ready
         if (
             not self.roles.was_ready(instance)

@@ -1,4 +1,4 @@
-"""Looks after waiting instances: decides what each is to become, prepares it, and deletes those that have no use."""
+"""Supervises waiting instances: has each prepared for its role, and gives standbys the kept state."""
 
 from __future__ import annotations
 
@@ -37,8 +37,7 @@ class StandbySupervision:
     def housekeeping(
         self, instances: Sequence[Instance], policy: FailurePolicySpec, settings: WorkloadSettings, *, paused: bool
     ) -> None:
-        """Look at every instance that nothing else handles. During a pause nothing is done to any of them. Returns at
-        once."""
+        """Prepare these instances and give standbys state; during a pause, do neither. Returns at once."""
         if not paused:
             self._bring(instances, policy, settings)
         active_uid = self._cluster.gate.state.active_uid
@@ -58,7 +57,7 @@ class StandbySupervision:
 def receivers(
     instances: Sequence[Instance], settings: WorkloadSettings, agents: Agents, *, active_uid: str
 ) -> list[tuple[Instance, float]]:
-    """Return the standbys that are given state while they wait (``keepUp`` of their pool), each with its period in seconds."""
+    """Return the standbys that get state while they wait (``keepUp`` of their pool), each with its period in seconds."""
     periods = {pool.name: seconds(pool.keep_up) for pool in settings.pools if pool.keep_up}
     if not periods:
         return []

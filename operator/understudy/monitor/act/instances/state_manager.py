@@ -1,7 +1,7 @@
 """Keeps the state of the active instance: captures it, persists it, reports it, and gives it to waiting standbys.
 
-state/state_capture.py decides what the last healthy state is; this module connects it to ROS, the agents, the disk and
-the status. None of this blocks the monitor's loop.
+state/state_capture.py determines the last healthy state; this module connects it to ROS, the agents, the disk and the
+status. It never blocks the monitor's loop.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from understudy.state.state_store import StateStore
 _logger = logging.getLogger(__name__)
 
 LEAST_READ_PERIOD = 0.05
-"""Minimum seconds between two reads of the kept topics, if the policy's period is shorter. Messages in between are left
-to the middleware, which keeps the last."""
+"""Minimum seconds between two reads of the kept topics, if the policy's period is shorter. The middleware keeps the
+last message in between."""
 
 ODOMETRY_PERIOD = 0.1
 """Seconds between two reads of odometry. Only the last message of each interval counts: at 0.5 m/s and 1 rad/s the path between
@@ -42,7 +42,7 @@ two of them is known to a millimetre, and a jump can be distinguished from drivi
 """
 
 UNCARRIED_FOR = 10.0
-"""Seconds that a pose cannot be carried to the present before that is reported."""
+"""Seconds after which it is reported that a pose cannot be carried to the present."""
 
 PERSIST = 1.0
 """Minimum seconds between two writes to the disk."""
@@ -51,13 +51,13 @@ INSPECT = 2.0
 """Seconds between two requests for parameters and lifecycle states."""
 
 INSPECT_WITHIN = 3.0
-"""Seconds that an answer may take."""
+"""Maximum seconds that the answer to such a request may take."""
 
 REPORT_PERIOD = 30.0
 """Seconds between two updates of the status if only ages have changed."""
 
 CLOCK_STEP = 0.05
-"""Seconds that the clock must have moved against the monotonic one to count as set."""
+"""Minimum change of the offset between the two clocks, in seconds, that counts as a set clock."""
 
 REASONS: tuple[Trouble, ...] = ("NotWatched", "TooBig", "NeverCame", "NotAsked", "TooOld", "NotCarried")
 """Reasons of the condition StateKept, the most serious first."""
@@ -69,7 +69,7 @@ class StateManager:
     """The kept state of one workload."""
 
     def __init__(self, graph: Graph, shelf: StateStore, agents: AgentConnections, notices: Notices) -> None:
-        """Take over what an earlier monitor had kept."""
+        """Load the state that an earlier monitor kept."""
         self._capturing = StateSamples(graph)
         self._shelf, self._agents, self._notices = shelf, agents, notices
         self._keeper = Keeper()
@@ -96,8 +96,9 @@ class StateManager:
     # -- each evaluation --------------------------------------------------------------------------------------------
 
     def take(self, state: State, instances: Mapping[str, str], active: str) -> None:
-        """Capture what has arrived of what the policy keeps. ``instances`` has their IPs; ``active`` is in control."""
-        if state is not self._state:  # comparing them costs more than all else here
+        """Capture the messages of kept topics that have arrived. ``instances`` maps pod names to IPs; ``active`` is the
+        name of the active pod."""
+        if state is not self._state:  # comparing the contents would cost more than the rest of this function
             self.follow(state)
         if not self._keeper.keys:
             return
@@ -110,7 +111,7 @@ class StateManager:
             self._next_take = now + max(LEAST_READ_PERIOD, self._period)
             self._take_messages()
         if self._carrier.topics:
-            # After the poses: most of them are of a moment from which odometry has come by now.
+            # Odometry is read after the poses, so that it covers the stamps of most of them.
             self._odometry.attribute(instances, active)
             self._take_odometry(now)
 
@@ -138,7 +139,7 @@ class StateManager:
 
     @contextlib.asynccontextmanager
     async def recovering(self) -> AsyncIterator[None]:
-        """Continue to watch odometry during a recovery, so that a reset of odometry is noticed."""
+        """Continue to read odometry during a recovery, so that a reset of odometry is noticed."""
 
         async def watch() -> None:
             while True:
@@ -157,7 +158,7 @@ class StateManager:
         self._keeper.judge(health, now)
 
     def follow(self, state: State) -> None:
-        """Keep what this policy names; the matching state that an earlier monitor had kept is taken over."""
+        """Keep the state that this policy names. Matching state that an earlier monitor kept is adopted."""
         if state == self._state:
             self._state = state
             return
@@ -167,13 +168,13 @@ class StateManager:
         self._carrier.follow(state)
         self._odometry.follow(dict(self._carrier.topics))
         if self._adopted:
-            # The policy decides which parts are still needed. It may have changed meanwhile, or changed back.
+            # Only now is it known which parts are still needed: the policy may have changed since they were stored.
             self._keeper.adopt(self._adopted, time.time())
             self._carrier.adopt(self._adopted)
             self._adopted = {}
 
     def _follow_clock(self) -> None:
-        """Leave ages as they are when the clock is set."""
+        """Shift all times if the clock was set, so that ages stay as they are."""
         before, now, after = time.monotonic(), time.time(), time.monotonic()
         if after - before > CLOCK_STEP / 4:
             return  # this process was stalled between the three readings: the next evaluation repeats them
@@ -184,10 +185,10 @@ class StateManager:
             self._odometry.shift(step)
             self._carrier.shift(step)
 
-    # -- giving out -------------------------------------------------------------------------------------------------
+    # -- restoring --------------------------------------------------------------------------------------------------
 
     def select(self, onset: float) -> KeptState:
-        """The state for the instance that takes over after a failure that began at ``onset`` (Unix seconds)."""
+        """Return the state for the instance that takes over after a failure that began at ``onset`` (Unix seconds)."""
         if self._carrier.topics:
             self._take_odometry(time.monotonic())
         return self._carrier.carry(self._keeper.select(onset), time.time())
@@ -220,7 +221,7 @@ class StateManager:
         self._notices.event("Warning", "StateNotRestored", text + way_out)
 
     def _place(self, label: str) -> str:
-        """Where the policy names a kept part, for messages; empty if it no longer does."""
+        """Return where the policy names a kept part, for messages; empty if it no longer does."""
         state = self._state
         if state is None:
             return ""
@@ -231,11 +232,11 @@ class StateManager:
         ]
         return next((f" (state.{place} of the policy)" for key, place in keys if key.label == label), "")
 
-    # -- what has time ----------------------------------------------------------------------------------------------
+    # -- not urgent -------------------------------------------------------------------------------------------------
 
     def housekeeping(self, active: Instance | None, waiting: Sequence[tuple[Instance, float]]) -> None:
-        """Persist, ask, tell and keep standbys up. ``waiting`` are standbys that are given state, each with its period
-        in seconds. Called about once a second; returns at once.
+        """Persist the state, request parameters and lifecycle states, report, and give standbys state. ``waiting`` has
+        those standbys, each with its period in seconds. Called about once a second; returns at once.
         """
         now = time.monotonic()
         if self._state is None:
@@ -305,7 +306,7 @@ class StateManager:
             self._keeper.offer(key, data, taken_at=asked, received_at=time.time())
 
     def _troubles(self) -> list[Entry]:
-        """How it stands with all that is kept, and what of it would not be carried to the present."""
+        """Return the entries of all kept parts, each with its problem, also that it cannot be carried to the present."""
         now, entries = time.time(), self._keeper.entries(time.time())
         if not self._carrier.topics:
             return entries
@@ -331,7 +332,7 @@ class StateManager:
         self._keeper.note(notes)
 
     def _report(self, now: float) -> None:
-        """Update status, condition and metrics: at once if a problem begins or ends, else seldom."""
+        """Update status, condition and metrics: at once if a problem begins or ends, else every REPORT_PERIOD seconds."""
         entries = self._troubles()
         self._notices.add(StateKept({entry.key.label: (entry.taken_at, entry.bytes) for entry in entries}))
         self.taken = {entry.key.label: entry.taken_at for entry in entries if entry.taken_at is not None}
@@ -364,7 +365,7 @@ class StateManager:
             self._notices.condition("StateKept", "True", "Kept", f"Keeping {names}.")
 
     def _keep_up(self, waiting: Sequence[tuple[Instance, float]], now: float) -> None:
-        """Give waiting standbys what is newer than what they were given last."""
+        """Give waiting standbys the state that has changed since they were given state last."""
         state = self._state
         assert state is not None, "it was checked before"
         known = {instance.uid for instance, _ in waiting}
@@ -374,7 +375,7 @@ class StateManager:
             upkeep = self._upkeep.setdefault(instance.uid, _Upkeep())
             if now >= upkeep.due and not upkeep.busy and self._keeper.healthy_since is not None:
                 upkeep.due = now + period
-                # Not the lifecycle states: they would make the standby drive before its time.
+                # Without the lifecycle states, which would make the standby drive too early.
                 fresh = replace(self.select(time.time()), lifecycle=(), left_out=()).changed_from(upkeep.restored)
                 if fresh:
                     upkeep.begin(self._restore(instance, fresh, upkeep, seconds(state.within)))
@@ -390,13 +391,13 @@ class StateManager:
 
 
 def _age_text(entry: RestoredState) -> str:
-    """How old the state was, and how far it was carried."""
+    """Say how old the state was, and how far it was carried."""
     age = f"{entry.age_seconds:.1f} s old"
     return age if entry.carried_metres is None else f"{age}, carried by {entry.carried_metres:.2f} m"
 
 
 def _answers(answer: Mapping[str, Any]) -> Iterator[tuple[Key, bytes]]:
-    """Parameters and lifecycle states as nodes reported them. Only the states unconfigured, inactive and active can be restored."""
+    """Yield parameters and lifecycle states as nodes reported them. Only the states unconfigured, inactive and active can be restored."""
     for node, values in answer.get("parameters", {}).items():
         yield Key("Parameters", node), json.dumps(values, sort_keys=True).encode()
     for node, state in answer.get("lifecycle", {}).items():
@@ -415,12 +416,12 @@ def _status(entry: Entry) -> KeptStatus:
 
 
 class _Upkeep:
-    """The restoration of a waiting standby."""
+    """The state that one waiting standby was given, and when it gets more."""
 
     def __init__(self) -> None:
         self.due = 0.0
         self.restored: dict[str, object] = {}
-        """What was restored last, by name."""
+        """The contents that were restored last, by name."""
         self.problem = ""
         self._task: asyncio.Task[None] | None = None
 

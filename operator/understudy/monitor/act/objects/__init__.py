@@ -1,4 +1,4 @@
-"""The gate and the pods of one workload: what the act stage changes in the cluster, one request at a time.
+"""The gate and the pods of one workload: the requests with which the act stage changes the cluster.
 
-When and why something is changed is decided in the other folders of this stage.
+The other folders of this stage decide when to make them.
 """

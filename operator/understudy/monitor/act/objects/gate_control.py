@@ -1,4 +1,4 @@
-"""The gate as the failover protocol sees it: commits over the last known epoch, and packets as the proof."""
+"""The gate as the failover protocol uses it: commits over the last known epoch, and packets as the proof."""
 
 from __future__ import annotations
 
@@ -49,18 +49,18 @@ class GateControl:
 
     @property
     def record(self) -> GateRecord | None:
-        """Its record, as last seen or committed; None if there is no gate object."""
+        """The gate's record, as last seen or committed; None if there is no gate object."""
         gate = self._view.gates.items.get(names.gate(self._view.workload))
         return GateRecord.of(gate) if gate else None
 
     @property
     def exists(self) -> bool:
-        """Whether it is there: the operator has created it, and nobody has deleted it."""
+        """Whether the gate object exists."""
         return self.record is not None
 
     @property
     def state(self) -> GateState:
-        """Its state, as last seen or committed."""
+        """The gate's state, as last seen or committed."""
         if self._cached[0] != self._view.gates.revision:
             self._cached = (self._view.gates.revision, self._read())
         return self._cached[1]
@@ -85,9 +85,10 @@ class GateControl:
         )
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
-        """Open it for one instance, or close it, at the next epoch.
+        """Open the gate for one instance, or close it (None), at the next epoch.
 
-        Raises Superseded, also if another writer has committed since the recovery did, or names a pod that the recovery is not about.
+        Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if another writer changed the
+        gate: in this epoch, since the last commit of this recovery, or for a pod that this recovery is not about.
         """
         begun = self.record
         if begun is None:
@@ -133,16 +134,16 @@ class GateControl:
         return self.state
 
     def _still_ours(self, begun: GateRecord, progress: Progress | None) -> None:
-        """Raise Superseded if a recovery under way would undo another writer's commit, by a second monitor or ``understudy fence``.
+        """Raise Superseded if a recovery under way would undo the commit of another writer: a second monitor or ``understudy fence``.
 
-        A commit of a recovery that is not under way is written over any other.
+        A commit for a recovery that is not under way may overwrite any other.
         """
         if progress is None or progress.result != "Running":
             return
         id_, epoch, sent = self._own
         if id_ == progress.id:
-            # A commit without an answer may have been carried out. The record that was sent is also there if another writer has closed the
-            # gate since and left the rest as it was.
+            # A commit without an answer may have been carried out. The gate also has the record that was sent if another writer has closed
+            # it since and changed nothing else, so the epochs are compared too.
             carried_out = (
                 begun.recovery == sent and (committed := beside(sent)) is not None and begun.epoch == committed.epoch
             )
@@ -158,9 +159,9 @@ class GateControl:
             )
 
     async def admit(self, standby: Instance | None) -> bool:
-        """Let a standby through beside the pod in control, or none; whether that was written.
+        """Let a standby through beside the active pod, or no standby (None). Returns whether the gate was written.
 
-        Tried once: a commit matters more and may be waiting, and the caller decides again soon anyway.
+        A failed write is not repeated: a commit matters more and may be waiting, and the caller soon decides again.
         """
         record = self.record
         if record is None or not record.active:
@@ -178,7 +179,7 @@ class GateControl:
         return True
 
     def left_by(self, recovery: str) -> AbandonedRecovery | None:
-        """The record that a recovery (its id) that this monitor abandoned has left at the gate, or may still leave; None for none."""
+        """Return the record that a recovery (given by its id) has left at the gate or may still leave there; None if there is none."""
         id_, epoch, sent = self._own
         if id_ == recovery:
             return AbandonedRecovery(id=id_, epoch=epoch, sent=sent)
@@ -191,7 +192,7 @@ class GateControl:
     async def end_recovery(self, over: GateRecord) -> None:
         """Mark the recovery in this record as ended, if the gate still has this record.
 
-        Tried once, as :meth:`admit` is, and for the same reason.
+        A failed write is not repeated, for the same reason as in :meth:`admit`.
         """
         found = beside(over.recovery)
         if found is None:
@@ -206,7 +207,8 @@ class GateControl:
         self._view.gates.put(gate)
 
     async def _reread(self, begun: GateRecord, uid: str, recovery: str) -> GateRecord | None:
-        """Read the gate after a refused or unanswered commit, which may have been carried out; None if it cannot be read."""
+        """Read the gate after a refused or unanswered commit, which may have been carried out. Returns None if the gate
+        cannot be read; raises Superseded if another writer has changed it."""
         try:
             gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
         except FAILURES:
@@ -222,15 +224,16 @@ class GateControl:
         return record
 
     async def lets_through(self, instance: Instance) -> bool:
-        """Whether it names an instance at this moment, read from the API server. Raises what a request raises."""
+        """Return whether the gate names an instance at this moment, as read from the API server. Raises what the
+        request raises."""
         gate = await self._client.get(self._kind.resource, self._view.namespace, names.gate(self._view.workload))
         record = GateRecord.of(gate)
         return instance.uid in (record.active_uid, record.admitted_uid)
 
     async def enforced(self, target: Instance, *, since: float) -> float:
-        """Wait until a packet of the instance gets through; when the first one did, in Unix seconds."""
+        """Wait until a packet of the instance passes the gate. Returns when the first one did, in Unix seconds."""
         return await self._probes.wait(target.uid, since)
 
     def last_packet(self, uid: str) -> float | None:
-        """When a packet of a pod last got through, in Unix seconds; None if none did."""
+        """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""
         return self._probes.last(uid)

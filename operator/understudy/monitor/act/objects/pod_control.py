@@ -1,4 +1,4 @@
-"""The workload's pods as instances, and what may be done to them: claim, retire, replace, label."""
+"""The workload's pods as instances, and the operations on them: claim, retire, replace, label."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from understudy.trees.core.observations import PodCondition
 _logger = logging.getLogger(__name__)
 
 CRASH_LOOP = "CrashLoopBackOff"
-"""The kubelet's reason for a container that it does not start at once, because it ended repeatedly."""
+"""The kubelet's reason if it delays the start of a container that ended repeatedly."""
 
 EVICTION = "DeletionByTaintManager"
-"""Why a pod is deleted whose node is not ready or cannot be reached (its condition DisruptionTarget)."""
+"""Reason in the condition DisruptionTarget of a pod that is deleted because its node is not ready or unreachable."""
 
 STATEFUL_SET_GRACE = 1
-"""Seconds that a failed pod of a StatefulSet gets: its replacement has the same name and waits for it to be gone."""
+"""Grace period in seconds for a failed pod of a StatefulSet. Its replacement has the same name and waits until it is gone."""
 
 
 def instance_of(pod: Object) -> Instance:
-    """A pod as an instance."""
+    """Convert a pod to an instance."""
     metadata, status = pod["metadata"], pod.get("status", {})
     labels = metadata.get("labels") or {}
     conditions = {c["type"]: c["status"] for c in status.get("conditions") or []}
@@ -78,23 +78,23 @@ class PodControl:
 
     @property
     def _template_hashes(self) -> dict[str, str]:
-        """Template hashes of the pods of each pool that may be claimed; empty if any may."""
+        """For each pool, the template hash that its pods must have to be claimed; empty if any pod may be claimed."""
         return {choice.name: choice.template_hash for choice in self._settings.pools}
 
     def of_workload(self) -> Sequence[Instance]:
-        """Every instance of this workload, terminating ones included."""
+        """Return every instance of this workload, including terminating ones."""
         if self._revision != self._view.pods_revision:
             self._revision = self._view.pods_revision
             self._instances = [instance_of(pod) for pod in self._view.all_pods()]
         return self._instances
 
     def find(self, uid: str) -> Instance | None:
-        """The instance of this workload with a UID."""
+        """Return the instance of this workload with a UID; None if there is none."""
         return next((i for i in self.of_workload() if i.uid == uid), None)
 
     def unclaimed(self, pool: str) -> Sequence[Instance]:
-        """Pods of a shared pool that are ready at its present template and belong to nobody, oldest first; of those that were
-        requested.
+        """Return the pods of a shared pool that are ready, have its present template and belong to nobody, oldest first. Only
+        pods that were requested before are known (:meth:`refresh_unclaimed`).
         """
         current = self._template_hashes
         if pool not in current:
@@ -112,7 +112,7 @@ class PodControl:
         return sorted(fitting, key=lambda i: (i.created, i.name))
 
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
-        """Request which pods of a shared pool are unclaimed, or which of one part of them."""
+        """List the unclaimed pods of a shared pool, or only the part of them that this workload prefers."""
         asked = claims.part(self._settings.uid) if part else ""
         await self._view.unclaimed(pool).refresh(asked, self._template_hashes.get(pool, ""))
 
@@ -121,7 +121,7 @@ class PodControl:
         return self._view.unclaimed(pool).followed()
 
     def stocked(self, pool: str) -> bool:
-        """Whether a shared pool has a pod that this workload could claim, according to the operator's last report."""
+        """Return whether a shared pool has a pod that this workload could claim, according to the operator's last report."""
         return pool in self._view.stocked
 
     async def claim(self, instance: Instance, claim: str) -> Instance:
@@ -147,7 +147,7 @@ class PodControl:
         return instance_of(claimed)
 
     async def retire(self, instance: Instance) -> None:
-        """Delete a failed pod for good: its controller creates another only if that is still needed."""
+        """Delete a failed pod. If no pool provides standbys, its ReplicaSet is scaled to zero, so that it does not create a new pod."""
         self._crash_points.step("before retire")
         settings = self._settings
         wanted = any(pool.level.has_standbys for pool in settings.pools)
@@ -159,7 +159,7 @@ class PodControl:
     async def replace(self, failed: Sequence[Instance]) -> None:
         """Delete failed pods and have the workload's own controller run a new one.
 
-        Asked until it is answered, which who calls bounds: either can be repeated. Raises ApiError where it is refused.
+        Each request is repeated until the API server answers; the caller bounds the time. Raises ApiError if the API server refuses.
         """
         self._crash_points.step("before replace")
         left = [i for i in self.of_workload() if i.from_source and i.usable and i.uid not in {f.uid for f in failed}]
@@ -171,7 +171,7 @@ class PodControl:
         self._crash_points.step("after replace")
 
     async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
-        """Wait for an instance of this workload that satisfies the predicate, and return the newest."""
+        """Wait until instances of this workload satisfy the predicate, and return the newest of them."""
         while True:
             fitting = [i for i in self.of_workload() if predicate(i)]
             if fitting:
@@ -180,7 +180,7 @@ class PodControl:
             await any_changed(sources)
 
     async def label(self, instance: Instance) -> None:
-        """Give a pod of the workload's own controller the labels with which the gate selects it."""
+        """Give a pod of this workload the labels with which the gate selects it."""
         pod = next((p for p in self._view.all_pods() if p["metadata"]["uid"] == instance.uid), None)
         if pod is None:
             return

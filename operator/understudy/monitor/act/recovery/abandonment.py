@@ -1,12 +1,14 @@
 """Marks abandoned recoveries in the record at the gate, so that they do not count as under way.
 
 The first commit of a recovery writes a record at the gate. The recovery counts as under way until the status lists it.
-If an error of the API server stops it, or another writer is first, the status never lists it. Workloads that depend on
-this one would wait for its end, and so would workloads that wait for the same shared pool. The same holds for a
-recovery whose monitor is gone and that nobody has recorded, such as that of the older of two monitors of this workload.
+If an error of the API server stops the recovery, or another writer is first, the status never lists it. Workloads that
+depend on this one would wait for its end, and so would workloads that wait for the same shared pool. The same holds for
+a recovery whose monitor is gone and that nobody has recorded, such as that of the older of two monitors of this
+workload.
 
-The mark is written in the background while no recovery is under way, and tried again until the gate has it. A recovery
-never waits for the mark: at worst its commit is refused once, because the mark was written first, and is sent again.
+The mark is written in the background while no recovery is under way, and the write is repeated until the gate has it. A
+recovery never waits for the mark: at worst its commit is refused once, because the mark was written first, and is sent
+again.
 """
 
 from __future__ import annotations
@@ -25,15 +27,15 @@ _logger = logging.getLogger(__name__)
 
 
 class Abandonment:
-    """The abandoned recoveries of one workload, for as long as the record at its gate may say otherwise."""
+    """The abandoned recoveries of one workload, each for as long as the record at the gate may show it as under way."""
 
     def __init__(self, gate: GateControl, journal: RecoveryJournal, notices: Notices) -> None:
         self._gate, self._journal, self._notices = gate, journal, notices
         self._kept: list[AbandonedRecovery] | None = None
-        """The recoveries that were abandoned; None until those of an earlier monitor were taken over."""
+        """The abandoned recoveries; None until those of an earlier monitor were read from the journal."""
         self._left: tuple[str, float] = ("", 0.0)
-        """The recovery in the gate's record that is not this monitor's, and since when it has been there while the
-        robot was driven (monotonic seconds)."""
+        """The unconcluded recovery in the gate's record, and since when (monotonic seconds) the record has had it while
+        the active instance was healthy."""
         self._status_conditions: asyncio.Task[None] | None = None
 
     @property
@@ -43,22 +45,21 @@ class Abandonment:
         return {one.id for one in self._known}
 
     def abandon(self, progress: Progress) -> None:
-        """Mark a recovery as abandoned, for this monitor and for the one in the next container."""
+        """Note that a recovery is abandoned, for this monitor and for the one in the next container."""
         self._note(progress)
         self._journal.forget()
 
     def _note(self, progress: Progress) -> None:
         left = self._gate.left_by(progress.id)
         if left is None:
-            return  # it had not reached the gate
-        # An earlier one may stand there still: this one need not have come further than to ask for a commit.
+            return  # the recovery never reached the gate
+        # The gate may still have the record of an earlier abandoned recovery, if the commit of this one was not carried out.
         record = self._gate.record
         there = [one for one in self._known if record is not None and one.matches(record.epoch, record.recovery)]
         self._keep([*(one for one in there if one.id != left.id), left])
 
     def update(self) -> None:
-        """Write the mark if the gate's record does not have it. Called at intervals while no recovery is in progress; returns at
-        once."""
+        """Write the mark if the gate's record lacks it. Called at intervals while no recovery is in progress; returns at once."""
         self._forget_past_ones()
         record = self._gate.record
         if record is None or (self._status_conditions is not None and not self._status_conditions.done()):
@@ -68,9 +69,10 @@ class Abandonment:
             self._status_conditions = asyncio.create_task(self._gate.end_recovery(record))
 
     def _is_left(self, text: str) -> bool:
-        """Whether another monitor would have recorded it by now: the robot has been driven for so long by an instance that is healthy."""
+        """Return whether this recovery was left behind: its monitor would have recorded it by now, because the active instance has been
+        healthy for LASTS seconds."""
         found, driven = self._gate.state.recovery, self._notices.status.health in ("Healthy", "Degraded")
-        # The outcome of a switchover is observed by itself (understudy.monitor.act.recovery.planned_switchover).
+        # Switchovers are concluded elsewhere (understudy.monitor.act.recovery.planned_switchover).
         if (
             found is None
             or found.switchover is not None
@@ -90,7 +92,7 @@ class Abandonment:
         return self._kept
 
     def _forget_past_ones(self) -> None:
-        """Forget the recoveries that the gate's record does not name, and can no longer name."""
+        """Forget the recoveries that the gate's record does not show as under way, and can no longer show."""
         record = self._gate.record
         if record is None or not self._known:
             return

@@ -1,7 +1,6 @@
-"""Defers a recovery while the policy's budget is spent or a pause is in force: fences the failed pod, and does nothing
-else.
+"""Defers a recovery while the policy's budget is spent or a pause is in force: only fences the failed pod.
 
-The record at the gate reports the deferral, so the next monitor continues it.
+The record at the gate contains the deferral, so the next monitor continues it.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class DeferredRecovery:
         self._limits, self._current, self._journal = limits, current, journal
 
     async def until_allowed(self, progress: Progress) -> AsyncGenerator[None]:
-        """End once the recovery may be carried out. Yields at each check before that, so that other work continues.
+        """Wait until the recovery may be carried out. Yields at each check, so that the caller can do other work.
 
         Raises Superseded, and what a request to the API server raises.
         """
@@ -56,7 +55,7 @@ class DeferredRecovery:
             self._notices.event("Normal", "RecoveryReleased", f"{progress.reason}; the monitor starts the recovery now")
 
     async def _fence(self, progress: Progress) -> int:
-        """Close the gate and report it. Returns the gate's epoch."""
+        """Close the gate and report the deferral. Returns the gate's epoch."""
         progress.moments.setdefault("held", time.time())
         self._journal.save(progress)
         if not self._gate.state.closed:

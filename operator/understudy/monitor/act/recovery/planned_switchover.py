@@ -1,8 +1,8 @@
-"""Planned switchovers: notices requests, has an understudy prepared beside the loop, and reports the outcome.
+"""Planned switchovers: notices requests, prepares an understudy in the background, and reports the outcome.
 
 A user requests a switchover with an annotation of the RobotWorkload; the operator requests one for a node that is being
-drained. Both outlast a restart of this process, and so does the report about the last request, so that it is carried
-out once. Nothing else is changed until the gate is switched, so an interrupted preparation simply starts again.
+drained. Both requests survive a restart of this process. So does the report about the last request, so that no request
+is carried out twice. Until the gate is switched, nothing else changes, so an interrupted preparation starts again.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from understudy.monitor.outcome import Outcome
 _logger = logging.getLogger(__name__)
 
 EXPIRES = 600.0
-"""Seconds after which a request is not begun any more. The user no longer waits for it by then, and their clock may be
-a little off."""
+"""Seconds after which a request has expired, because the user no longer waits for it. Long enough that a small error of
+the user's clock does not matter."""
 
 PATIENCE = 30.0
-"""Seconds that a request waits for an understudy, or for anything else that prevents it. The request of a drain waits
+"""Seconds that a request waits for an understudy, or for the end of whatever prevents it. The request of a drain waits
 as long as the drain lasts."""
 
 CHECK_PERIOD = 1.0
 """Seconds between two checks whether a waiting request can begin."""
 
 REPORT_PERIOD = 5.0
-"""Seconds between two updates of why a request waits. Figures in that message may change at every evaluation."""
+"""Minimum seconds between two updates of why a request waits. Figures in that message may change at every evaluation."""
 
 AGAIN = 30.0
-"""Seconds after which a drain tries again if an understudy existed but did not come into control."""
+"""Seconds after which a drain tries again if an understudy existed but did not become active."""
 
 
 @dataclass(frozen=True)
@@ -63,11 +63,11 @@ class Wanted:
 
     @property
     def key(self) -> tuple[str, str, str]:
-        """What distinguishes this request from others."""
+        """The identity of this request."""
         return self.kind, self.request, self.drain.uid if self.drain is not None else ""
 
     def unfit(self, instance: Instance) -> str | None:
-        """Why an instance is not one that was requested; None if it is."""
+        """Return why an instance does not satisfy the request; None if it does."""
         if self.kind == "Failback" and not instance.from_source:
             return "does not belong to the workload's own controller"
         if self.drain is not None and instance.node in self.drain.cordoned:
@@ -94,22 +94,22 @@ class PlannedSwitchovers:
         self._wanted: Wanted | None = None
         self._progress: Progress | None = None
         self._touched: PodIdentity | None = None
-        """The understudy that was changed for a switchover: it has no other use."""
+        """The understudy that was prepared for the switchover, and has no other use."""
         self._next = 0.0
         self._reported_at = 0.0
         self._waits_since: tuple[tuple[str, str, str], float] = (("", "", ""), 0.0)
 
     @property
     def preparing(self) -> str:
-        """UID of the understudy that is being prepared; nothing else may use it meanwhile."""
+        """UID of the understudy that is being prepared, which nothing else may use meanwhile; empty if there is none."""
         target = self._progress.target if self._progress is not None else None
         return target.uid if target is not None else ""
 
     def advance(self, lacking: str) -> Preparation | None:
-        """Return the understudy that can drive instead of the active instance, once there is one that should.
+        """Continue the requested switchover. Return the prepared understudy once it can drive instead of the active instance.
 
-        ``lacking`` is why none can be prepared now, if so. Called at every evaluation while nothing has failed, and returns
-        at once.
+        ``lacking`` is why no switchover may begin now; empty if one may. Called at every evaluation while nothing has failed;
+        returns at once.
         """
         wanted = self._asked(time.time())
         now = time.monotonic()
@@ -134,7 +134,8 @@ class PlannedSwitchovers:
         return None
 
     def failed(self, reason: str) -> PodIdentity | None:
-        """Something has failed, which comes first: the understudy that was being prepared by the first strategy, if one was."""
+        """Cancel the switchover, because the failure comes first. Return the understudy that was being prepared by the first strategy, if
+        there was one."""
         wanted = self._wanted if self._task is not None else self._asked(time.time())
         progress = self._progress if self._task is not None else None
         self._stop()
@@ -148,10 +149,10 @@ class PlannedSwitchovers:
         return None
 
     async def carry_out(self, prepared: Preparation) -> Outcome | None:
-        """Switch the gate to an understudy that can drive, or check the outcome of a switch that an earlier monitor
-        began.
+        """Switch the robot from the active instance to a prepared understudy, or check the outcome of a switch that
+        an earlier monitor began.
 
-        None if the gate was not switched.
+        Returns None if the gate was not switched.
         """
         progress, context = prepared.progress, self._options.context()
         self._report_switching(progress)
@@ -178,7 +179,7 @@ class PlannedSwitchovers:
         self._report_progress(progress, "Switching", f"The gate is being switched to {target}.")
 
     def _give_up(self, progress: Progress, reason: str) -> None:
-        # Nobody needs what was prepared. Should it drive after all, that will be seen.
+        # If the commit was carried out after all, ``unsettled`` finds it in the gate's record.
         self._leave(progress, self._touched)
         self._stop()
         self._rest(progress.switchover)
@@ -187,7 +188,7 @@ class PlannedSwitchovers:
         self._report_progress(progress, "NotDone", text)
 
     def done(self, progress: Progress, text: str) -> None:
-        """Finish a switchover whose gate was switched and whose outcome is known."""
+        """Report the outcome ``text`` of a switchover that switched the gate."""
         self._stop()
         if progress.result != "Recovered":
             self._rest(progress.switchover)
@@ -204,7 +205,7 @@ class PlannedSwitchovers:
             return None
         return found.model_copy(deep=True) if found.target.uid == self._gate.state.active_uid else None
 
-    # -- what is asked for ------------------------------------------------------------------------------------------
+    # -- requests ---------------------------------------------------------------------------------------------------
 
     def _asked(self, now: float) -> Wanted | None:
         text = ((self._view.object or {}).get("metadata", {}).get("annotations") or {}).get(names.SWITCHOVER)
@@ -220,7 +221,7 @@ class PlannedSwitchovers:
         return published is not None and published.handled == text
 
     def _requested(self, text: str, now: float) -> Wanted | None:
-        """The switchover that a request asks for; None if the request has no effect, which is reported."""
+        """Return the switchover that a request asks for. Returns None if the request has no effect, and reports that."""
         try:
             found = parse(text)
         except ValueError as error:
@@ -237,12 +238,12 @@ class PlannedSwitchovers:
         return wanted
 
     def _over(self, found: Request, now: float) -> str | None:
-        """Why a request comes too late."""
+        """Return why a request comes too late; None if it does not."""
         if now - found.at > EXPIRES:
             return (
                 f"The request expired: no monitor handled it for {now - found.at:.0f} s. Request the switchover again."
             )
-        # Written with the gate, this lasts also where a status that a monitor wrote before its end is carried out after it.
+        # The gate's record is newer than the status, if an earlier monitor ended before it wrote the status.
         last = self._gate.state.recovery
         if last is not None and last.moments.get("detected", 0.0) > found.at:
             what = "another switchover took place" if last.planned else "the active instance failed and was recovered"
@@ -265,7 +266,7 @@ class PlannedSwitchovers:
         self._task = asyncio.create_task(switchover.prepare(progress, choices, context, wanted.unfit))
 
     def _home(self, choices: Sequence[Choice]) -> Choice:
-        """Has the workload's own controller run a pod, where the policy has no such strategy."""
+        """Return a choice that has the workload's own controller run a pod, for a policy without such a strategy."""
         spec = self._view.spec
         bring_up = BringUp.of("bringUp", spec.bring_up) if spec is not None else None
         return Choice(Restart(recovery=bring_up), max([PATIENCE, *(choice.verify_within for choice in choices)]))
@@ -275,7 +276,7 @@ class PlannedSwitchovers:
         assert wanted is not None, "it was begun"
         try:
             prepared = task.result()
-        except Exception as error:  # whatever an API server or an agent answers, the robot is driven
+        except Exception as error:  # an error of the API server or of an agent is no failure: the robot is driven
             _logger.warning("preparing a switchover: %r", error)
             self._stop()
             self._wait(wanted, f"a request to the API server or to an agent failed ({error})", time.monotonic())
@@ -320,7 +321,7 @@ class PlannedSwitchovers:
             self._end("NotDone", f"Nothing was changed: {reason}.", wanted)
 
     def _close_report(self) -> None:
-        """Close the report about a request that waited or was being prepared by an earlier monitor: nobody requests a switchover now."""
+        """Close the report of an earlier monitor about a request that has been withdrawn since."""
         published = self._notices.status.switchover
         if published is not None and published.phase not in ENDED:
             message = "Nothing was changed: the request was withdrawn."
@@ -334,12 +335,12 @@ class PlannedSwitchovers:
             )
 
     def _leave(self, progress: Progress, target: PodIdentity | None) -> None:
-        """An understudy that something was done to is not needed. A pod of the workload's own controller is that one's business."""
+        """Have an understudy deleted that was prepared and is not needed. A pod of the workload's own controller stays."""
         if target is not None and progress.strategy != Restart.name:
             self._garbage.add(target)
 
     def _rest(self, kind: Kind | None) -> None:
-        """Have what goes on asking ask again after a while only."""
+        """Delay the next attempt: by AGAIN seconds for a drain, else by CHECK_PERIOD."""
         self._next = time.monotonic() + (AGAIN if kind == "Drain" else CHECK_PERIOD)
 
     def _stop(self) -> None:
@@ -347,10 +348,10 @@ class PlannedSwitchovers:
             self._task.cancel()
         self._task = self._wanted = self._progress = self._touched = None
 
-    # -- saying -----------------------------------------------------------------------------------------------------
+    # -- reporting --------------------------------------------------------------------------------------------------
 
     def _is_new(self, wanted: Wanted) -> bool:
-        """Whether the last report is about another request."""
+        """Whether the last report is about another request or about one that has ended."""
         published = self._notices.status.switchover
         return (
             published is None

@@ -1,5 +1,5 @@
-"""Which workloads wait for pods of shared pools, according to the records at their gates; and the reports about this
-workload's wait."""
+"""The queue for pods of shared pools: which workloads wait, according to the records at their gates, and reports about
+this workload's wait."""
 
 from __future__ import annotations
 
@@ -37,25 +37,25 @@ class PoolQueue:
 
     @property
     def priority(self) -> int:
-        """Its ``spec.poolPriority``."""
+        """The workload's ``spec.poolPriority``."""
         spec = self._view.spec
         return spec.pool_priority if spec is not None else 0
 
     def others(self, pool: str) -> Sequence[Waiter]:
-        """The other workloads that report that they wait for a pod of a pool."""
+        """Return the other workloads that wait for a pod of a pool."""
         found = []
         for name, gate in chain.from_iterable(one.items.items() for one in self._view.waiting_gates):
             metadata = gate["metadata"]
             if (metadata.get("labels") or {}).get(names.WAITS_FOR) != pool:
                 continue
             other = waiter((metadata.get("annotations") or {}).get(names.RECOVERY, ""))
-            # A monitor writes its own gate only, so none can report for another.
+            # A monitor writes only its own gate, so a record for another workload is not valid.
             if other is not None and other.workload != self.workload and names.gate(other.workload) == name:
                 found.append(other)
         return found
 
     def waits(self, me: Waiter, ahead: int, of: int) -> None:
-        """Report the wait in the condition Recovering, and the first time in an Event too."""
+        """Report the wait in the condition Recovering, and its start in an Event too."""
         found = self._notices.status.find("Recovering")
         began = found is None or found.reason != REASON
         if began:

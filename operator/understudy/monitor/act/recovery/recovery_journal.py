@@ -13,7 +13,7 @@ _logger = logging.getLogger(__name__)
 
 
 class RecoveryJournal:
-    """The journal as the steps of a recovery use it: a full volume does not stop a recovery."""
+    """The journal for the steps of a recovery. An error of the volume does not stop the recovery."""
 
     def __init__(self, journal: Journal, crash_points: CrashPoints) -> None:
         self.journal, self.crash_points = journal, crash_points
@@ -24,12 +24,12 @@ class RecoveryJournal:
         try:
             self.journal.save(progress)
         except OSError as error:
-            # A full volume costs what the next container would know, and never the robot its recovery. The record at the gate
-            # is newer than what was saved before, so that is removed.
+            # The next container then continues from the record at the gate, which is newer than the steps that were saved
+            # before. Those are therefore removed.
             _logger.error("storing recovery %s failed: %s", progress.id, error)
             self.forget()
 
     def forget(self) -> None:
-        """Remove what was saved, so that no monitor finishes it."""
+        """Remove the saved recovery, so that no monitor continues it."""
         with contextlib.suppress(OSError):
             self.journal.clear()

@@ -8,7 +8,7 @@ from understudy.api.kinds.robot_workload import Recovery
 
 
 def describe(recovery: Recovery) -> str:
-    """A finished recovery in one line, for Events and logs."""
+    """Describe a finished recovery in one line, for Events and logs."""
     tried = "; ".join(f"{a.strategy}: {a.result}{f' ({a.message})' if a.message else ''}" for a in recovery.attempts)
     if recovery.result != "Recovered" or recovery.recovery_seconds is None:
         return f"{recovery.reason}. Every strategy was tried, and none was verified: {tried}"
@@ -30,7 +30,7 @@ def describe(recovery: Recovery) -> str:
 
 
 def describe_switchover(recovery: Recovery) -> str:
-    """A planned switchover in one line, for Events and logs."""
+    """Describe a planned switchover in one line, for Events and logs."""
     last, first = recovery.moments.last_output, recovery.moments.first_output
     if recovery.result != "Recovered":
         tried = "; ".join(a.message for a in recovery.attempts if a.message)
@@ -46,7 +46,7 @@ def describe_switchover(recovery: Recovery) -> str:
 
 
 def _waited(recovery: Recovery) -> float | None:
-    """Seconds that a shared pool had no pod for the strategy that succeeded; None if it had one at once."""
+    """Return the seconds that the recovery waited for a pod of a shared pool; None if it did not wait."""
     queued, claimed = recovery.moments.queued, recovery.moments.claimed
     if queued is None or claimed is None:
         return None
@@ -54,7 +54,7 @@ def _waited(recovery: Recovery) -> float | None:
 
 
 def unverified(recovery: Recovery) -> list[str]:
-    """The strategies that were carried out and not verified, each with its pod and the reason."""
+    """Describe the strategies that were carried out and not verified, each with its pod and the reason."""
     return [
         f"{a.strategy} with {a.pod or 'no pod'} did not succeed: {a.message}"
         for a in recovery.attempts

@@ -1,4 +1,4 @@
-"""Begins recoveries and carries them out, one at a time, by the protocol of understudy.failover."""
+"""Begins recoveries and carries them out, one at a time, with the protocol of understudy.failover."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ from understudy.monitor.outcome import Outcome
 _logger = logging.getLogger(__name__)
 
 REFLEX_WITHIN = 10.0
-"""Seconds within which a standby that took over by the reflex must be seen to drive alone, once the gate names it."""
+"""Seconds within which a standby that took over by the reflex must be seen to drive alone, after the gate opens for it."""
 
 ENDS = (Superseded, ApiError, aiohttp.ClientError, OSError)
-"""What ends a recovery before its strategies were tried: another writer of the gate, or an API server that refuses or is away."""
+"""Errors that end a recovery before every strategy was tried: another writer of the gate, or an API server that refuses or is away."""
 
 
 class RecoveryStart:
@@ -55,7 +55,7 @@ class RecoveryStart:
         self._takeover = takeover
 
     def begin(self, failure: Failure, first_strategy: int) -> Progress:
-        """Return the record of the recovery that begins, with the strategy of this index."""
+        """Return the record of a new recovery, which starts with the strategy of this index."""
         prepared = self._switchovers.failed(failure.reason)
         state = self._gate.state
         failed = [PodIdentity(name=state.active, uid=state.active_uid)] if not state.closed else []
@@ -95,9 +95,9 @@ class RecoveryRunner:
         self._current, self._abandonment, self._notices = current, abandonment, notices
 
     async def carry_out(self, progress: Progress, policy: FailurePolicySpec) -> Outcome:
-        """Carry a recovery out by a policy. Nothing is raised: what ends it early is in the outcome."""
+        """Carry out a recovery by a policy. An error that ends it early is not raised, but is in the outcome."""
         with self._notices.recovering():
-            # The condition has the reason, so it is set before the health.
+            # The condition contains the reason, so it is set before the health.
             self._notices.condition("Recovering", "True", progress.occasion, progress.reason)
             self._notices.set(health="Recovering", failing_since=progress.moments.get("last_healthy"))
             try:
@@ -111,8 +111,8 @@ class RecoveryRunner:
             return Outcome("Recovered" if done.result == "Recovered" else "NothingVerified", done, policy)
 
     def abandoned(self, progress: Progress, error: Exception) -> Outcome:
-        """Return the outcome of a recovery that an error ended. If it is tried again, that is another recovery: by then whoever
-        failed may be healthy again, or another instance may be in control.
+        """Return the outcome of a recovery that an error ended. The next attempt is another recovery: by then the failed instance
+        may be healthy again, or another one may be active.
         """
         self._abandonment.abandon(progress)
         return Outcome("Superseded" if isinstance(error, Superseded) else "Stopped", progress, error=error)
