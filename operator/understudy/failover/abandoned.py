@@ -7,25 +7,25 @@ from understudy.failover.progress import Progress, beside
 
 
 class AbandonedRecovery(Model):
-    """What may stand beside a gate of a recovery that was given up."""
+    """The record of an abandoned recovery that may still be next to a gate."""
 
     id: str
     epoch: int
-    """The gate's by the last of its commits that is known to have been carried out, or when it was taken up."""
+    """The gate's epoch after the last commit that is known to have been carried out, or when the recovery was continued."""
     sent: str
-    """The text of the last one that was sent, which may be carried out still."""
+    """The text of the last commit that was sent. The API server may still carry it out."""
 
     def matches(self, epoch: int, text: str) -> bool:
-        """Whether a gate with this epoch and this text reports the recovery as in progress.
+        """Return whether a gate with this epoch and this text reports the recovery as in progress.
 
-        Another monitor may have continued it since, under the same id. What that monitor has committed is not abandoned.
+        Another monitor may have continued the recovery under the same id. What that monitor committed is not abandoned.
         """
         found = beside(text)
         ours = epoch == self.epoch or text == self.sent
         return found is not None and (found.id, found.result) == (self.id, "Running") and ours
 
     def may_still_commit(self, epoch: int) -> bool:
-        """Whether a gate of this epoch may still show its commit: a commit replaces what its sender knew, and nothing newer."""
+        """Return whether a gate at this epoch may still get this recovery's commit. A commit replaces only what its sender knew."""
         return epoch <= self.epoch
 
 

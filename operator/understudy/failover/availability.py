@@ -1,4 +1,4 @@
-"""Answers for each strategy: could it run now, and if not, what is missing? Pure.
+"""Answers for each strategy: whether it could run now, and if not, what is missing. Pure.
 
 Monitor and operator describe what each of them sees as ``Resources``; the answer is the same for the same resources. The monitor uses it
 during a recovery, the operator for the condition Protected, and ``understudy explain``, ``status`` and ``check`` show it.
@@ -23,7 +23,7 @@ INSTANCE_GONE = "InstanceGone"
 DISCOVERY_NOT_READY = "DiscoveryNotReady"
 
 NAMED = 3
-"""Workloads that are named in a message."""
+"""Maximum number of workloads that a message names."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Availability:
 
     @classmethod
     def missing(cls, problem: Problem) -> Availability:
-        """Return that this is missing."""
+        """Return that the strategy is not available because of a problem."""
         return cls(False, problem.reason, problem.message)
 
 
@@ -118,7 +118,7 @@ def fallback(name: str, there: Resources) -> Availability:
 
 
 def _standby(name: str, pool: Pool, there: Resources) -> Availability:
-    """A standby that is ready has found its robot already. One that has to start needs the discovery server."""
+    """Return whether a standby could take over. A ready standby has found its robot; one that must start needs the discovery server."""
     if pool.wanted != 0 and pool.ready:
         return Availability(True, message=pool.uses)
     if there.discovery is not None:
@@ -136,7 +136,7 @@ def _standby(name: str, pool: Pool, there: Resources) -> Availability:
 
 
 def _shared(name: str, pool: Pool, there: Resources) -> Availability:
-    """A pod of a shared pool starts when it is claimed, so it always needs the discovery server."""
+    """Return whether a pod of a shared pool could take over. It starts when it is claimed, so it needs the discovery server."""
     if there.discovery is not None:
         return Availability.missing(there.discovery)
     if pool.ready > pool.reserved + len(pool.ahead):

@@ -1,4 +1,4 @@
-"""What is done to an instance on its way to driving: a procedure of the workload's, the policy's or a pool's."""
+"""The procedure of a workload, a policy or a pool that prepares an instance to drive the robot."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class BringUp:
     within: float
     """Seconds."""
     digest: str
-    """Tells it from every other one, in whichever language it is written."""
+    """Identifies the procedure, whichever language it is written in."""
     restores_state: bool
-    """Whether the tree says itself where kept state is restored."""
+    """Whether the tree itself contains the step that restores kept state."""
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where in its text its nodes are, where it was written in another language."""
+    """The position of each node in the text, if the procedure was written in another language."""
     problem: str = ""
     """Why it cannot be run. Empty if it can."""
 
@@ -45,7 +45,7 @@ class BringUp:
 
 @lru_cache(maxsize=64)
 def _known(name: str, form: str, tree: str, within: float) -> BringUp:
-    """Asked for every second, and loading a tree takes a while."""
+    """Load a procedure. Cached, because callers ask every second and loading a tree takes time."""
     try:
         found = compose(form, json.loads(tree), check=False, path=name)
     except TreeError as error:

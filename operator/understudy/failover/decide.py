@@ -94,7 +94,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class _Decision:
-    """What all decisions have."""
+    """The fields that all decisions have."""
 
     reason: str
     """CamelCase, as in a condition."""
@@ -106,7 +106,7 @@ class _Decision:
 
 @dataclass(frozen=True)
 class Wait(_Decision):
-    """Nothing is due, or it does not count yet. Nobody is informed."""
+    """Nothing is due, or the trigger does not count yet. Nobody is informed."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class Prevention:
     row: LimitRow
     limit: ActiveLimit
     decision: Wait | Defer | Hold
-    """What this limit alone would lead to."""
+    """The decision if this were the only limit in force."""
 
 
 FAILURES = frozenset({Trigger.POD_LOST, Trigger.HEALTH_FAILED})

@@ -1,4 +1,4 @@
-"""Whether a failure may be caused by the failure of another workload, and what to do after that one recovered.
+"""Decides whether another workload may have caused a failure, and how to react after that workload recovered.
 
 Workloads that depend on each other fail together: if localization falls silent, so does the planner, and the planner's monitor sees only
 that. The status of the other workloads and the records next to their gates show which of them failed first. Pure: times are unix seconds.
@@ -29,9 +29,9 @@ class Recovered:
 
     id: str
     onset: float
-    """Its last healthy output before."""
+    """Time of its last healthy output before the failure."""
     end: float | None
-    """When it ended; None if nothing was verified."""
+    """When it ended; None if no strategy was verified."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class UpstreamState:
 
     @classmethod
     def of(cls, status: RobotWorkloadStatus, committed: Progress | None) -> UpstreamState:
-        """Return it from the status, and from the record next to its gate, which changes first."""
+        """Return the state from the workload's status and from the record next to its gate, which changes first."""
         health, since = status.health or "", unix(status.failing_since)
         recoveries = status.recoveries or []
         newest = recoveries[0] if recoveries else None
@@ -62,7 +62,7 @@ class UpstreamState:
             moments = newest.moments
             end = unix(moments.verified) if newest.result == "Recovered" else None
             last = Recovered(newest.id, unix(moments.last_healthy) or unix(moments.detected) or 0.0, end)
-        # Without a bound: who depends on it has its own, and a monitor that is replaced in the midst of it takes longer than any.
+        # No time limit here: dependent workloads have their own, and replacing a monitor in mid-recovery can take longer than any limit.
         if committed is not None and under_way(Committed.of(committed), listed_recoveries(recoveries)):
             health, since = "Recovering", committed.moments.get("last_healthy", committed.moments.get("detected", 0.0))
         followed = {one.name: one.recovery for one in status.dependencies or []}
@@ -74,13 +74,13 @@ class Outage:
     """The time for which others could not depend on a workload."""
 
     onset: float
-    """Its last healthy output; minus infinity if that is not known."""
+    """Time of its last healthy output; minus infinity if that is not known."""
     end: float | None = None
     """When it ended; None while it lasts."""
 
 
 def outage(before: Outage | None, seen: UpstreamState, now: float) -> Outage | None:
-    """The present outage of a workload upstream, or else the last one that is known; ``before`` is what was known until now."""
+    """Return the present outage of an upstream workload, or else its last known one; ``before`` is the outage known so far."""
     lasting = before if before is not None and before.end is None else None
     if seen.failing:
         onset = seen.failing_since
@@ -116,16 +116,17 @@ def held(
     depends_on: Sequence[Dependency],
     outages: Mapping[str, Outage],
 ) -> HeldFailure | None:
-    """Whether a failure with its last healthy output at ``onset`` isn't acted on yet, since it may follow from another's.
+    """Return the failure as held if another workload may have caused it; None if the monitor acts on it now.
 
-    ``noticed`` is when it was noticed first; ``outages`` are those of all workloads upstream, by name.
+    ``onset`` is the time of the last healthy output and ``noticed`` when the failure was first noticed. ``outages`` has the outages of all
+    upstream workloads by name.
     """
     if not depends_on:
         return None
     found: HeldFailure | None = None
     for name, known in outages.items():
         if onset < known.onset - SLACK:
-            continue  # it was first
+            continue  # this workload failed first
         settle, wait = _patience(name, depends_on)
         until = noticed + wait
         if known.end is not None:
@@ -141,8 +142,9 @@ def held(
 
 
 def _patience(name: str, depends_on: Sequence[Dependency]) -> tuple[float, float]:
-    """How long a failure may take to settle, and how long it is held at most. What is depended on through others has the
-    longest times of all.
+    """Return how long a failure may take to settle, and how long it is held at most.
+
+    A workload that is only an indirect dependency gets the longest times of all direct ones.
     """
     direct = [one for one in depends_on if one.name == name] or depends_on
     return max(seconds(one.settle_within) for one in direct), max(seconds(one.wait_for) for one in direct)
@@ -166,11 +168,12 @@ def due(
     followed: Mapping[str, str],
     now: float,
 ) -> DueReaction | None:
-    """Return the recoveries after which something is due now; None if there are none, or if others come first.
+    """Return the recoveries to which this workload must react now; None if there are none, or if other workloads come first.
 
-    ``followed`` are those after which it was done. It waits for each of those that are recovered, and for each upstream that has to do
-    something after a recovery itself: so each is done in the order of the graph, once for all that came before, and at the same time
-    as by those that don't depend on each other. One that never gets there is waited for no longer than ``waitFor``.
+    ``followed`` has, by name, the recoveries to which it has reacted already. The reaction waits until every dependency that had a new
+    recovery is healthy and until every upstream workload has made its own reaction. So workloads react in the order of the graph, once for
+    all recoveries before them, and independent workloads react at the same time. An upstream workload that never settles delays the
+    reaction by no more than ``waitFor``.
     """
     pending = {
         one.name: last

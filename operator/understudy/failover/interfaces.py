@@ -1,6 +1,6 @@
-"""What the failover protocol needs: the gate, the instances, their agents and their outputs.
+"""The interfaces that the failover protocol needs: the gate, the instances, their agents and their outputs.
 
-The monitor implements it with DDS and the Kubernetes API; tests need neither.
+The monitor implements them with DDS and the Kubernetes API; tests need neither.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ class Instance:
     template_hash: str = ""
     created: str = ""
     restarts: int = 0
-    """How often its containers were restarted. What was done to their processes is lost then."""
+    """How often its containers were restarted. A restart loses what was done to their processes."""
     crashing: bool = False
     """Whether one of its containers is in CrashLoopBackOff."""
     evicted: bool = False
     """Whether it is being deleted because its node is unreachable. Its processes cannot be ended."""
     conditions: tuple[PodCondition, ...] = field(default=(), compare=False)
-    """What its status says."""
+    """The conditions in its status."""
 
     @property
     def from_source(self) -> bool:
@@ -82,7 +82,7 @@ class Instance:
 
 @dataclass(frozen=True)
 class GateState:
-    """Who may reach the robot, as last committed."""
+    """The pods that may reach the robot, as last committed."""
 
     epoch: int = 0
     active: str = ""
@@ -100,114 +100,114 @@ class GateState:
 
 
 class Gate(Protocol):
-    """The commit point."""
+    """The gate, whose atomic writes decide which instance drives the robot."""
 
     @property
     def exists(self) -> bool:
-        """Whether it is there: the operator has created it, and nobody has deleted it."""
+        """Whether the gate object exists."""
 
     @property
     def state(self) -> GateState:
-        """Its state as last seen or committed."""
+        """The gate's state as last seen or committed."""
 
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
-        """Open it for one instance, or close it: one atomic write at the next epoch. Retries while the API is away.
+        """Open the gate for one instance, or close it (None), with one atomic write at the next epoch.
 
-        Raises Superseded.
+        Retries while the API server does not answer. Raises Superseded.
         """
 
     async def enforced(self, target: Instance, *, since: float) -> float:
-        """Wait until packets of the instance get through the gate; when they first did, in unix seconds."""
+        """Wait until packets of the instance pass the gate, and return when the first one did, in unix seconds."""
 
     def last_packet(self, uid: str) -> float | None:
-        """When a packet of a pod last got through the gate, in unix seconds."""
+        """Return when a packet of a pod last passed the gate, in unix seconds."""
 
 
 class Instances(Protocol):
-    """The workload's pods and the pools'."""
+    """The pods of the workload and of its pools."""
 
     def of_workload(self) -> Sequence[Instance]:
-        """Every instance of this workload, terminating ones included."""
+        """Return every instance of this workload, including terminating ones."""
 
     def find(self, uid: str) -> Instance | None:
-        """The instance of this workload with a UID."""
+        """Return the instance of this workload with a UID."""
 
     async def refresh_unclaimed(self, pool: str, *, part: bool = False) -> None:
-        """Request which pods of a shared pool are unclaimed. Waits while the API server is away.
+        """Request which pods of a shared pool are unclaimed. Waits while the API server does not answer.
 
-        If some are enough, ``part`` requests those of one part of the pool. Other workloads request other parts.
+        If a few pods are enough, ``part`` requests only one part of the pool. Other workloads request other parts.
         """
 
     def followed(self, pool: str) -> AbstractAsyncContextManager[None]:
         """Watch the unclaimed pods of a shared pool while the context is open."""
 
     def stocked(self, pool: str) -> bool:
-        """Whether a shared pool has a pod that this workload could claim, by what is known without a request."""
+        """Return whether a shared pool has a pod that this workload could claim, without a request."""
 
     def unclaimed(self, pool: str) -> Sequence[Instance]:
-        """Pods of a shared pool that are ready at its present template and belong to nobody, of those that were requested."""
+        """Return the requested pods of a shared pool that are unclaimed and ready at its present template."""
 
     async def claim(self, instance: Instance, claim: str) -> Instance:
         """Make an unclaimed pod an instance of this workload. Raises ClaimLost."""
 
     async def retire(self, instance: Instance) -> None:
-        """Delete a failed pod for good: its controller makes another only where that one is still needed."""
+        """Delete a failed pod. Its controller creates another one only if that is still needed."""
 
     async def replace(self, failed: Sequence[Instance]) -> None:
-        """Delete failed pods and have the workload's own controller run a new one."""
+        """Delete failed pods and make the workload's own controller run a new one."""
 
     async def wait(self, predicate: Callable[[Instance], bool]) -> Instance:
-        """The newest instance of this workload for which it holds, waiting for one."""
+        """Wait for an instance of this workload that satisfies the predicate, and return the newest one."""
 
 
 class Agents(Protocol):
-    """The sidecars of the instances."""
+    """The agents, which are the sidecars of the instances."""
 
     async def probe(self, instance: Instance, duration: float) -> None:
-        """Have it send gate probes, a millisecond apart at first, for so many seconds; returns at once, and never fails."""
+        """Ask its agent to send gate probes for ``duration`` seconds, at first 1 ms apart. Returns at once; never fails."""
 
     async def give_way(self, instance: Instance) -> None:
-        """Have its restarted processes not be heard by a robot with the reflex; returns at once, and never fails."""
+        """Ask its agent to prevent a robot with the reflex from hearing restarted processes. Returns at once; never fails."""
 
     async def start(self, instance: Instance) -> None:
         """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
 
     async def up(self, instance: Instance) -> float:
-        """Wait until its processes are up; when they were, in unix seconds."""
+        """Wait until its processes are up, and return when they were, in unix seconds."""
 
     async def ready(self, instance: Instance) -> float:
-        """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
+        """Wait until the health tree holds on its own outputs, and return when it first did, in unix seconds."""
 
     async def bring_up(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
     ) -> RestoreReport:
-        """Run a procedure on the instance within so many seconds. ``state`` is for its leaves; the result reports what was restored.
+        """Run a procedure on the instance for at most ``within`` seconds, and report which state was restored.
 
-        Raises NotVerified, which says at which leaf it failed and why.
+        ``state`` is for the leaves of the procedure. Raises NotVerified, which names the leaf that failed and the reason.
         """
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
-        """Give it the state of the last healthy instance, in so many seconds. What can't be given is in the report."""
+        """Restore the state of the last healthy instance within ``within`` seconds. The report lists what could not be restored."""
 
     def follow(self, instances: Sequence[Instance]) -> None:
-        """Have a connection to each of these that has an agent, and to no other."""
+        """Keep a connection to each of these instances that has an agent, and to no other."""
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
-        """Whether it is what it should be now, and else why not: its health tree holds, or its readiness check does."""
+        """Return whether the health tree or the readiness check of the instance holds, and if not, why."""
 
 
 class Outputs(Protocol):
-    """What arrives at the gated readers, which is what the robot sees."""
+    """The samples that arrive at the gated readers, which is what the robot receives."""
 
     @property
     def expected(self) -> Sequence[str]:
-        """Gated topics that the health tree watches and that count now: each must be seen from an instance in control."""
+        """Gated topics that the health tree watches now. The active instance must publish each of them."""
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
-        """Wait for a sample of each expected topic from the instance, received after a time; when the first came.
+        """Wait for a sample of each expected topic from the instance, received at ``since`` or later; return when the first came.
 
-        None where nothing is expected, or no longer is.
+        Returns None if no topic is expected, or no longer is.
         """
 
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
-        """When a sample of any other instance last got through, in unix seconds (0 if never), and from which pod."""
+        """Return when a sample of another instance last passed the gate, in unix seconds (0 if never), and from which pod."""

@@ -1,4 +1,4 @@
-"""The monitor's own record of a recovery under way, and of those that it gave up, in files that last over a restart of its container."""
+"""The monitor's own record of the recovery in progress and of abandoned ones, in files that survive a restart of its container."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ _GIVEN_UP = TypeAdapter(list[AbandonedRecovery])
 
 
 class Journal:
-    """Files, each replaced atomically. They aren't synced: they guard against a killed process, not against a lost node."""
+    """Files that are each replaced atomically. They are not synced: they guard against a killed process, not against a lost node."""
 
     def __init__(self, path: Path) -> None:
-        """``path`` is the file of the present recovery; what was given up is beside it."""
+        """``path`` is the file of the present recovery; the file of abandoned recoveries is next to it."""
         self._path, self._given_up = path, path.with_suffix(".given-up")
 
     def save(self, progress: Progress) -> None:
-        """Keep the progress of the present recovery."""
+        """Store the progress of the present recovery."""
         _replace(self._path, progress.model_dump_json())
 
     def load(self) -> Progress | None:
-        """The last progress kept, or None; a damaged file counts as none."""
+        """Return the stored progress; None if there is none or the file is damaged."""
         try:
             return Progress.model_validate_json(self._path.read_text())
         except (OSError, ValidationError):
             return None
 
     def clear(self) -> None:
-        """Forget it: the recovery is in the status."""
+        """Delete the stored progress: the recovery is in the status."""
         self._path.unlink(missing_ok=True)
 
     def give_up(self, given_up: Sequence[AbandonedRecovery]) -> None:
@@ -44,7 +44,7 @@ class Journal:
             self._given_up.unlink(missing_ok=True)
 
     def given_up(self) -> list[AbandonedRecovery]:
-        """Those kept; a damaged file counts as none."""
+        """Return the stored abandoned recoveries; empty if the file is damaged."""
         try:
             return _GIVEN_UP.validate_json(self._given_up.read_text())
         except (OSError, ValidationError):

@@ -1,7 +1,8 @@
 """The order in which several workloads get pods of a shared pool that is empty.
 
-Nobody hands the pods out. Each waiting monitor records that it waits next to its gate, looks who else waits, and leaves a free pod
-to those before it. For a moment only, since one of them may have died; and whoever writes first owns the pod anyway (the claim).
+No central component assigns the pods. Each waiting monitor records next to its gate that it waits, reads which other monitors wait, and
+leaves a free pod to those ahead of it. It does so only for a moment, because one of them may have died. The first claim that is written
+decides who owns a pod in any case.
 """
 
 from __future__ import annotations
@@ -13,75 +14,77 @@ from typing import Protocol, TypeVar
 from understudy.api.base import Model
 
 YIELD = 0.5
-"""Seconds for which a free pod is left to each waiter before this one. It takes its pod within milliseconds of seeing it; of
-the rest a watch that is late on a busy machine takes its share."""
+"""Seconds for which a free pod is left to each waiter ahead. A waiter takes a pod within milliseconds of seeing it; the rest allows for a
+late watch on a busy machine.
+"""
 
 YIELD_MOST = 1.5
-"""Most seconds for which a free pod is left to others, however many they are: after that, whoever is first has it."""
+"""Maximum seconds for which a free pod is left to others, however many they are. After that, any waiter may take it."""
 
 CHECK_PERIOD = 0.25
-"""Seconds after which a waiter looks again though nothing seems to have changed: times of others pass too."""
+"""Seconds after which a waiter checks again without an event, because the times of other waiters also expire."""
 
 Pod = TypeVar("Pod")
 
 
 class Waiter(Model):
-    """One workload that waits for a pod of a shared pool. Times are unix seconds, by the clock of its monitor's node."""
+    """A workload that waits for a pod of a shared pool. Times are unix seconds by the clock of its monitor's node."""
 
     workload: str
     pool: str
     priority: int = 0
     since: float
     until: float
-    """When it gives up. Whatever it may still say then, nobody minds it any more."""
+    """When it gives up. Others ignore its record from then on."""
 
     @property
     def rank(self) -> tuple[int, float, str]:
-        """Who is served first has the lowest: the most critical, of those who has waited longest."""
+        """Sort key; the lowest is served first: by priority, then by who has waited longest."""
         return -self.priority, self.since, self.workload
 
 
 class Queue(Protocol):
-    """The workloads of the namespace that wait, as this one's monitor sees them, and its own place among them."""
+    """The waiting workloads of the namespace, as this workload's monitor sees them, and its own place among them."""
 
     @property
     def workload(self) -> str:
-        """Its own workload."""
+        """The name of this workload."""
 
     @property
     def priority(self) -> int:
-        """Its own ``spec.poolPriority``."""
+        """The ``spec.poolPriority`` of this workload."""
 
     def others(self, pool: str) -> Sequence[Waiter]:
-        """The other workloads that say that they wait for a pod of a pool."""
+        """Return the other workloads that wait for a pod of a pool."""
 
     def waits(self, me: Waiter, ahead: int, of: int) -> None:
-        """Tell people that this one waits, so many being before it and so many in all."""
+        """Report that this workload waits, with the number of waiters ahead of it and in total."""
 
     def served(self, me: Waiter, pod: str) -> None:
-        """Tell people that it got a pod."""
+        """Report that this workload got a pod."""
 
     def gave_up(self, me: Waiter) -> None:
-        """Tell people that its time was over."""
+        """Report that this workload stopped waiting without a pod."""
 
     async def changed(self, pool: str) -> None:
-        """Return when the unclaimed pods of a pool, while they are followed, or who waits, may be others than before."""
+        """Wait until the unclaimed pods of a followed pool, or the waiting workloads, may have changed."""
 
 
 def in_order(waiters: Iterable[Waiter], pool: str, now: float) -> list[Waiter]:
-    """Those that wait for a pod of a pool at a time, who is served first before the others."""
+    """Return the workloads that wait for a pod of a pool at a time, first to be served first."""
     return sorted((w for w in waiters if w.pool == pool and now < w.until), key=lambda w: w.rank)
 
 
 def before(me: Waiter, others: Iterable[Waiter], now: float) -> int:
-    """How many are served before this one."""
+    """Return how many waiters are served before this one."""
     return sum(other.rank < me.rank for other in in_order(others, me.pool, now))
 
 
 def due(ahead: int, free_since: Collection[float]) -> float | None:
-    """Return when a waiter may take one of the pods, given since when it has seen each of them free; None if there are none.
+    """Return when a waiter may take one of the free pods; None if there are none.
 
-    Where there are more pods than waiters ahead of it, at once. Else those ahead have a moment each.
+    ``free_since`` has the time at which this waiter first saw each pod free. If there are more pods than waiters ahead of it, it may take
+    one at once. Otherwise each waiter ahead has YIELD seconds.
     """
     if not free_since:
         return None
@@ -90,14 +93,14 @@ def due(ahead: int, free_since: Collection[float]) -> float | None:
 
 
 def at_once(me: Waiter, others: Iterable[Waiter], free: int, now: float) -> bool:
-    """Whether one needn't wait where there are so many free pods."""
+    """Return whether a waiter may take a pod at once if so many are free."""
     return due(before(me, others, now), [now] * free) == now
 
 
 def left_by(ahead: int, pods: Sequence[Pod]) -> Sequence[Pod]:
-    """The pods that a waiter whose turn it is may take, in order: those ahead take as many of the first ones.
+    """Return the pods that a waiter may take when it is due, in order. Each waiter ahead is left one of the first pods.
 
-    Where there aren't enough for all, those ahead had their moment.
+    If there are not enough pods for all, the waiters ahead have had their time.
     """
     return pods[ahead:] if ahead < len(pods) else pods
 
@@ -111,10 +114,10 @@ async def turn(
     join: Callable[[], Awaitable[None]],
     needless: Callable[[], bool] = lambda: False,
 ) -> bool:
-    """Wait until this one may take a free pod; whether that was so before its time was over, or waiting was ``needless``.
+    """Wait until this workload may take a free pod; return False if its time ended first or waiting was ``needless``.
 
-    ``free`` has the UIDs of the pods that can be claimed now. ``join`` says to the others that it waits: called once, and only
-    where it waits at all; who doesn't, leaves a pod that is free to those ahead of it for the same moment.
+    ``free`` returns the UIDs of the pods that can be claimed now. ``join`` records for others that this workload waits. It is called once,
+    and only if the workload waits at all; without it, the workload only leaves a free pod to those ahead of it for the same time.
     """
     seen: dict[str, float] = {}
     joined = False

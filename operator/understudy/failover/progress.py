@@ -106,7 +106,7 @@ class Progress(Model):
         routed = moments.get("routed")
         if routed is None or not moments.get("committing", routed) <= first < routed:
             return
-        if moments.get("fenced") == routed:  # in one commit with it
+        if moments.get("fenced") == routed:  # one commit fences and routes
             moments["fenced"] = first
         moments["routed"] = first
         if self.cursor == routed and "cluster" in self.parts:
@@ -115,7 +115,7 @@ class Progress(Model):
             self.cursor -= back
 
     def release(self, now: float) -> None:
-        """Continue after a limit held it. Nothing was tried in that time, so no part accounts for it."""
+        """Continue after a limit held the recovery. Nothing was tried in that time, so no part accounts for it."""
         self.moments["released"] = self.cursor = now
 
     @property
@@ -161,7 +161,7 @@ class Progress(Model):
         self.waiting = None
 
     def note_state(self, report: RestoreReport) -> None:
-        """Record which state was restored to the instance that takes over, and which was not. The last try counts."""
+        """Record which state was restored to the instance that takes over, and which was not. The last attempt counts."""
         onset = self.moments.get("last_healthy", self.cursor)
         entries = [
             RestoredState(
@@ -236,7 +236,7 @@ class Committed:
 
     @classmethod
     def of(cls, progress: Progress) -> Committed:
-        """Return it from the record next to the gate."""
+        """Return the summary of the record next to the gate."""
         return cls(
             id=progress.id,
             detected=progress.moments.get("detected", 0.0),

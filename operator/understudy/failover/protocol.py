@@ -24,7 +24,7 @@ LOST = 2.0
 """Seconds without its pod after which an instance that is being brought up counts as lost; a claimed pod is seen earlier."""
 
 LOST_CHECK_PERIOD = 0.1
-"""Seconds between two checks of that."""
+"""Seconds between two checks whether the instance is lost."""
 
 QUIET = 0.200
 """Seconds without a sample of any other instance before a leak counts as closed."""
@@ -42,7 +42,7 @@ async def recover(progress: Progress, choices: Sequence[Choice], context: Strate
     for index in range(min(progress.index, len(choices)), len(choices)):
         choice = choices[index]
         progress.index, progress.strategy = index, choice.strategy.name
-        # A run that continues an interrupted one was decided by that one.
+        # The first run has decided already if this one continues it.
         progress.charge("cluster", progress.moments.setdefault("decided", context.clock()))
         if progress.attempts:
             context.save(progress)  # otherwise nothing was done yet, and the first commit must not wait
@@ -120,7 +120,7 @@ async def unless_lost(
 
 
 async def _loss(progress: Progress, context: StrategyContext, *, crashing_counts: bool) -> str:
-    """Wait until the instance that is brought up is lost; return how."""
+    """Wait until the instance that is brought up is lost, and return the reason."""
     missing: float | None = None
     while True:
         await asyncio.sleep(LOST_CHECK_PERIOD)
@@ -188,7 +188,7 @@ async def alone(target: Instance, progress: Progress, context: StrategyContext) 
 
 
 async def retire(progress: Progress, context: StrategyContext) -> None:
-    """Delete the pods that failed: the gate routes packets, it does not end processes."""
+    """Delete the pods that failed, because the gate stops packets and not processes."""
     for instance in context.instances.of_workload():
         if progress.has_failed(instance.uid) and not instance.terminating:
             await context.instances.retire(instance)

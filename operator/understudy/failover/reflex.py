@@ -1,7 +1,7 @@
-"""What follows when the robot's own readers have fallen over to a standby: commit what happened, and fence the loser.
+"""The recovery after the robot's own readers switched to a standby: commit that switch and fence the failed instance.
 
-The robot is driven again before anything is decided, so only the detection counts (t_cluster, t_startup and
-t_re-initialization are zero). What is left is to keep the loser, which is the stronger one, from taking the robot back.
+The robot is driven again before the monitor decides, so only the detection counts (t_cluster, t_startup and t_re-initialization are zero).
+What remains is to prevent the failed instance, whose writers are stronger, from taking the robot back.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from understudy.failover.strategies.base import Strategy, StrategyContext
 from understudy.failover.strategies.steps import PROBE_SECONDS
 
 FENCE_QUIET = 0.03
-"""Seconds without a packet of the loser, whose agent sends one every ten milliseconds at least, before it counts as fenced."""
+"""Seconds without a packet of the failed instance before it counts as fenced. Its agent sends one at least every 10 ms."""
 
 FENCE_WITHIN = 1.0
-"""Seconds to wait for that."""
+"""Maximum seconds to wait until the failed instance is fenced."""
 
 
 @dataclass(frozen=True)
@@ -31,32 +31,32 @@ class ReflexSwitch:
 
     standby: PodIdentity
     last: float
-    """Last output of the instance that was in control."""
+    """Time of the last output of the instance that was active."""
     first: float
-    """First output of the standby after it."""
+    """Time of the first output of the standby after that."""
 
 
 JITTER = 0.05
-"""Part of the gaps between outputs that may be longer than the deadline before it counts as too short."""
+"""Fraction of the gaps between outputs that may exceed the deadline before it counts as too short."""
 
 ENOUGH = 10
-"""Outputs that must have been seen before anything is said about their period."""
+"""Minimum number of outputs before their period counts as measured."""
 
 ENOUGH_FOR = 2.0
-"""Seconds over which they must have been seen."""
+"""Minimum seconds that these outputs must cover."""
 
 
 def switched(
     active: Sequence[float], standby: Sequence[float], *, deadline: float, now: float
 ) -> tuple[float, float] | None:
-    """When the instance in control was last heard and the standby first after it, where the standby drives now; else None.
+    """Return the last sample of the active instance and the first of the standby after it, if the standby drives now; else None.
 
-    ``active`` and ``standby`` are when samples of them were received, by a reader that chooses as the robot's does, in unix
-    seconds; ``deadline`` is in seconds. Nothing is concluded where the one in control was never heard: discovery may find the
-    standby seconds before it.
+    ``active`` and ``standby`` are the times (unix seconds) at which a reader received samples of them. This reader selects a writer as the
+    robot's readers do. ``deadline`` is in seconds. If the active instance was never heard, the result is None, because discovery may find
+    the standby seconds before it.
 
-    A standby that is a little ahead when both begin after a pause is heard for a moment: so after a longer silence the one
-    in control gets another deadline.
+    If both begin after a pause and the standby is a little ahead, the reader accepts it for a moment. So after a silence of two deadlines
+    or more, the active instance gets another deadline.
     """
     if not active:
         return None
@@ -71,9 +71,9 @@ def switched(
 
 
 def longest_gap(arrivals: Sequence[float], deadline: float) -> float | None:
-    """The longest gap between outputs (seconds) where the deadline is too short for them: longer ones come again and again.
+    """Return the longest gap between outputs (seconds) if the deadline is too short for them, because longer gaps are frequent.
 
-    None where it is long enough, or where not enough was seen to say so.
+    None if the deadline is long enough, or if too few outputs were received to decide.
     """
     gaps = [later - earlier for earlier, later in pairwise(arrivals)]
     over = [gap for gap in gaps if gap > deadline]
@@ -81,12 +81,12 @@ def longest_gap(arrivals: Sequence[float], deadline: float) -> float | None:
 
 
 def measured(arrivals: Sequence[float], now: float) -> bool:
-    """Whether enough outputs were seen of late to know their period."""
+    """Return whether enough recent outputs were received to know their period."""
     return len(arrivals) >= ENOUGH and arrivals[-1] - arrivals[0] >= ENOUGH_FOR and now - arrivals[-1] < ENOUGH_FOR
 
 
 def begin(taken: ReflexSwitch, active: PodIdentity, deadline: float) -> Progress:
-    """The recovery that the reflex has all but carried out."""
+    """Return the recovery for a switch that the robot's readers have already made."""
     progress = Progress.begin(
         f"{active.name} sent nothing for more than {deadline * 1000:.0f} ms (spec.gate.reflex.deadline), so the robot's readers "
         f"switched to {taken.standby.name}",
@@ -100,9 +100,9 @@ def begin(taken: ReflexSwitch, active: PodIdentity, deadline: float) -> Progress
 
 
 async def commit(progress: Progress, context: StrategyContext) -> None:
-    """Have the gate name the standby that took over, however long the API server is away. Raises Superseded.
+    """Commit the standby that took over to the gate, however long the API server does not answer. Raises Superseded.
 
-    Nothing is committed where that standby is gone, or where it was done before: recover() finds out.
+    Commits nothing if that standby is gone or the gate already names it. ``recover`` handles both cases.
     """
     taken = progress.taken_over
     target = _instance_taken_over(progress, context)
@@ -122,7 +122,7 @@ async def commit(progress: Progress, context: StrategyContext) -> None:
 
 
 class ReflexFallback(Strategy):
-    """The robot's readers chose the standby by themselves; it is seen to be fenced off from the one that was in control."""
+    """The robot's readers have selected the standby themselves; this strategy waits until the failed instance is fenced."""
 
     name = "Fallback/Executing (reflex)"
 
@@ -138,7 +138,7 @@ class ReflexFallback(Strategy):
         return Availability(True)
 
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
-        """Wait until the loser is fenced. Raises NotAvailable."""
+        """Wait until the failed instance is fenced. Raises NotAvailable."""
         target = _instance_taken_over(progress, context)
         if target is None or (reason := self.available(context, progress)) is not None:
             reason = self.available(context, progress) or ""
@@ -160,7 +160,7 @@ def _instance_taken_over(progress: Progress, context: StrategyContext) -> Instan
 
 
 async def _fenced(progress: Progress, context: StrategyContext) -> None:
-    """Note when the loser was: at the commit, or with its last packet that got through after it."""
+    """Record when the failed instance was fenced: at the commit, or at its last packet that passed after the commit."""
     committed = progress.moments.get("committed", context.clock())
     started = context.clock()
     while True:

@@ -1,9 +1,9 @@
-"""A planned switchover: nothing has failed, so nothing is given up before its successor was seen to drive.
+"""A planned switchover: nothing has failed, so the active instance is kept until its successor is seen to drive.
 
-The order differs from a failure's. First an understudy is brought to where it can drive, behind the gate and with the state of the
-instance that drives; if none gets there, nothing was changed. Then one write of the gate fences the one and routes the other. The
-former instance goes on running until the robot is seen to be driven by the next one: if it isn't, the gate is given back. Only then
-the former one is retired.
+The order differs from a recovery. First a strategy prepares an understudy behind the gate, with the state of the active instance. If no
+strategy succeeds, nothing was changed. Then one write of the gate fences the active instance and routes the understudy. The former instance
+keeps running until outputs of the understudy reach the robot; if they do not, the gate is given back to it. Only then is the former
+instance retired.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from understudy.failover.strategies.steps import open_for, wait_enforced
 _logger = logging.getLogger(__name__)
 
 COMMIT_WITHIN = 2.0
-"""Seconds that the API server has to carry out the switch. The robot is driven meanwhile, and nobody looks at it."""
+"""Seconds that the API server has to carry out the switch. The robot is driven meanwhile, but not monitored."""
 
 SEEN_WITHIN = 2.0
-"""Seconds within which outputs of an understudy, which flowed behind the gate, are seen at the gated readers."""
+"""Seconds within which outputs of the understudy, which it already published behind the gate, must reach the gated readers."""
 
 SILENT_WITHIN = 30.0
-"""Seconds that what still gets through of the former instance has to end, once that is being deleted."""
+"""Seconds within which outputs of the former instance that still pass the gate must end after its pod is deleted."""
 
 
 @dataclass(frozen=True)
@@ -39,25 +39,25 @@ class Preparation:
 
     progress: Progress
     target: Instance | None = None
-    """The understudy that can drive, or None."""
+    """The understudy that is ready to drive, or None."""
     attempts: list[Attempt] = field(default_factory=list)
-    """What was tried in vain, and why."""
+    """The failed attempts, with their reasons."""
 
     @property
     def reason(self) -> str:
-        """Why there is none."""
+        """Why no understudy is ready."""
         return "; ".join(f"{attempt.strategy}: {attempt.message}" for attempt in self.attempts)
 
     @property
     def passing(self) -> bool:
-        """Whether nothing was done to any understudy: there may be one a moment later."""
+        """Whether every strategy was unavailable, so that nothing was changed and another try may succeed soon."""
         return all(attempt.result == "NotAvailable" for attempt in self.attempts)
 
 
 async def prepare(progress: Progress, choices: Sequence[Choice], context: StrategyContext, unfit: Unfit) -> Preparation:
-    """Bring an understudy to where it can drive, by the first of the strategies that gets there in its time.
+    """Prepare an understudy with the first strategy that makes one ready to drive within its time.
 
-    The gate stays as it is, and nothing is persisted that a new monitor would continue: a new monitor begins again.
+    The gate does not change, and nothing is stored that a new monitor would continue: a new monitor begins again.
     """
     aside = replace(context, save=lambda progress: None)
     attempts: list[Attempt] = []
@@ -83,7 +83,7 @@ async def prepare(progress: Progress, choices: Sequence[Choice], context: Strate
         pod = progress.target.name if progress.target else ""
         attempts.append(Attempt(strategy=choice.strategy.name, pod=pod, result=result, message=reason))
         _logger.info("%s prepares nothing: %s", choice.strategy.name, reason)
-        if progress.target is not None:  # what was begun with it nobody else would make an end of
+        if progress.target is not None:  # nobody else would finish what was begun with it
             progress.fail_target()
             await retire(progress, context)
         progress.forget_attempt()
@@ -91,10 +91,10 @@ async def prepare(progress: Progress, choices: Sequence[Choice], context: Strate
 
 
 async def switch(prepared: Preparation, context: StrategyContext) -> Progress:
-    """Have a prepared understudy drive, and the instance that drives now no longer.
+    """Switch the robot from the active instance to a prepared understudy.
 
-    Returns the progress with its result; with Failed the former instance drives. Raises NotAvailable where the understudy is gone
-    meanwhile, Superseded, and TimeoutError where the API server didn't answer: whether the gate was switched will be seen.
+    Returns the progress with its result. If that is Failed, the former instance drives. Raises NotAvailable if the understudy is gone,
+    Superseded, and TimeoutError if the API server did not answer: the gate shows later whether it was switched.
     """
     progress, target, state = prepared.progress, prepared.target, context.gate.state
     assert target is not None, "it was prepared"
@@ -103,7 +103,7 @@ async def switch(prepared: Preparation, context: StrategyContext) -> Progress:
     progress.former = PodIdentity(name=state.active, uid=state.active_uid)
     progress.attempts = list(prepared.attempts)
     now = context.clock()
-    # What went before cost the robot nothing: its time counts from here.
+    # The preparation cost the robot nothing: its time counts from here.
     progress.parts, progress.cursor = {}, now
     progress.moments |= {"last_healthy": now, "detected": now, "decided": now}
     progress.charge("detection", now)
@@ -113,16 +113,16 @@ async def switch(prepared: Preparation, context: StrategyContext) -> Progress:
 
 
 def committed(progress: Progress, context: StrategyContext) -> bool:
-    """Whether a switchover is the last thing that was done to the gate."""
+    """Return whether this switchover was the last commit to the gate."""
     state = context.gate.state
     target = progress.target.uid if progress.target is not None else ""
     return state.recovery is not None and state.recovery.id == progress.id and state.active_uid == target
 
 
 async def settle(progress: Progress, context: StrategyContext) -> Progress:
-    """See who drives after the gate was switched, and retire the former instance or give the gate back to it.
+    """Check which instance drives after the switch, and retire the former instance or give the gate back to it.
 
-    It may be entered with what another monitor has begun. Raises Superseded.
+    Can continue a switchover that another monitor began. Raises Superseded.
     """
     if progress.result == "Running":
         _still_ours(progress, context)
@@ -134,7 +134,7 @@ async def settle(progress: Progress, context: StrategyContext) -> Progress:
         pod, strategy = target.name, progress.strategy
         progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="Verified"))
         if progress.former is not None:
-            progress.fail(progress.former)  # from here on it is treated as what has failed is
+            progress.fail(progress.former)  # from here on it is treated as a failed pod
         context.save(progress)
         try:
             async with asyncio.timeout(SILENT_WITHIN):
@@ -146,7 +146,7 @@ async def settle(progress: Progress, context: StrategyContext) -> Progress:
 
 
 async def _seen(target: Instance, progress: Progress, context: StrategyContext) -> bool:
-    """Whether the robot is seen to be driven by an instance."""
+    """Return whether outputs of an instance reach the robot."""
     try:
         async with asyncio.timeout(SEEN_WITHIN):
             await wait_enforced(target, progress, context)
@@ -163,7 +163,7 @@ async def _seen(target: Instance, progress: Progress, context: StrategyContext) 
 
 
 async def _give_back(target: Instance | None, progress: Progress, context: StrategyContext) -> Progress:
-    """Let the former instance drive again, and retire the one that wasn't seen to drive."""
+    """Give the gate back to the former instance, and retire the understudy whose outputs did not arrive."""
     _still_ours(progress, context)
     uid = progress.former.uid if progress.former is not None else ""
     former = next((i for i in context.instances.of_workload() if i.uid == uid), None)
@@ -173,7 +173,7 @@ async def _give_back(target: Instance | None, progress: Progress, context: Strat
     gone = former is None or not former.usable
     message = f"{words}{', and the former instance is gone' if gone else ''}"
     progress.attempts.append(Attempt(strategy=strategy, pod=pod, result="NotVerified", message=message))
-    if former is None or gone:  # whoever watches sees a failure of the next one
+    if former is None or gone:  # the monitor then detects the failure of the understudy
         context.save(progress)
         return progress
     progress.fail_target()
@@ -185,7 +185,7 @@ async def _give_back(target: Instance | None, progress: Progress, context: Strat
 
 
 def _still_ours(progress: Progress, context: StrategyContext) -> None:
-    """Raise Superseded where somebody else has committed to the gate since."""
+    """Raise Superseded if somebody else has committed to the gate since."""
     if not committed(progress, context):
         state = context.gate.state
         raise Superseded(

@@ -1,4 +1,4 @@
-"""The limits on recoveries: pause, cooldown, backoff, storm guard and budget, each a pure module that says whether it is in force.
+"""The limits on recoveries: pause, cooldown, backoff, storm guard and budget, each a pure module that reports whether it is in force.
 
-Their order of precedence is not here but in ``failover/decide.py``; what a process remembers between two looks is in ``monitor/decide``.
+Their order of precedence is in ``failover/decide.py``. What a process remembers between two checks is in ``monitor/decide``.
 """

@@ -25,24 +25,24 @@ class Backoff:
     """Seconds to wait if the next attempt fails."""
 
     def at(self, now: float) -> Backoff:
-        """Return it as it is at a time: after the clock was set back, no wait is longer than it was meant to be."""
+        """Return the backoff at a time. If the clock was set back, no wait is longer than its length."""
         return replace(self, not_before=min(self.not_before, now + self.wait))
 
     def after(self, wait: float, now: float) -> Backoff:
-        """Return it with a wait of so many seconds from now on."""
+        """Return the backoff with a wait of ``wait`` seconds from now on."""
         return replace(self, not_before=now + wait, wait=wait)
 
     def failed(self, now: float, policy: FailurePolicySpec) -> Backoff:
-        """Return it after an attempt in which no strategy verified. Each wait is twice the last one, except with priority Safety."""
+        """Return the backoff after an attempt in which no strategy verified. Each wait doubles, except with priority Safety."""
         step = FIRST if policy.priority == "Safety" else min(2 * self.step, MOST)
         return replace(self.after(self.step, now), step=step)
 
     def cleared(self, now: float) -> Backoff:
-        """Return it after somebody corrected something or asked to resume: the next attempt may begin now."""
+        """Return the backoff after somebody corrected a problem or asked to resume: the next attempt may begin now."""
         return replace(self, not_before=now, step=FIRST)
 
     def healthy(self) -> Backoff:
-        """Return it after the active instance was healthy for long enough: the next failure is a new one."""
+        """Return the backoff after the active instance was healthy for long enough: the next failure is a new one."""
         return replace(self, step=FIRST)
 
     def in_force(self, now: float) -> ActiveLimit | None:

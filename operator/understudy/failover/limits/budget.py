@@ -1,7 +1,7 @@
-"""How many recoveries may begin in a moving window of time (limits.budget); pure. Times are unix seconds.
+"""Limits how many recoveries may begin in a moving window of time (limits.budget); pure. Times are unix seconds.
 
-A recovery that verifies and is soon followed by the next one, again and again, helps nobody: it uses up pools that other robots share, and
-a person has to find the cause.
+Repeated recoveries that verify and are soon followed by the next one help nobody: they use up pools that other robots share, and a person
+has to find the cause.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ CLOCKS_DIFFER = 60.0
 
 
 def left(spent: Sequence[float], now: float, *, recoveries: int, within: float) -> int:
-    """Return how many recoveries may begin now, given when the others began."""
+    """Return how many recoveries may begin now; ``spent`` has the start times of earlier ones."""
     return max(0, recoveries - sum(moment > now - within for moment in spent))
 
 
@@ -38,7 +38,7 @@ def counted(spent: Sequence[float], resumed: float | None, now: float) -> list[f
 
 
 def in_force(budget: Budget, spent: Sequence[float], resumed: float | None, now: float) -> ActiveLimit | None:
-    """Return the budget if it is spent: what it allows, and when the next recovery may begin."""
+    """Return the limit if the budget is spent: what the budget allows, and when the next recovery may begin."""
     free = free_from(counted(spent, resumed, now), recoveries=budget.recoveries, within=budget.length)
     return (
         ActiveLimit(f"{budget.words} were made, the next may begin at {in_words(free)}", free) if now < free else None

@@ -1,7 +1,7 @@
-"""Which strategy a recovery starts with: not with the one whose instance failed as soon as it was active; pure.
+"""Selects the strategy that a recovery starts with, and skips one whose instance failed as soon as it was active; pure.
 
-An application that crashes right after its start may still be seen to drive for a moment. Each recovery with the same strategy
-would then verify, and the robot would never be driven for long. limits.healthyDelay says how long is long enough. Times are unix seconds.
+An application that crashes right after its start may still be seen to drive for a moment. Each recovery with the same strategy would then
+verify, and the robot would never be driven for long. limits.healthyDelay defines how long is long enough. Times are unix seconds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ class Takeover:
 
     uid: str
     index: int
-    """The strategy that activated it."""
+    """Index of the strategy that activated it."""
     verified: float
 
     @classmethod

@@ -1,7 +1,4 @@
-"""Whether so many workloads of a policy fail at once that the network or the cluster is the likely cause (limits.stormGuard); pure.
-
-The operator counts, and reports the result as the condition Storm of the policy. Times are unix seconds.
-"""
+"""Detects that so many workloads of a policy fail at once that the network or the cluster is the likely cause (limits.stormGuard); pure."""
 
 from __future__ import annotations
 

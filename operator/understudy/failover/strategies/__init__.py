@@ -1,4 +1,4 @@
 """The mitigation strategies: each puts one understudy in control, and can be repeated from any step.
 
-Whether one could run now is decided in ``failover/availability.py``, and the order in which they are tried in ``failover/protocol.py``.
+``failover/availability.py`` decides whether one could run now, and ``failover/protocol.py`` in which order they are tried.
 """

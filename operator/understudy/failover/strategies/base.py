@@ -1,7 +1,7 @@
-"""What a strategy is, and what it works with.
+"""The interface of a strategy, and the context that it works with.
 
-Every strategy fences before it routes: either both in one commit (an executing standby), or the gate closes first, the
-understudy is brought up behind it, and the gate then opens for it (the failover protocol, step 4).
+Every strategy fences before it routes. An executing standby needs one commit for both. Otherwise the gate closes first, the understudy is
+brought up behind it, and the gate then opens for it (the failover protocol, step 4).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Unfit = Callable[[Instance], str | None]
 
 @dataclass(frozen=True)
 class StrategyContext:
-    """What a strategy works with: interfaces to the gate, to pods and their agents, a clock, and limits of the workload."""
+    """The context of a strategy: interfaces to the gate, to pods and their agents, a clock, and limits of the workload."""
 
     gate: Gate
     instances: Instances
@@ -50,14 +50,14 @@ class Strategy(ABC):
 
     @abstractmethod
     async def prepare(self, progress: Progress, context: StrategyContext, *, within: float) -> Instance:
-        """Bring an understudy to where it can drive, and open the gate for it. Raises NotAvailable."""
+        """Prepare an understudy to drive, and open the gate for it. Raises NotAvailable."""
 
     async def make_ready(
         self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
     ) -> Instance:
-        """Bring an understudy to where it can drive while another instance drives, and leave the gate alone.
+        """Prepare an understudy to drive while another instance drives, without changing the gate.
 
-        It becomes the target of the progress before anything is done to it. Raises NotAvailable, NotVerified.
+        The understudy becomes the target of the progress before anything is done to it. Raises NotAvailable, NotVerified.
         """
         raise NotAvailable(f"strategy {self.name} cannot prepare a new instance while another one is active")
 
@@ -75,7 +75,7 @@ class Strategy(ABC):
         """Return whether it could run now, by the rules that the operator uses too."""
 
     def available_as_reported(self, context: StrategyContext) -> str | None:
-        """Return the same from what is known without a request to the API server, while nothing has failed."""
+        """Return the same as ``available``, without a request to the API server. Used while nothing has failed."""
         return self.available(context)
 
     async def refresh(self, context: StrategyContext, progress: Progress | None = None) -> None:

@@ -30,9 +30,7 @@ class ExecutingFallback(Strategy):
     def __init__(
         self, pool: str, *, recovery: BringUp | None = None, others: Collection[str] = (), with_source: bool = True
     ) -> None:
-        """``others`` are the pools whose standbys are not candidates. ``with_source`` is whether those that the workload's own
-        controller creates are.
-        """
+        """Exclude the standbys of the pools ``others``, and those of the workload's own controller unless ``with_source``."""
         self.pool, self.recovery = pool, recovery
         self._others, self.with_source = frozenset(others), with_source
 
@@ -109,7 +107,7 @@ class ExecutingFallback(Strategy):
     ) -> Instance:
         """Close the gate, bring a standby up, open the gate for it."""
         end = loop_time() + within
-        begun = progress.target.uid if progress.target is not None else ""  # by a monitor that is gone
+        begun = progress.target.uid if progress.target is not None else ""  # by an earlier monitor
         target = min(candidates, key=lambda i: (i.uid != begun, i.pool != self.pool, i.created, i.name))
         await close(progress, context)
         progress.target = PodIdentity(name=target.name, uid=target.uid)

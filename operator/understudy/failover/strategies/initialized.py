@@ -1,4 +1,4 @@
-"""The fallback to a standby that is configured and does not drive yet."""
+"""The fallback to a standby that is configured but does not drive yet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the strategies of a policy to those of the failover protocol.
+"""Converts the strategies of a policy to those of the failover protocol.
 
 To add a readiness level, write its strategy and enter it in ``FALLBACKS``; to add a strategy, enter it in ``choices``.
 """
@@ -42,25 +42,25 @@ class UnknownPool(Strategy):
 
 @dataclass(frozen=True)
 class Fallback:
-    """What a fallback is made from."""
+    """The parameters of a fallback."""
 
     spec: StrategySpec
     pool: PoolChoice
     own: BringUp | None
     """The procedure that the strategy names."""
     bring_up: BringUp | None
-    """That, or else the procedure of the workload."""
+    """The procedure that the strategy names, or else the procedure of the workload."""
     waiting: tuple[str, ...]
     """The pools of the policy whose standbys run for this robot already, in order."""
 
     @property
     def others(self) -> list[str]:
-        """The other ones of these pools. Their standbys are not those of this pool."""
+        """The other pools in ``waiting``. Their standbys do not belong to this pool."""
         return [name for name in self.waiting if name != self.pool.name]
 
     @property
     def with_source(self) -> bool:
-        """Whether the standbys that the workload's own controller makes count for this pool: they do for the first one."""
+        """Whether this pool includes the standbys of the workload's own controller. Only the first pool does."""
         return self.waiting[0] == self.pool.name
 
 
@@ -92,7 +92,7 @@ FALLBACKS: Mapping[str, Callable[[Fallback], Strategy]] = {
 
 
 def choices(policy: FailurePolicySpec, settings: WorkloadSettings, workload: RobotWorkloadSpec | None) -> list[Choice]:
-    """Return the strategies of the policy in order, each with the time it has."""
+    """Return the strategies of the policy in order, each with its time limit."""
     usual = BringUp.of("bringUp", workload.bring_up if workload else None)
     pools = {pool.name: pool for pool in settings.pools}
     waiting = tuple(pool.name for pool in settings.pools if pool.level.has_standbys)

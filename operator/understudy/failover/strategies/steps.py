@@ -63,7 +63,7 @@ async def join(me: Waiter, progress: Progress, context: StrategyContext) -> None
 
 
 async def both(*work: Coroutine[Any, Any, object]) -> None:
-    """Do things at the same time, and wait for all of them even if one fails: a commit must not be left in progress."""
+    """Run coroutines concurrently, and wait for all of them even if one fails: a commit must not be left in progress."""
     for result in await asyncio.gather(*work, return_exceptions=True):
         if isinstance(result, BaseException):
             raise result
@@ -108,7 +108,7 @@ async def started(target: Instance, progress: Progress, context: StrategyContext
 async def make_drivable(
     target: Instance, progress: Progress, context: StrategyContext, recovery: BringUp | None, *, within: float
 ) -> None:
-    """Bring a started instance to where it can drive while another one is active, with the kept state of the active one.
+    """Prepare a started instance to drive while another one is active, with the kept state of the active one.
 
     Raises NotVerified.
     """
@@ -125,15 +125,15 @@ async def make_drivable(
 async def bring_up_and_open(
     target: Instance, progress: Progress, context: StrategyContext, recovery: BringUp | None, *, end: float
 ) -> None:
-    """Bring a started instance to where it can drive, and open the gate for it.
+    """Prepare a started instance to drive, and open the gate for it.
 
-    State, procedure and the wait for its outputs are the paper's t_re-initialization. ``end`` of the strategy's time is a time of
-    the event loop.
+    Restoring state, running the procedure and waiting for its outputs are the paper's t_re-initialization. ``end`` is the end of the
+    strategy's time, by the clock of the event loop.
     """
     await give_state_and_bring_up(target, progress, context, recovery, end=end)
     if target.has_agent:
         try:
-            # An application may need an answer of the robot before its outputs flow: half the time for the other order.
+            # An application may need a response of the robot before it publishes: half the time is left for opening the gate first.
             async with asyncio.timeout(max(MOMENT, (end - loop_time()) / 2)):
                 ready = await context.agents.ready(target)
             progress.moments["ready"] = ready
@@ -147,7 +147,7 @@ async def bring_up_and_open(
 async def give_state_and_bring_up(
     target: Instance, progress: Progress, context: StrategyContext, recovery: BringUp | None, *, end: float
 ) -> None:
-    """Give a started instance the kept state, and run the procedure that brings it to where it can drive."""
+    """Restore the kept state to a started instance, and run the procedure that prepares it to drive."""
     if recovery is None or not recovery.restores_state or not target.has_agent:
         await restore(target, progress, context)
     if recovery is not None and target.has_agent:
@@ -155,7 +155,7 @@ async def give_state_and_bring_up(
         within = min(recovery.within, max(MOMENT, rest - min(ANSWER, rest / 4)))
         state = kept(progress, context) if recovery.restores_state else KeptState()
         report = await context.agents.bring_up(target, recovery, within=within, state=state)
-        progress.charge("reinitialization", context.clock())  # the outputs of one that ran before were ready long ago
+        progress.charge("reinitialization", context.clock())  # a standby's outputs were ready long ago
         if recovery.restores_state:
             progress.note_state(report)
             context.save(progress)
@@ -173,7 +173,7 @@ def loop_time() -> float:
 
 
 async def restore(target: Instance, progress: Progress, context: StrategyContext) -> None:
-    """Give a started instance the state of the last healthy one, as far as possible.
+    """Restore the state of the last healthy instance to a started one, as far as possible.
 
     State that cannot be restored is recorded and does not stop the recovery: a robot without an active instance is worse off than one whose
     application starts without some of its state. A recovery tree can insist on the state (restore_state).
