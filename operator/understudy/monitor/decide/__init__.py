@@ -1,1 +1,1 @@
-"""The third stage: what should happen now, if anything. It changes nothing outside the process."""
+"""The third stage: decides what should happen now, if anything. It changes nothing outside the process."""

@@ -1,8 +1,7 @@
-"""The policy's budget of recoveries (``limits.budget``): how much of it was spent, and what the monitor reports about
-it.
+"""Counts and reports how much of the policy's budget of recoveries (``limits.budget``) is spent.
 
-It is kept in the workload's status, with the record of each recovery: a healthy workload costs no writes, and the next
-monitor knows.
+The workload's status contains the count, and is written with the record of each recovery. So a healthy workload costs no
+writes, and the next monitor knows the count.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ CONDITION = "WithinBudget"
 
 
 class BudgetSpending:
-    """What one workload has spent. Times are Unix seconds."""
+    """The recoveries that one workload has spent. Times are Unix seconds."""
 
     def __init__(self, view: ClusterView, notices: Notices) -> None:
         self._view, self._notices = view, notices
@@ -36,14 +35,14 @@ class BudgetSpending:
 
     @property
     def resumed(self) -> float | None:
-        """When a user last asked to resume."""
+        """When a user last asked to resume; None if never."""
         item = self._view.object
         resumed = ((item or {}).get("metadata", {}).get("annotations") or {}).get(names.RESUMED, "")
         return unix(resumed) if resumed else None
 
     def count(self, done: Progress, now: float) -> None:
-        """Count a recovery that is over. What was planned is none, nor what follows from another workload's recovery, nor one in
-        which nothing could be tried.
+        """Count a recovery that is over. Planned switchovers, reactions to the recovery of another workload, and recoveries in
+        which no strategy was available do not count.
         """
         budget, tried = self._budget, any(attempt.result != "NotAvailable" for attempt in done.attempts)
         if budget is not None and tried and not done.planned and not done.follows:
@@ -51,18 +50,18 @@ class BudgetSpending:
             self.report(now)
 
     def in_force(self, now: float) -> ActiveLimit | None:
-        """Return the budget if it is spent."""
+        """Return the budget as a limit if it is spent; None if not."""
         if (budget := self._budget) is None:
             return None
         return budgets.in_force(budget, self._notices.status.spent, self.resumed, now)
 
     def spent_until(self, now: float) -> float | None:
-        """Return until when no recovery may begin; None if one may."""
+        """Return until when the budget allows no recovery; None if it allows one now."""
         found = self.in_force(now)
         return found.until if found is not None else None
 
     def report(self, now: float) -> None:
-        """Report the budget; nothing if the policy has none."""
+        """Report the budget; withdraw the report if the policy has none."""
         budget = self._budget
         if budget is None:
             self._notices.add(BudgetCounted("", None))

@@ -8,7 +8,7 @@ from understudy.monitor.notices import Notices, RecoveryDeferred
 
 
 class DeferredFailures:
-    """What was reported about the present failure of one workload."""
+    """Remembers what was reported about the present failure of one workload."""
 
     def __init__(self, notices: Notices) -> None:
         self._notices = notices
@@ -24,7 +24,7 @@ class DeferredFailures:
         self._reported = "" if self._reported == "Paused" else self._reported
 
     def reported_wait(self) -> None:
-        """Note that the wait of the present failure was reported already."""
+        """Note that the wait for the present failure was reported elsewhere."""
         self._reported = "Waiting"
 
     def report(self, decision: Defer, failure: Failure) -> None:

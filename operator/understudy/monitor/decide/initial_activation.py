@@ -1,4 +1,4 @@
-"""Which pods the gate may open for while no instance is active and no recovery is in progress."""
+"""Finds the pods that the gate may open for while no instance is active and no recovery is in progress."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from understudy.monitor.observe.agent_connections import AgentConnections
 
 @dataclass(frozen=True)
 class Candidates:
-    """The pods that run, and those of them that the gate may open for now."""
+    """The running pods, and those of them that the gate may open for now."""
 
     running: Sequence[Instance]
     ready: Sequence[Instance]
 
     @property
     def first(self) -> Instance:
-        """The pod that comes first: the workload's own pod before a standby, then the oldest."""
+        """The preferred pod: a pod of the workload's own controller before a standby, then the oldest."""
         return min(self.ready, key=lambda i: (not i.from_source, i.created, i.name))
 
     @property
     def unmet(self) -> Requirement | None:
-        """What an initial activation lacks; None if it lacks nothing."""
+        """The requirement that an initial activation lacks; None if it lacks none."""
         if self.ready:
             return None
         return Requirement("NoPodReady" if self.running else "NoPodRunning")
@@ -43,8 +43,8 @@ class InitialActivation:
     def candidates(self, policy: FailurePolicySpec, now: float, *, paused: bool) -> Candidates:
         """Return the pods that the gate may open for at a time (Unix seconds).
 
-        An application may need an answer of the robot before its outputs flow, and the workload's own pod comes before a standby: but
-        neither is waited for longer than half of the policy's startupGrace.
+        For half of the policy's startupGrace, only ready pods of the workload's own controller count. After that, standbys count too,
+        and if no pod is ready, running pods: an application may need an answer of the robot before it publishes its outputs.
         """
         running = [i for i in self._fleet.of_workload() if i.usable and not i.held]
         ready = [i for i in running if not i.has_agent or self._agents.is_ready(i)[0]]

@@ -1,4 +1,4 @@
-"""What the monitor remembers of the limits of its workload, and which of them are in force."""
+"""The limits of the monitor's workload, and which of them are in force."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Limits:
         self.retries = RetryBackoff(view, notices)
 
     def conclude(self, outcome: Outcome) -> None:
-        """Count a recovery that is over, and defer the next one. A planned switchover defers nothing."""
+        """Count a recovery that is over, and defer the next one. A planned switchover does not defer the next recovery."""
         progress, policy = outcome.progress, outcome.policy
         if outcome.kind == "Superseded":
             self.retries.after(0.0)
@@ -44,7 +44,7 @@ class Limits:
         return isinstance(decide(Facts(now, (Occurrence(trigger),), self.in_force(now))), Hold)
 
     def in_force(self, now: float) -> LimitsInForce:
-        """Return the limits that are in force at a time (unix seconds). The pause is the one of the last update."""
+        """Return the limits that are in force at a time (Unix seconds). The pause is as of the last update."""
         pause = self.pauses.on
         return LimitsInForce(
             pause=ActiveLimit(pause.words, pause.end) if pause is not None else None,

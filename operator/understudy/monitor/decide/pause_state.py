@@ -1,5 +1,4 @@
-"""Maintenance (``spec.pause``): whether the monitor leaves the workload alone now, and what it reports about the
-pause."""
+"""Tracks and reports whether a pause (``spec.pause``) is in force, in which the monitor takes no action."""
 
 from __future__ import annotations
 
@@ -22,15 +21,15 @@ class PauseState:
         self._view, self._notices = view, notices
         self._known: tuple[Pause | None, bool] = (None, False)
         self._resumed = ""
-        """The value of the annotation ``resumed`` while the pause was in force. A later value belongs to the end of the pause."""
+        """The value of the annotation ``resumed`` while the pause was in force. A later value was written when the pause was ended."""
         self._adopted = True
-        """Whether the condition of an earlier monitor has not been compared yet."""
+        """Whether this is still the condition of an earlier monitor, which has not been compared with the spec yet."""
         self.ended = 0.0
         """When the last pause ended (Unix seconds). Silence before that is not a failure."""
 
     @property
     def on(self) -> Pause | None:
-        """The pause that was in force at the last update."""
+        """The pause that was in force at the last update; None if there was none."""
         given, in_force = self._known
         return given if in_force else None
 

@@ -1,4 +1,4 @@
-"""What the monitor remembers of past recoveries: when the next attempt may begin, and with which strategy."""
+"""Determines from past recoveries when the next recovery may begin, and with which strategy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _logger = logging.getLogger(__name__)
 
 
 class RetryBackoff:
-    """The attempts of one workload. Times are unix seconds."""
+    """The wait between the recoveries of one workload. Times are Unix seconds."""
 
     def __init__(self, view: ClusterView, notices: Notices) -> None:
         self._view, self._notices = view, notices
@@ -32,12 +32,12 @@ class RetryBackoff:
 
     @property
     def not_before(self) -> float:
-        """When the next attempt may begin."""
+        """When the next recovery may begin."""
         return self._backoff.not_before
 
     @property
     def retry_after(self) -> float:
-        """Seconds of the backoff after the next attempt without success."""
+        """Seconds of the backoff after the next recovery without success."""
         return self._backoff.step
 
     def in_force(self, now: float) -> ActiveLimit | None:
@@ -45,14 +45,14 @@ class RetryBackoff:
         return self._backoff.in_force(now)
 
     def update(self, resumed: float | None, now: float) -> None:
-        """Notice what ends the wait early. ``resumed`` is when somebody last asked to resume."""
+        """End the wait early if a user asked to resume (at ``resumed``) or changed the configuration."""
         self._backoff = self._backoff.at(now)
         if self._corrected() or resumed != self._resumed:
             self._backoff = self._backoff.cleared(now)
         self._resumed = resumed
 
     def _corrected(self) -> bool:
-        """Return whether the policy, spec or settings changed since no strategy verified. The change may be the correction."""
+        """Return whether the policy, spec or settings changed since no strategy was verified. The change may be a correction."""
         inputs = (self._view.policy, self._view.spec, self._view.settings)
         if len(inputs) == len(self._inputs) and all(a is b for a, b in zip(inputs, self._inputs, strict=True)):
             return False
@@ -64,7 +64,7 @@ class RetryBackoff:
         self._backoff = self._backoff.healthy()
 
     def note(self, done: Progress) -> None:
-        """Note a finished recovery, also one of an earlier monitor."""
+        """Note a finished recovery, which may be one of an earlier monitor."""
         self._latest = Takeover.of(done)
 
     def after_recovery(self, policy: FailurePolicySpec) -> None:
@@ -76,11 +76,11 @@ class RetryBackoff:
         self.after(FIRST)
 
     def after(self, wait: float) -> None:
-        """Wait for so many seconds."""
+        """Allow the next recovery only after ``wait`` seconds."""
         self._backoff = self._backoff.after(wait, time.time())
 
     def after_nothing_verified(self, policy: FailurePolicySpec) -> None:
-        """Wait for a backoff, which is longer each time unless the policy has priority Safety."""
+        """Wait for a backoff, which grows each time unless the policy has priority Safety."""
         self._backoff = self._backoff.failed(time.time(), policy)
 
     def first(self, onset: float, failed_uid: str) -> int | None:

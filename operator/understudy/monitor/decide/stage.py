@@ -1,4 +1,5 @@
-"""The decide stage of one workload: what should happen now, by the table of precedence in ``failover/decide.py``."""
+"""The decide stage of one workload: decides what should happen now, by the table of precedence in
+``failover/decide.py``."""
 
 from __future__ import annotations
 
@@ -36,15 +37,15 @@ from understudy.monitor.outcome import Outcome
 
 @dataclass(frozen=True)
 class Resolution:
-    """A decision, and what it is about."""
+    """A decision, and the data that the act stage needs to carry it out."""
 
     decision: Decision
     failure: Failure | None = None
-    """What a recovery is for, if one is decided on or held."""
+    """The cause of the recovery, if one is decided on or held."""
     first_strategy: int = 0
     """Index of the strategy to start with."""
     switch: Preparation | None = None
-    """The understudy that can drive instead, if a planned switchover is decided on; or the switchover that is not settled yet."""
+    """The prepared understudy, if a planned switchover is decided on; or the switchover whose outcome is still open."""
     candidates: Candidates | None = None
     """The pods that the gate may open for, while it is closed."""
     deadline: float | None = None
@@ -53,7 +54,7 @@ class Resolution:
 
 @dataclass(frozen=True)
 class _Case:
-    """A trigger that is present, and what it is about."""
+    """A trigger that is present, and its cause."""
 
     occurrence: Occurrence
     failure: Failure | None = None
@@ -72,7 +73,7 @@ class DecideStage:
         dependencies: Dependencies,
         notices: Notices,
     ) -> None:
-        """``context`` is without the settings and policy of the workload, which are added at each use."""
+        """``context`` lacks the settings and policy of the workload, which are added at each use."""
         self._view, self._gate, self._notices = view, context.gate, notices
         self._levels, self._dependencies = judge.levels, dependencies
         self.takeover = judge.takeover
@@ -82,7 +83,7 @@ class DecideStage:
         self._activation = InitialActivation(context.instances, agents)
 
     def decide(self, policy: FailurePolicySpec, judgement: Judgement, prepared: Preparation | None) -> Resolution:
-        """Return what happens now. ``prepared`` is the planned switchover that can be carried out, or is not settled yet."""
+        """Return what to do now. ``prepared`` is the planned switchover that can be carried out or whose outcome is still open."""
         if self._gate.state.closed:
             return self._activate(policy, judgement.now)
         cases = list(self._cases(policy, judgement, prepared))
@@ -110,14 +111,14 @@ class DecideStage:
         return decision.message if isinstance(decision, Defer) else ""
 
     async def confirm(self) -> bool:
-        """Return whether the first strategy can run by the present state of the cluster, not only by what was reported."""
+        """Return whether the first strategy can run, according to the present state of the cluster and not only to reports."""
         if (lacking := await self.options.check_first()) is not None:
             found = _unavailable(lacking)
             self._levels.wait(found.reason, found.words)
         return lacking is None
 
     def judged(self, judgement: Judgement) -> None:
-        """Remember how the active instance is: what is reported of the next failure, and with which strategy it starts."""
+        """Note the judgement. A healthy instance ends the report of a failure and, once it is settled, the backoff."""
         if judgement.active is not None and judgement.verdict is not None and judgement.failure is None:
             self._dependencies.well(judgement.active.name)
         if judgement.healthy:
@@ -163,20 +164,21 @@ class DecideStage:
         occurrence = Occurrence(failure.trigger, failure.reason, counts_from=judgement.counts_from)
         if failure.trigger is Trigger.HEALTH_FAILED and judgement.now >= judgement.trusted_from:
             self._dependencies.notice(failure.onset, failure.detected)
-            # What is critical to safety is not left in control for another's sake: it may do worse than to be silent.
+            # With priority Safety, a failed instance does not stay active while a dependency recovers: it may do worse
+            # than to be silent.
             if judgement.now >= judgement.counts_from and policy.priority != "Safety":
                 again = self._dependencies.hold(failure.reason, failure.onset, judgement.now)
                 occurrence = replace(occurrence, upstream=ActiveLimit(until=again) if again is not None else None)
         return self._starting_with(failure, occurrence)
 
     def _since_pause(self, failure: Failure) -> Failure:
-        """Return the failure as it is since the last pause: outputs that were missing during a pause are not a failure."""
+        """Return the failure with its onset after the last pause: outputs that were missing during a pause are no failure."""
         if failure.trigger is Trigger.REFLEX_TAKEOVER:
             return failure
         return replace(failure, onset=max(failure.onset, min(self.limits.pauses.ended, failure.detected)))
 
     def _starting_with(self, failure: Failure, occurrence: Occurrence) -> _Case:
-        """Return the case with the strategy that a recovery would start with."""
+        """Return the case, with the strategy that a recovery would start with."""
         retries = self.limits.retries
         first = retries.first(failure.onset, self._gate.state.active_uid)
         return _Case(replace(occurrence, first_strategy=first, retry_after=retries.retry_after), failure)
@@ -186,7 +188,7 @@ class DecideStage:
         ready = limits.storm is not None and self.options.standby_ready()
         return Facts(judgement.now, occurrences, limits, standby_ready=ready, trusted_from=judgement.trusted_from)
 
-    # -- what is remembered and reported of it ----------------------------------------------------------------------
+    # -- reporting --------------------------------------------------------------------------------------------------
 
     def _note(self, decision: Decision, failure: Failure | None) -> None:
         if failure is None or isinstance(decision, Wait):

@@ -1,4 +1,4 @@
-"""Which of the policy's strategies could be carried out now."""
+"""Finds which of the policy's strategies could be carried out now."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from understudy.monitor.observe.objects.cluster_view import ClusterView
 from understudy.monitor.observe.objects.storm_condition import StormCondition
 
 CHECK_WITHIN = 0.5
-"""Maximum seconds that the check for what a planned hand-over needs may take."""
+"""Maximum seconds for the check whether a planned hand-over is possible."""
 
 
 class StrategyOptions:
     """The strategies of one workload's policy, and the resources that exist for them."""
 
     def __init__(self, view: ClusterView, storms: StormCondition, context: StrategyContext) -> None:
-        """``context`` is without the settings and policy of the workload, which :meth:`context` adds."""
+        """``context`` lacks the settings and policy of the workload, which :meth:`context` adds."""
         self._view, self._storms, self._context = view, storms, context
 
     def context(self) -> StrategyContext:
-        """Return what strategies work with now, with the present settings and policy."""
+        """Return the context of strategies, with the present settings and policy."""
         policy, settings = self._view.policy, self._view.settings
         assert settings is not None, "the cluster view has started, so there are settings"
         restore_within = seconds(policy.state.within) if policy is not None else self._context.restore_within
         return replace(self._context, workload_uid=settings.uid, restore_within=restore_within, holds=self.holds)
 
     def choices(self) -> Sequence[Choice]:
-        """The strategies in order, each with the time it has; empty while they are not known yet."""
+        """Return the strategies in order, each with its time limit; empty while they are not known yet."""
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:
             return ()
         return choices(policy, settings, self._view.spec)
 
     def usable(self) -> str:
-        """The name of the strategy that would be carried out now."""
+        """Return the name of the strategy that would be carried out now, according to reports; ``None`` if none could."""
         context = self.context()
         reasons = [(choice.strategy, choice.strategy.available_as_reported(context)) for choice in self.choices()]
         return next((strategy.name.split("/")[-1] for strategy, reason in reasons if reason is None), "None")
 
     def standby_ready(self) -> bool:
-        """Whether a healthy instance is ready to take over, without taking anything from other workloads."""
+        """Return whether a healthy instance is ready to take over that no other workload could use."""
         found = self.choices()
         if not found:
             return False
@@ -54,21 +54,21 @@ class StrategyOptions:
         return any(choice.strategy.has_own_instance and choice.strategy.available(context) is None for choice in found)
 
     def holds(self, strategy: Strategy) -> str | None:
-        """Why a strategy is not tried now although it could be."""
+        """Return why a storm prevents a strategy now; None if it does not."""
         if strategy.has_own_instance or (storm := self._storms.on(time.time())) is None:
             return None
         return f"held because other workloads fail too: {storm.words}"
 
     def first_missing(self) -> str | None:
-        """Why the first strategy cannot be carried out, according to what was reported; None if it can."""
+        """Return why the first strategy cannot be carried out, according to reports; None if it can."""
         first = self.choices()[0].strategy
         return first.available_as_reported(self.context()) or self.holds(first)
 
     async def check_first(self) -> str | None:
-        """Why the first strategy cannot be carried out, according to the present state of the cluster and not only to
-        reports.
+        """Return why the first strategy cannot be carried out, according to the present state of the cluster and not
+        only to reports; None if it can.
 
-        Nobody watches the active instance meanwhile, so a slow answer counts as none.
+        The active instance is not watched during this check, so a slow answer counts as no answer.
         """
         first, context = self.choices()[0].strategy, self.context()
         try:

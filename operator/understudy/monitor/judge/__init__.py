@@ -1,1 +1,1 @@
-"""The second stage: whether the workload is healthy, degraded or failed, and since when. It decides nothing."""
+"""The second stage: judges whether the workload is healthy, degraded or failed, and since when. It decides nothing."""

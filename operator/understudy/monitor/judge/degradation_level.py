@@ -1,7 +1,7 @@
 """Judges whether the workload is Degraded: its health tree succeeds, but the tree of ``spec.degraded`` fails.
 
-Degradation is judged at the same looks as health and never delays it: the monitor acts on a failure equally fast at
-every level. Without ``spec.degraded`` nothing is evaluated.
+Degradation is judged in the same evaluations as health and never delays the verdict on health: the monitor acts on a
+failure equally fast at every level. Without ``spec.degraded``, nothing is evaluated.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CHECK_PERIOD = 0.2
 """Seconds between two checks: degradation matters within seconds, not within milliseconds."""
 
 AGAIN = 30.0
-"""Seconds between two updates of the message, whose figures change with every evaluation."""
+"""Minimum seconds between two updates of the message if only its figures have changed."""
 
 CONDITION, TASKS = "Degraded", "TasksProxied"
 
@@ -34,7 +34,7 @@ _WAITS = " No switchover yet: "
 
 
 class DegradationLevel:
-    """The level of the active instance, and when a degraded one is due to be handed over."""
+    """The level of the active instance, and whether a degraded instance is due to be handed over."""
 
     def __init__(self, observer: HealthObserver, notices: Notices) -> None:
         self._observer, self._notices = observer, notices
@@ -55,22 +55,22 @@ class DegradationLevel:
 
     @property
     def degraded(self) -> bool:
-        """Whether the instance was degraded at the last evaluation."""
+        """Whether the active instance was degraded at the last evaluation."""
         return self._level.since is not None
 
     @property
     def due(self) -> str | None:
-        """The reason to hand over the instance now; None if that is not due."""
+        """The reason to hand over the instance now; None if no hand-over is due."""
         return (
             f"degraded: {self._words}; switched over while the robot was idle" if self._due and self.degraded else None
         )
 
     def handed_over(self) -> None:
-        """Note that a planned hand-over was begun."""
+        """Note that a planned hand-over has begun."""
         self._handed_over, self._due, self._lacking = time.monotonic(), False, None
 
     def wait(self, kind: str, words: str) -> None:
-        """Note why a hand-over that is due cannot begin; it is due again at the next evaluation."""
+        """Note why a due hand-over cannot begin. It is due again at the next evaluation."""
         self._due, self._lacking = False, BusyReason(kind, words)
 
     def evaluate(
@@ -95,7 +95,7 @@ class DegradationLevel:
         self._notices.withdraw(CONDITION)
 
     def _begin(self, active: Instance, clock: float) -> None:
-        """Start to judge another instance. Its level is unknown, unless this is a new monitor that continues with the same instance."""
+        """Start to judge another instance. Its level is unknown, unless an earlier monitor judged the same instance."""
         published = self._notices.status.find(CONDITION)
         self._level, self._idle_since, self._due, self._lacking = Level(), None, False, None
         if published is not None and published.status == "True":
@@ -108,7 +108,7 @@ class DegradationLevel:
         self._uid, self._next = active.uid, clock
 
     def _judge(self, degraded: Degraded, verdict: Verdict, clock: float, *, now: float, since: float) -> None:
-        # Of an instance whose health tree does not hold, or not yet, it is not asked whether it is well.
+        # The tree of spec.degraded counts only while the health tree succeeds.
         healthy = verdict.state == "Healthy"
         found = self._observer.degraded_verdict(now=now, since=since) if healthy else Verdict("Starting", "", "", None)
         before = self._level.since
@@ -134,14 +134,14 @@ class DegradationLevel:
                 f"It is not known yet whether the active instance is degraded: {found.reason}.",
             )
 
-    # -- handing over -----------------------------------------------------------------------------------------------
+    # -- hand-over --------------------------------------------------------------------------------------------------
 
     def _wait_for_idle(
         self, reschedule: Reschedule | None, found: Verdict, clock: float, *, now: float, since: float
     ) -> None:
-        """Note whether a hand-over is due, and else what it waits for.
+        """Note whether a hand-over is due, or else what it waits for.
 
-        It may be due while the tree holds again: what is not well may show at work only.
+        It may be due although the tree succeeds at the moment: some degradation shows only while the robot works.
         """
         self._due, self._waits = False, None
         if reschedule is None or found.state == "Starting":
@@ -169,7 +169,8 @@ class DegradationLevel:
         return None
 
     def _busy(self, *, now: float, since: float) -> BusyReason | None:
-        """Why the robot does not count as idle. What the task proxy has of goals counts too, and so does not hearing of it."""
+        """Return why the robot does not count as idle; None if it does. It is busy too if the action proxy has a goal, or if the
+        proxy's tasks are unknown."""
         proxied = self._notices.status.find(TASKS)
         if proxied is not None and proxied.status != "True":
             return BusyReason(
@@ -180,7 +181,8 @@ class DegradationLevel:
         return self._observer.busy(now=now, since=since)
 
     def _paused(self, pause: float, clock: float) -> float:
-        """Seconds until the next planned hand-over may begin; an earlier monitor's counts by the status."""
+        """Return the seconds until the next planned hand-over may begin. The last one of an earlier monitor is read from
+        the status."""
         waits = [0.0]
         if self._handed_over is not None:
             waits.append(self._handed_over + pause - clock)
@@ -188,7 +190,7 @@ class DegradationLevel:
             waits.append(recorded + pause - time.time())
         return max(waits)
 
-    # -- saying -----------------------------------------------------------------------------------------------------
+    # -- reporting --------------------------------------------------------------------------------------------------
 
     def _report_degraded(self, leaf: str, clock: float, *, entered: bool) -> None:
         if entered:

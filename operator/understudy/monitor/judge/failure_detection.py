@@ -1,4 +1,4 @@
-"""Whether the active instance has failed: its pod is lost, or its health tree fails."""
+"""Detects failures of the active instance: its pod is lost, or its health tree fails."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ from understudy.trees.core.debounce import Debounce
 from understudy.trees.core.health_tree import Verdict
 
 KNOWN_GRACE = 3.0
-"""Seconds that a new monitor waits for the first samples of an instance that its agent knows was healthy before."""
+"""Seconds that a new monitor waits for the first samples of an instance that was healthy before, according to its
+agent."""
 
 DEAD_AFTER = 0.1
-"""Seconds without an output after which a pod whose object is gone counts as dead."""
+"""Seconds without an output after which a pod without an object counts as dead."""
 
 
 @dataclass(frozen=True)
 class Failure:
-    """What a recovery is for, and since when; times are Unix seconds."""
+    """The cause of a recovery. Times are Unix seconds."""
 
     reason: str
     onset: float
     detected: float
     trigger: Trigger = Trigger.HEALTH_FAILED
     taken: ReflexSwitch | None = None
-    """The takeover, if the robot follows a standby already."""
+    """The takeover, if the robot already follows a standby."""
     follows: Sequence[DependencyRecovery] = ()
     """The recoveries of dependencies, if the instance has not failed and only has to react to them."""
 
@@ -51,24 +52,24 @@ class FailureDetector:
         self._agents, self._observer = agents, observer
         self._debounce = Debounce()
         self.since = time.time()
-        """Since when the instance is watched: what was received before is not its own."""
+        """Since when the instance has been watched: messages from before do not count for it."""
 
     def watch(self) -> None:
-        """Watch an instance that was just put in control: what was received before is not its own."""
+        """Start to watch an instance that has just become active: messages from before do not count for it."""
         self.since = time.time()
 
     def restart(self, since: float | None = None) -> None:
-        """Judge the active instance from what was received since a time (Unix seconds); without one, from now on."""
+        """Judge the active instance by the messages received since a time (Unix seconds); by default, from now on."""
         self.since = since if since is not None else time.time()
         self._debounce.clear()
 
     def lost(self, active: Instance | None, now: float) -> tuple[Failure | None, float | None] | None:
-        """Return the failure if the active pod is lost, or when to check again. None if it is not lost. No health tree is needed.
+        """Return the failure if the active pod is lost, or when to check again. None if the pod is not lost. Needs no health tree.
 
         A pod on a node that Kubernetes has lost stays active, regardless of its object: its outputs show whether it runs.
-        A pod that is being deleted still has its labels, so the gate can fence it at once. One whose object is gone
-        (deleted by force) has none, and its process may run on for a moment: fencing it is not possible, so the switch
-        waits until it is silent.
+        A pod that is being deleted still has its labels, so the gate can fence it at once. A pod whose object is gone
+        (deleted by force) has no labels, and its process may continue for a moment: the gate cannot fence it, so the
+        switch waits until it is silent.
         """
         name = self._gate.state.active
         if active is not None and not active.leaving and active.running:
@@ -78,7 +79,7 @@ class FailureDetector:
             active is None
             and (silent := self._observer.last_from(name)) is not None
             and now - silent < DEAD_AFTER
-            # Once a successor of the same name has an address, as in a StatefulSet, it is that one which is heard.
+            # In a StatefulSet, a successor has the same name: once it has an address, the messages are the successor's.
             and not any(i.name == name and i.ip for i in self._fleet.of_workload())
         ):
             return None, silent + DEAD_AFTER
@@ -86,26 +87,27 @@ class FailureDetector:
         return Failure(f"pod {name} {gone}", onset, time.time(), Trigger.POD_LOST), None
 
     def verdict(self, active: Instance, now: float) -> Verdict:
-        """The verdict of its health tree."""
-        # From later on where the clock was set back, or by the clock of another node: until then nothing would count.
+        """Return the verdict of the active instance's health tree."""
+        # ``since`` can lie in the future if the clock was set back, or if it comes from another node's clock: then no
+        # message would count until that time.
         self.since = min(self.since, now)
         verdict = self._observer.verdict(now=now, since=self.since)
         if verdict.state == "Starting" and now - self.since > KNOWN_GRACE:
-            # This monitor is new and its instance is not: the report of its agent counts, not the grace for a start.
+            # The instance is older than this monitor: the agent's report counts, not the startup grace.
             status = self._agents.status(active)
             if status is not None and status.ready_at is not None and not status.ready:
                 return Verdict("Failed", status.reason, verdict.leaf, status.ready_at)
         return verdict
 
     def onset(self, pod: str, now: float) -> float:
-        """When a pod was last seen to be healthy; now if it never was."""
+        """Return when a pod was last seen to be healthy; ``now`` if it never was."""
         last = self._observer.last_well(pod)
         return last if last is not None and last <= now else now
 
     def well(self) -> None:
-        """The health tree holds, or may yet."""
+        """Note that the health tree does not fail."""
         self._debounce.clear()
 
     def counts_from(self, detected: float, monitoring: Monitoring) -> float:
-        """When a failure of the tree, if it was also detected at ``detected``, counts as one."""
+        """Note that the tree failed at ``detected``. Return when that counts as a failure, given the policy's debounce."""
         return self._debounce.failed(detected, seconds(monitoring.debounce))

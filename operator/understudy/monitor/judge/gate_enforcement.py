@@ -1,5 +1,5 @@
-"""Whether the gate is enforced: by the cluster's network, judged from the probes that get through (api.names.PROBE_PORT), and at the
-robot's readers (robot_readers.py).
+"""Judges whether the gate is enforced: by the cluster's network, from the probes that pass the gate (api.names.PROBE_PORT), and at
+the robot's readers (robot_readers.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SETTLE = 3.0
 """Seconds after a commit (or the start of an instance) before probes are judged; agents probe once a second."""
 
 SILENT = 5.0
-"""Seconds without a probe of the instance in control before its way to the robot counts as blocked."""
+"""Seconds without a probe of the active instance after which its path to the robot counts as blocked."""
 
 CONDITION = "GateEnforced"
 
@@ -33,11 +33,11 @@ def judge(
     leak_hint: str = "",
     block_hint: str = "",
 ) -> ConditionReport:
-    """Status, reason and message of the condition GateEnforced.
+    """Return status, reason and message of the condition GateEnforced.
 
     ``last`` has the time of the last probe of each pod, by UID; ``since`` is when the gate last changed, in Unix seconds;
-    ``admitted_uid`` is that of a standby that it lets through too; the hints are those of the gate's proof. Reason Admitted: no standby
-    is left that could be seen to be held back, so what was seen before that one was admitted still holds.
+    ``admitted_uid`` is the UID of a standby that the gate lets through too; the hints are those of the gate's proof. Reason
+    Admitted: no other standby is left to test the gate with, so the result from before that standby was admitted still counts.
     """
     probing = [i for i in instances if i.has_agent and i.running and not i.terminating and not i.held]
     if now - since < SETTLE:
@@ -45,7 +45,7 @@ def judge(
     leaking = [
         i.name
         for i in probing
-        # One of later is of before the clock was set back.
+        # A probe after ``now`` was received before the clock was set back.
         if i.uid not in (active_uid, admitted_uid) and since + SETTLE < last.get(i.uid, 0.0) <= now
     ]
     if leaking:
@@ -93,7 +93,7 @@ class Readers(Protocol):
 
 
 class GateEnforcement:
-    """Whether the gate of one workload is enforced. Times are Unix seconds."""
+    """Judges and reports whether the gate of one workload is enforced. Times are Unix seconds."""
 
     def __init__(self, gate: Gate, probes: Proof, notices: Notices, readers: Readers) -> None:
         self._gate, self._probes, self._notices, self._readers = gate, probes, notices, readers
@@ -101,7 +101,7 @@ class GateEnforcement:
         self._let_through = ("", "")
 
     def update(self, now: float) -> None:
-        """Note when the gate lets another pod through than before."""
+        """Note whether the gate now lets other pods through than before."""
         state = self._gate.state
         if (state.active_uid, state.admitted_uid) != self._let_through:
             self._let_through = (state.active_uid, state.admitted_uid)
@@ -109,7 +109,7 @@ class GateEnforcement:
         self._changed = min(self._changed, now)  # the clock may have been set back
 
     def judge(self, instances: Sequence[Instance]) -> ConditionReport:
-        """Judge the gate by the probes of these instances."""
+        """Judge the gate by the probes of these instances, and by the robot's readers."""
         state = self._gate.state
         last = {i.uid: found for i in instances if (found := self._probes.last(i.uid)) is not None}
         judged = judge(
@@ -127,7 +127,7 @@ class GateEnforcement:
         return judged
 
     def report(self, judged: ConditionReport) -> None:
-        """Report the judgement, unless it cannot be known for the moment."""
+        """Report the judgement, unless the gate cannot be tested at the moment."""
         if (
             judged[1] not in ("Settling", "Admitted")
             and self._notices.condition(CONDITION, *judged)

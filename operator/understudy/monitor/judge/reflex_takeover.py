@@ -1,4 +1,5 @@
-"""Whether the robot's own readers already follow the standby that the gate lets through beside the active instance."""
+"""Detects whether the robot's readers already follow the standby that the gate lets through beside the active
+instance."""
 
 from __future__ import annotations
 
@@ -16,18 +17,18 @@ CHECK_PERIOD = 0.005
 """Seconds between checks while the active pod is silent."""
 
 FAST_CHECKS_FOR = 0.5
-"""Seconds after the deadline during which the monitor checks that often. A pod that is silent for longer may be at rest."""
+"""Seconds after the deadline during which the monitor checks that often. A pod that is silent for longer may be idle."""
 
 
 class ReflexTakeover:
-    """The reflex takeovers of one workload; there are none if the workload has no reflex. Times are Unix seconds."""
+    """Detects the reflex takeovers of one workload; there are none if it has no reflex. Times are Unix seconds."""
 
     def __init__(self, view: ClusterView, gate: Gate, observer: HealthObserver) -> None:
         self._view, self._gate, self._observer = view, gate, observer
 
     @property
     def reflex(self) -> Reflex | None:
-        """The reflex of the workload's spec."""
+        """The reflex of the workload's spec; None if it has none."""
         spec = self._view.spec
         return spec.gate.reflex if spec is not None else None
 
@@ -39,7 +40,7 @@ class ReflexTakeover:
 
     @property
     def deadline(self) -> float:
-        """Seconds of silence after which the robot's readers take the standby's messages; 0 if there is no reflex."""
+        """Seconds of silence after which the robot's readers accept the standby's messages; 0 if there is no reflex."""
         reflex = self.reflex
         return seconds(reflex.deadline) if reflex is not None else 0.0
 

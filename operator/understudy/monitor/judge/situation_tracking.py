@@ -1,5 +1,4 @@
-"""Determines which of the policy's situations the robot is in. From that the operator decides what is in force and kept
-ready.
+"""Determines which of the policy's situations the robot is in. The operator chooses strategies and standbys by it.
 
 The situation is reported only when it changes. A policy without situations costs nothing.
 """
@@ -25,11 +24,11 @@ CHECK_PERIOD = 0.2
 """Seconds between two checks: preparing a standby takes seconds."""
 
 HEARING = 10.0
-"""Seconds that a new monitor needs to receive existing goals: until then, seeing none ends no situation."""
+"""Seconds that a new monitor needs to receive existing goals: until then, a missing goal does not end a situation."""
 
 
 class SituationTracking:
-    """The situation of one robot."""
+    """Tracks the situation of one robot."""
 
     def __init__(self, observer: HealthObserver, notices: Notices) -> None:
         self._observer, self._notices = observer, notices

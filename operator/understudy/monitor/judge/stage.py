@@ -1,4 +1,4 @@
-"""The judge stage of one workload: what the observations of one instant say about the active instance."""
+"""The judge stage of one workload: judges the active instance by the observations of one instant."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from understudy.trees.core.health_tree import Verdict
 
 @dataclass(frozen=True)
 class Judgement:
-    """How the active instance is at one instant. Times are Unix seconds."""
+    """The state of the active instance at one instant. Times are Unix seconds."""
 
     now: float
     trusted_from: float = 0.0
-    """Silence counts from here on. It is later than ``now`` if the process was stalled and has not caught up."""
+    """From when on silence counts. Later than ``now`` if the process was stalled and has not caught up."""
     active: Instance | None = None
-    """None if the gate is closed, or if the pod is gone."""
+    """The active instance; None if the gate is closed, or if the pod is gone."""
     verdict: Verdict | None = None
     """The verdict of the health tree; None if the tree does not matter: the pod is lost, or the robot follows a standby."""
     degraded: bool = False
