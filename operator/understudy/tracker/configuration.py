@@ -102,9 +102,10 @@ class _Part(BaseModel):
 
 
 class CameraPose(_Part):
-    """Where the camera is: metres and radians, roll, pitch and yaw about the fixed axes (REP 103).
+    """The camera's place, in metres and radians: roll, pitch and yaw about the fixed axes (REP 103).
 
-    Of the camera's body, which looks along its x axis, as of ``camera_link`` in REP 105's spirit: a pitch of 1.5708 looks down.
+    The pose is that of the camera's body, which looks along its x axis like ``camera_link`` in REP 105's spirit: with a
+    pitch of 1.5708 the camera looks down.
     """
 
     x: Coordinate
@@ -130,41 +131,41 @@ class Device(_Part):
     """A camera of this machine (V4L), which the tracker reads itself."""
 
     path: File
-    """The device, such as ``/dev/video0``; a file that is not one is played as a video, over and over."""
+    """The device, such as ``/dev/video0``. Another file is played as a video, in a loop."""
     calibration: File
-    """The file with its calibration, as ROS' camera_calibration writes it. A relative path counts from the tracker's own file.
-    Images are asked for in the size that it is for."""
+    """The file with the camera's calibration, as ROS' camera_calibration writes it. A relative path is relative to the
+    folder of the configuration. The image size in it is requested from the camera."""
     rate: Annotated[float, Field(ge=0.1, le=240, allow_inf_nan=False)] = 10.0
-    """Images a second that are looked at, at most."""
+    """Maximum number of images that are processed per second."""
     format: Annotated[str, Field(pattern=r"^[A-Z0-9]{4}$")] | None = None
-    """The device's own name of how it codes images (V4L2's four characters), such as MJPG; without it, what OpenCV chooses."""
+    """V4L2's four characters of the image format that the device sends, such as MJPG. If None, OpenCV chooses it."""
 
 
 class Camera(_Part):
     """The camera and its place."""
 
     image: Topic | None = None
-    """Its images in the ROS graph."""
+    """The topic of its images."""
     device: Device | None = None
-    """Or the camera itself."""
+    """Its device, if there is no topic."""
     info: Topic | None = None
-    """Where its calibration is; without it ``camera_info`` beside the images, as image_transport does."""
+    """The topic of its calibration. The default is ``camera_info`` beside the images, as in image_transport."""
     reliable: bool = False
-    """Whether images are asked for until they have come, as large ones over a network may have to be; the camera's publisher must
-    offer that."""
+    """Whether lost images are requested again, which large images over a network may need. The camera's publisher must
+    be reliable too."""
     frame: Frame = "map"
-    """The frame that poses are given in; its x and y axes lie in the floor."""
+    """The frame of the published poses. Its x and y axes lie in the floor."""
     pose: CameraPose | None = None
     references: list[Reference] = []
 
     @property
     def source(self) -> str:
-        """Where its images come from: a topic, or a file."""
+        """The source of the images: a topic, or a file."""
         return self.device.path if self.device is not None else self.image or ""
 
     @property
     def calibration(self) -> str:
-        """Where its calibration is: a topic, or a file."""
+        """The source of the calibration: a topic, or a file."""
         if self.device is not None:
             return self.device.calibration
         return self.info or f"{(self.image or '').rpartition('/')[0]}/camera_info"
@@ -183,8 +184,8 @@ class Camera(_Part):
 
 
 class Mounting(_Part):
-    """Where a marker is on its robot: m and rad in the robot's own frame, the marker's upper edge to the robot's left
-    at a yaw of 0.
+    """The place of a marker on its robot, in m and rad in the robot's own frame. At a yaw of 0 the marker's upper edge
+    points to the robot's left.
     """
 
     x: Coordinate = 0.0
@@ -193,35 +194,35 @@ class Mounting(_Part):
 
 
 class Marker(_Part):
-    """A marker on a robot that drives on the floor: it lies flat at a height that is known."""
+    """A marker on a robot that drives on the floor. The marker lies flat at a known height."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,62}$")]
     id: Identity
     size: Size
-    """The length of its black square's edge, in m."""
+    """Length of the edge of its black square, in m."""
     height: Coordinate
-    """m above the floor."""
+    """Height above the floor, in m."""
     mounted: Mounting = Mounting()
     topic: Topic | None = None
-    """Below which it is published; without it ``/tracker/NAME``."""
+    """The prefix of the robot's topics; the default is ``/tracker/NAME``."""
     frame: Frame | None = None
-    """The robot's own frame; without it NAME."""
+    """The robot's own frame; the default is its name."""
 
     @property
     def base(self) -> str:
-        """Below which topic it is published."""
+        """The prefix of the robot's topics."""
         return self.topic or f"/tracker/{self.name}"
 
 
 class Configuration(_Part):
-    """All of it."""
+    """The whole configuration of the tracker."""
 
     camera: Camera
     dictionary: Dictionary = "DICT_4X4_50"
     window: Window = 0.5
-    """Seconds over which a velocity is taken."""
+    """Seconds over which a velocity is measured."""
     noise: Annotated[float, Field(gt=0.001, le=10, allow_inf_nan=False)] = 0.2
-    """Standard deviation of a marker's corner in the image, in pixels, from which follows what is said of uncertainty."""
+    """Standard deviation of a marker's corner in the image, in pixels. The published covariances follow from it."""
     markers: Annotated[list[Marker], Field(min_length=1, max_length=100)]
 
     @field_validator("markers")
@@ -267,7 +268,7 @@ def from_yaml(text: str, source: str, right: str) -> Any:
 
 
 def load(text: str, source: str = "the configuration") -> Configuration:
-    """Return the configuration in a YAML text. Raises ConfigurationError with everything that is wrong."""
+    """Return the configuration in a YAML text. Raises ConfigurationError with all problems."""
     found = from_yaml(text, source, "a mapping with camera and markers")
     if not isinstance(found, Mapping):
         kind = "nothing" if found is None else type(found).__name__

@@ -75,8 +75,8 @@ def offer(parser: argparse.ArgumentParser, completers: Mapping[str, Completer]) 
 def complete_arguments(main: Callable[[list[str]], int]) -> None:
     """Answer with the parser of a verb, and exit.
 
-    A verb that uses a cluster completes names itself (:func:`offer`). The parser of any other is complete when it is asked to parse.
-    Other values complete as files.
+    A verb that uses a cluster completes names itself (:func:`offer`). The parser of any other verb is complete when it
+    parses. Other values complete as files.
     """
 
     def parse(self: argparse.ArgumentParser, *_: Any, **__: Any) -> NoReturn:

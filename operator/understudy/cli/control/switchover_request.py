@@ -85,7 +85,7 @@ def _switch(verb: Verb, kubectl: Kubectl, name: str, within: float) -> int:
 
 
 def _refuse(item: Mapping[str, Any]) -> None:
-    """Raise CommandError if no monitor would carry it out, or if another switchover is under way."""
+    """Raise CommandError if no monitor would carry out the request, or if another switchover is under way."""
     name, status = item["metadata"]["name"], status_of(item)
     if robot(item).health == UNWATCHED:
         raise CommandError(f"the monitor of {name} is not running and cannot carry it out: understudy explain {name}")

@@ -51,7 +51,8 @@ class CannotCut(Exception):
 
 @contextlib.contextmanager
 def cut(networks: Sequence[Network]) -> Iterator[None]:
-    """Cut this network namespace off from these networks, or from everything, for the duration of the context. Raises Unable."""
+    """Cut this network namespace off from these networks, or from everything, for the duration of the context. Raises
+    CannotCut."""
     try:
         held = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_NETFILTER)
     except OSError as error:
@@ -149,7 +150,7 @@ def _message(kind: int, flags: int, family: int, resource: int, attributes: byte
 
 
 def run(length: float, given: Sequence[str]) -> None:
-    """Cut off from these networks for a time, or until SIGTERM. Prints its progress as lines of JSON. Raises Unable."""
+    """Cut off from these networks for a time, or until SIGTERM. Prints its progress as lines of JSON. Raises CannotCut."""
     ending = {signal.SIGTERM, signal.SIGINT}
     # Block and wait, because process 1 of a container does not receive signals without a handler.
     signal.pthread_sigmask(signal.SIG_BLOCK, ending)

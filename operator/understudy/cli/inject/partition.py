@@ -39,7 +39,7 @@ PATIENCE = 30.0
 """Seconds that its output may take to arrive."""
 
 _EARLY = 0.2
-"""The fault was ended by somebody if it lasted at least this many seconds less than planned."""
+"""A fault that lasted at least this many seconds less than planned was ended by somebody."""
 
 _UNDO = 'kill "$1"'
 

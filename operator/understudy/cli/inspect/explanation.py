@@ -151,7 +151,7 @@ class _Entry:
     depth: int = 0
 
     def to_wire(self) -> dict[str, str]:
-        """Return it for scripts: ``state`` is Healthy for a tick, Failed for a cross, Degraded for a warning, or
+        """Return the entry for scripts: ``state`` is Healthy for a tick, Failed for a cross, Degraded for a warning, or
         empty."""
         return {"text": self.text, "state": self.state}
 
@@ -327,7 +327,7 @@ def _failing(known: Facts) -> Iterator[_Entry]:
 
 
 def _limits(known: Facts) -> Iterator[_Entry]:
-    """List the limits that would prevent or delay it."""
+    """List the limits that would prevent or delay a recovery now."""
     item, now, policy = known.observed.workload, known.observed.now, known.policy
     policy_item = known.observed.policies.get(known.spec.failure_policy_ref.name) if known.spec is not None else None
     limits = limit_text.limits_in_force(known.spec, policy, policy_item, known.status, item, known.robot, now)
@@ -485,7 +485,7 @@ def _missing(known: Facts) -> Iterator[_Entry]:
 
 
 def _unprotected(known: Facts) -> str:
-    """Explain why it is not protected, in short if an unavailable strategy above explains it already."""
+    """Explain why the robot is not protected, in short if an unavailable strategy above explains it already."""
     found = known.protected
     problem = next((problem for problem in known.robot.problems if problem.type == "Protected"), None)
     since = f", {age(problem.since, known.observed.now)}" if problem is not None and problem.since else ""
@@ -499,8 +499,8 @@ def _unprotected(known: Facts) -> str:
 
 
 def _not_covered(known: Facts) -> Iterator[_Entry]:
-    """List what its protection does not cover as configured, and what the monitor reports about the readers of the
-    outputs."""
+    """List what the robot's protection does not cover as configured, and what the monitor reports about the readers of
+    the outputs."""
     read = next((one for one in known.status.conditions or [] if one.type == "OutputsRead"), None)
     if known.is_watched and read is not None and read.status != "False" and read.reason != "AtGatedPorts":
         yield _Entry(read.message)

@@ -33,7 +33,7 @@ class Finding:
     """What was found, and how to correct it."""
 
     def to_wire(self) -> dict[str, str | int]:
-        """Return it as JSON data, neither shortened nor escaped."""
+        """Return the finding as JSON data, neither shortened nor escaped."""
         about = {"severity": self.severity, "subject": self.subject, "field": self.field, "message": self.message}
         return {"file": self.file, **self.place._asdict(), **about}
 

@@ -36,7 +36,7 @@ class Recommendation:
     order: Order
 
     def data(self) -> dict[str, Any]:
-        """Return it as JSON data: times in seconds, CPU as a share of a working instance's."""
+        """Return the recommendation as JSON data: times in seconds, CPU as a share of a working instance's."""
         order = self.order
         return {
             "workload": self.workload.name,

@@ -63,7 +63,7 @@ class Recorded(Received):
         self._definitions, self._type = definitions, type_name
 
     def message(self) -> object:
-        """The message. Raises Unreadable."""
+        """Return the message. Raises Unreadable."""
         if self._message is None and not self._failure:
             try:
                 self._message = self._definitions.read(self._data, self._type)

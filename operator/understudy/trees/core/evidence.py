@@ -19,11 +19,11 @@ class Finding(NamedTuple):
     """What one piece of evidence, such as a message, says about the condition of a leaf."""
 
     holds: bool
-    """False also if it cannot be determined: a required condition must be seen to hold."""
+    """False also if the condition cannot be determined: a required condition must be seen to hold."""
     why: str
-    """Why it does not hold, in plain words with figures; empty if it holds."""
+    """Why the condition does not hold, in plain words with figures; empty if it holds."""
     starting: bool = False
-    """Whether it does not hold because of something that is still starting, for which it has never held."""
+    """Whether the condition does not hold only because something is still starting, for which it has never held."""
 
 
 @dataclass
@@ -35,15 +35,15 @@ class EvidenceTrack(Generic[EvidenceT]):
     seen: EvidenceT | None = None
     """The newest message that was evaluated."""
     received: float = 0.0
-    """When that was received, by the clock at that time."""
+    """When that message was received, by the clock at that time."""
     held: bool = False
     """Whether the condition has ever held."""
     last_finding: float | None = None
     """When the last message with a finding was received."""
     good: float | None = None
-    """When the last message with which it held was received."""
+    """When the last message that met the condition was received."""
     bad: float | None = None
-    """When the first message was received since which it does not hold; None while it holds."""
+    """When the first message was received with which the condition stopped holding; None while it holds."""
     why: str = ""
     """Why it does not hold, according to that message. The text stays the same while the failure lasts."""
 
@@ -99,10 +99,10 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
 
     @abstractmethod
     def condition(self) -> str:
-        """The condition in words, such as ``percentage > 0.15 of /battery_state``."""
+        """Return the condition in words, such as ``percentage > 0.15 of /battery_state``."""
 
     def awaited(self) -> str:
-        """What must arrive first, in words."""
+        """Return what must arrive first, in words."""
         return self.topic
 
     def forget(self) -> None:
@@ -127,16 +127,18 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def lost(self, track: EvidenceTrack[EvidenceT]) -> float:
-        """Return when the condition has failed if nothing more arrives, in Unix seconds."""
+        """Return when the leaf fails if nothing more arrives, in Unix seconds; infinite for never."""
         return max(track.bad, self.clocks_start()) + self.hold_off if track.bad is not None else math.inf
 
     def clocks_start(self) -> float:
-        """Return the earliest start of its clocks: the start of its task, if the instance was in control by then."""
+        """Return the earliest start of the leaf's clocks: the start of its task, if the instance was in control by
+        then."""
         found = task_timing(self.tasks, self._evaluation) if self.tasks else None
         return found.active if found is not None and found.active >= self._evaluation.since else -math.inf
 
     def _limits(self, track: EvidenceTrack[EvidenceT]) -> tuple[float, float]:
-        """Return until when it is healthy, and when it fails, if nothing more arrives; in between it is starting."""
+        """Return when the leaf stops being healthy, and when it fails, if nothing more arrives; in between it is
+        starting."""
         evaluation = self._evaluation
         if not self.tasks:
             if not track.held:
@@ -152,14 +154,14 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         return healthy, healthy if track.held else max(healthy, evaluation.in_time)
 
     def state(self) -> State:
-        """The state at the time of the evaluation."""
+        """Return the state at the time of the evaluation."""
         healthy, fails = self._limits(self.followed())
         if self._evaluation.now < healthy:
             return "Healthy"
         return "Starting" if self._evaluation.now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
-        """When it stops being healthy; None if it is not healthy."""
+        """Return when the leaf stops being healthy; None if it is not healthy."""
         healthy, _ = self._limits(self.followed())
         return healthy if self._evaluation.now < healthy else None
 
@@ -168,8 +170,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
         return [m for m in self._limits(self.followed()) if self._evaluation.now < m < math.inf]
 
     def last(self) -> float | None:
-        """Return the last time at which all was well: when a message with which it held was received, or its task
-        became active."""
+        """Return the last good time: when a message that met the condition was received, or the task became active."""
         return self._last_with_task(self.followed().good)
 
     def _plain_reason(self, state: State) -> str:
@@ -189,7 +190,7 @@ class EvidenceLeaf(Leaf, Generic[EvidenceT]):
 
 
 class AnswerLeaf(EvidenceLeaf[AnswerT]):
-    """Judges what a node reports about itself. It holds while that cannot be determined, because that is no failure."""
+    """Judges what a node reports about itself. Holds while the report cannot be determined, because that is no failure."""
 
     uses_messages = False
 
@@ -203,7 +204,7 @@ class AnswerLeaf(EvidenceLeaf[AnswerT]):
             return None
         why = self.wrong(content)
         if why and self._track.bad is not None:
-            self._track.why = why  # while the answers change, the last one says most
+            self._track.why = why  # if the answers change, the latest one is the most useful
         return Finding(not why, why)
 
     def _limits(self, track: EvidenceTrack[AnswerT]) -> tuple[float, float]:

@@ -69,7 +69,7 @@ class WatchedTopic:
         return self.managed or bool(self.parameters)
 
     def joined(self, other: WatchedTopic) -> WatchedTopic:
-        """Return what satisfies this and another need of the same topic."""
+        """Return a need that covers this one and another one of the same topic."""
         rates = [rate for rate in (self.rate, other.rate) if rate is not None]
         return replace(
             self,

@@ -46,8 +46,8 @@ class Leaf(Behaviour, ABC):
     kind = ""
     """Its key in the short form; the loader sets it."""
     blind = ""
-    """The mistake in the leaf itself because of which it cannot judge, in words. It holds then, because being unable to
-    judge is not a failure. Empty if it can judge."""
+    """Why the leaf itself cannot judge, in words; empty if it can. Such a leaf holds, because being unable to judge is
+    not a failure."""
     of_cluster = False
     """Whether it needs observations of the cluster, because the ROS graph does not have them."""
 
@@ -68,16 +68,16 @@ class Leaf(Behaviour, ABC):
         return STATUS[state]
 
     def counts(self) -> bool:
-        """Whether it is judged at the time of the evaluation: always, unless it is for a task that is not active."""
+        """Return whether the leaf is judged now: always, unless it is for a task that is not active."""
         return not self.tasks or task_timing(self.tasks, self._evaluation) is not None
 
     @property
     def unrecorded(self) -> str:
-        """Return in words why it cannot be evaluated from recorded messages; empty if it can."""
+        """Why the leaf cannot be evaluated from recorded messages, in words; empty if it can."""
         return "" if self.uses_messages else "it needs the live ROS graph, which a bag does not contain"
 
     def reason(self, state: State) -> str:
-        """Return in plain words why it is in this state. The text is the same for as long as nothing changes."""
+        """Return in plain words why the leaf is in this state. The text is the same for as long as nothing changes."""
         if self.tasks and state == "Failed":
             actions = " and of ".join(dict.fromkeys(task.action for task in self.tasks))
             return f"{self._plain_reason(state)} while a goal of {actions} is active"
@@ -92,7 +92,8 @@ class Leaf(Behaviour, ABC):
 
     @abstractmethod
     def healthy_until(self) -> float | None:
-        """When it stops being healthy if nothing more arrives; None if it is not healthy at the time of the evaluation.
+        """Return when the leaf stops being healthy if nothing more arrives; None if it is not healthy at the time of
+        the evaluation.
 
         It agrees with :meth:`state` but costs less, because every tick asks every leaf for it.
         """
@@ -103,22 +104,22 @@ class Leaf(Behaviour, ABC):
 
     @abstractmethod
     def last(self) -> float | None:
-        """Return when all was last well, in Unix seconds: a message that shows it was received, or its task became
+        """Return the last good time, in Unix seconds: when a message that shows it was received, or the task became
         active."""
 
     @abstractmethod
     def _plain_reason(self, state: State) -> str:
-        """Return the reason without the task that it is for."""
+        """Return the reason without the leaf's task."""
 
     def _last_with_task(self, last: float | None) -> float | None:
-        """Return when all was last well: the later of the given time and the task's start."""
+        """Return the last good time: the later of the given time and the task's start."""
         if not self.tasks or (found := task_timing(self.tasks, self._evaluation)) is None:
             return last
         known = [time for time in (last, found.active) if time is not None and time >= self._evaluation.since]
         return max(known, default=None)
 
     def _nothing_received(self, state: State, what: str) -> str:
-        """Return the reason if the instance has not sent what is awaited; ``what`` is for example the topic."""
+        """Return the reason if the instance has not sent ``what``, for example the first message of a topic."""
         if state == "Starting":
             return f"waiting for the first {what}, for up to {duration(self._evaluation.grace)}"
         if state == "Failed" and self.tasks:
@@ -129,11 +130,11 @@ class Leaf(Behaviour, ABC):
 
 
 class IntervalLeaf(Leaf):
-    """Fails from one time to another, which both are known as long as nothing more arrives."""
+    """Fails during one interval, whose ends are known as long as nothing more arrives."""
 
     @abstractmethod
     def _failing(self) -> tuple[float, float] | None:
-        """Return from when to when it fails if nothing more arrives; None if it does not."""
+        """Return the interval in which the leaf fails if nothing more arrives; None if it does not fail."""
 
     def state(self) -> State:
         """The state at the time of the evaluation."""
@@ -141,7 +142,7 @@ class IntervalLeaf(Leaf):
         return "Failed" if failing is not None and failing[0] <= self._evaluation.now < failing[1] else "Healthy"
 
     def healthy_until(self) -> float | None:
-        """When it stops being healthy if nothing more arrives; None if it is not healthy."""
+        """Return when the leaf stops being healthy if nothing more arrives; None if it is not healthy."""
         failing = self._failing()
         if failing is None or self._evaluation.now >= failing[1]:
             return math.inf

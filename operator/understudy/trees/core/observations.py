@@ -42,12 +42,12 @@ class Content(Evidence, Protocol):
         ...
 
     def under_way(self) -> float | None:
-        """Return how long it was under way, in seconds: from the time at which its writer's middleware says that it was
-        written to its receipt; None if the middleware does not say."""
+        """Return the seconds from its writing, by the source timestamp of its writer's middleware, to its receipt; None
+        if there is no such timestamp."""
         ...
 
     def older(self, stamp: float) -> float:
-        """Return how much earlier than its receipt a stamp inside it is, in seconds; ``stamp`` is in Unix seconds."""
+        """Return the seconds from a stamp inside it to its receipt; ``stamp`` is in Unix seconds."""
         ...
 
     def mentions(self, text: str) -> bool:
@@ -129,7 +129,7 @@ class PodState:
     """When it was observed, in Unix seconds; moved if the clock was set."""
     conditions: Sequence[PodCondition] = ()
     restarts: int = 0
-    """How often its containers were restarted, all together."""
+    """The number of restarts of its containers, all together."""
     usage: PodUsage | None = None
     """Its usage; None if it cannot be determined, or if no leaf needs it."""
 
@@ -153,7 +153,7 @@ class ParameterState:
 
 
 GAPS = 60.0
-"""Seconds for which the longest gap is kept at least: the interval at which metrics are scraped."""
+"""Minimum seconds for which the longest gap is kept: the interval at which metrics are scraped."""
 
 
 class TopicRecord:
@@ -202,7 +202,7 @@ class TopicRecord:
             arrivals.popleft()
 
     def shift(self, seconds: float) -> None:
-        """Move all times after the clock was set from which they were taken."""
+        """Move all times, after the clock was set."""
         if self.last is not None:
             self.last += seconds
         self._until += seconds

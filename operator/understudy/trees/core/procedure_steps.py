@@ -22,8 +22,8 @@ timeout."""
 
 
 OVERTIME = 0.5
-"""Seconds after the end of its time at which an action is cancelled that should have given up on its own. On a busy
-node it may do so late."""
+"""Seconds after the end of its time at which an action is cancelled if it has not given up on its own, which may be
+late on a busy node."""
 
 
 class ProcedureFailed(Exception):
@@ -37,7 +37,7 @@ class Actions(Protocol):
     async def call(
         self, service: str, type_name: str, request: Mapping[str, Any], within: float, *, repeat: float | None = None
     ) -> dict[str, Any]:
-        """Return the answer of a service. If ``repeat`` is given, the request is sent again after so many seconds
+        """Return the answer of a service. If ``repeat`` is given, the request is sent again after that many seconds
         without an answer."""
 
     async def service_present(self, service: str) -> bool:

@@ -75,7 +75,7 @@ def behaviours(tree: Snapshot | None, workload: str) -> list[Behaviour]:
 
 
 def statuses(listed: Sequence[Behaviour]) -> tuple[tuple[bytes, int, bool], ...]:
-    """Return what makes a change if it differs: which nodes exist, and their states. Messages do not count."""
+    """Return the ids, states and activity of the nodes. A difference counts as a change; messages do not count."""
     return tuple((node.id, node.status, node.active) for node in listed)
 
 
@@ -89,7 +89,7 @@ def _list(node: Snapshot, place: str, parent: bytes, idle: bool, found: list[Beh
     current = below[_deciding(kind, below)] if below else None
     status, message = _STATUSES.get(state, RUNNING), node["reason"]
     if waits:
-        # It holds, and what is in it is not evaluated.
+        # The node holds, and its children are not evaluated.
         status, message = SUCCESS, f"no goal of {node['task']} is active"
     if idle:
         status, message = INVALID, ""

@@ -15,8 +15,8 @@ from understudy.trees.core.observations import Observations
 from understudy.trees.core.task_activity import While
 
 Shown = State | Literal["Idle", "Unasked"]
-"""The displayed state of a node. Idle: the task that it is for is not active. Unasked: an earlier node of its sequence
-does not hold."""
+"""The displayed state of a node. Idle: the node's task is not active. Unasked: an earlier node of its sequence does not
+hold."""
 
 Snapshot = dict[str, Any]
 """A node: ``name``, ``kind``, ``state`` and ``reason``. A leaf also has its ``topic`` and, if its messages are
@@ -32,7 +32,8 @@ _KINDS: tuple[tuple[type[Behaviour], str], ...] = (
 
 
 def snapshot(tree: HealthTree, observations: Observations, now: float) -> Snapshot | None:
-    """Return the tree with the states of its last evaluation; None if nothing of it can be evaluated. ``now`` in Unix seconds."""
+    """Return the tree with the states of its last evaluation; None if no part of it can be evaluated. ``now`` in Unix
+    seconds."""
     return _node(tree.root, observations, now) if tree.root is not None else None
 
 

@@ -36,7 +36,7 @@ class TaskActive:
         return f"{self.action}/_action/status"
 
     def since(self, evaluation: Evaluation) -> float | None:
-        """Return when it became active, in Unix seconds; None while it is not."""
+        """Return when the task became active, in Unix seconds; None while it is not."""
         return evaluation.observations.task(self.topic)
 
 
@@ -47,11 +47,11 @@ class TaskTiming:
     active: float
     """When the last of its tasks became active: the leaf's clock starts then at the earliest."""
     settled: float
-    """Until when what it evaluates may take to start."""
+    """The end of the time in which the evaluated messages may start."""
 
 
 def task_timing(tasks: Sequence[TaskActive], evaluation: Evaluation) -> TaskTiming | None:
-    """Return the times of a leaf that is for some tasks; None while one of them is not active."""
+    """Return the times of a leaf with these tasks; None while one of them is not active."""
     active = settled = float("-inf")
     for task in tasks:
         since = task.since(evaluation)

@@ -27,7 +27,7 @@ class RequiredProgress:
 
     quantity: Quantity
     sign: int
-    """-1 if it must fall, 1 if it must grow."""
+    """-1 if the quantity must fall, 1 if it must grow."""
     by: float
     within: float
     """Seconds."""
@@ -82,11 +82,11 @@ class ProgressLeaf(ContentLeaf):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def lost(self, track: EvidenceTrack[Content]) -> float:
-        """Return when it has failed if nothing more arrives."""
+        """Return when the leaf fails if nothing more arrives."""
         return min(self._silent(), self._stalled(track))
 
     def _silent(self) -> float:
-        """Return when the gap has failed if nothing more arrives."""
+        """Return when the gap is exceeded if nothing more arrives."""
         if self._gap is None:
             return math.inf
         record = self._record()
@@ -96,7 +96,7 @@ class ProgressLeaf(ContentLeaf):
         )
 
     def _stalled(self, track: EvidenceTrack[Content]) -> float:
-        """Return when it has been without progress for too long if nothing more arrives."""
+        """Return when the goal has been without progress for too long if nothing more arrives."""
         if self._aim is None:
             return math.inf
         return max(track.good if track.good is not None else -math.inf, self.clocks_start()) + self._aim.within
@@ -107,13 +107,13 @@ class ProgressLeaf(ContentLeaf):
         return record if record is not None and (record.last or -math.inf) >= self._evaluation.since else None
 
     def last(self) -> float | None:
-        """Return when all was last well: when feedback with progress was received, or the goal became active."""
+        """Return the last good time: when feedback with progress was received, or the goal became active."""
         track, record = self.followed(), self._record()
         silent = self._silent() <= self._stalled(track)
         return self._last_with_task(record.last if silent and record is not None else track.good)
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"progress of {self._action}"
 
     def _plain_reason(self, state: State) -> str:

@@ -38,7 +38,7 @@ class AgeLeaf(ContentLeaf):
 
     @property
     def unrecorded(self) -> str:
-        """A bag records only the times of receipt and the stamps."""
+        """Why a bag is not enough: it records only the times of receipt and the stamps."""
         return (
             "it needs the time at which messages were sent, which a bag does not contain" if self._by == SOURCE else ""
         )
@@ -52,7 +52,7 @@ class AgeLeaf(ContentLeaf):
         return Finding(True, "") if age <= self._most else Finding(False, f"it was {rounded(age)}")
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         since = " since it was sent" if self._by == SOURCE else ""
         return f"an age of at most {duration(self._most)} of {self.topic}{since}"
 

@@ -91,7 +91,7 @@ class CustomLeaf(ContentLeaf):
         return Finding(False, why[:LONGEST]) if why else Finding(True, "")
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"{self.kind} of {self.topic}"
 
     def _note(self, blind: str) -> None:
@@ -139,9 +139,9 @@ def _plan(name: str, judge: Callable[..., Judge], settings: Sequence[Key], value
     make = partial(judge, **{key.name: values[key.name] for key in settings if key.name in values})
     try:
         make()
-    except ValueError:  # it refuses a value
+    except ValueError:  # the class refuses a value
         raise
-    except Exception as error:  # its own mistake
+    except Exception as error:  # a mistake in the class itself
         raise ValueError(f"{name} cannot be made, {_error_text(error)}") from error
     return LeafPlan(
         f"{topic.lstrip('/')}.{name}",

@@ -97,16 +97,16 @@ class DiagnosticsLeaf(ContentLeaf):
         return Finding(False, _status_text(name, bad[name].level, bad[name].text) + more, starting)
 
     def _asked(self, name: str) -> bool:
-        if name.startswith(OWN) or f"/{OWN}" in name:  # the latter as diagnostic_aggregator repeats it
+        if name.startswith(OWN) or f"/{OWN}" in name:  # diagnostic_aggregator puts a path before the name
             return False
         return name == self._name if self._name is not None else name.startswith(self._prefix)
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"a level of at most {LEVELS[self._worst]} of {self.awaited()}"
 
     def awaited(self) -> str:
-        """The statuses that must arrive."""
+        """Return the statuses that must arrive."""
         if self._name is not None:
             return f"status {self._name!r} on {self.topic}"
         return f"status {self._prefix + '...'!r} on {self.topic}" if self._prefix else f"status on {self.topic}"

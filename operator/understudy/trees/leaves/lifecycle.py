@@ -47,11 +47,11 @@ class LifecycleLeaf(AnswerLeaf[NodeState]):
         return f"it is {content.state}" if content.state else "it is not there"
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"state {self._state} of node {self._node}"
 
     def awaited(self) -> str:
-        """What must arrive first."""
+        """Return what must arrive first."""
         return f"answer of node {self._node} about its lifecycle state"
 
 

@@ -36,7 +36,8 @@ MOST = 1000
 """The greatest count that a tree may state."""
 
 QUIET = 10.0
-"""Seconds without such a message after which all is well again, if the tree states neither these nor a window."""
+"""Seconds without such a message after which the leaf is healthy again, if the tree gives neither this time nor a
+window."""
 
 _LONGEST = 120
 """Most characters of a message in a reason."""
@@ -55,7 +56,7 @@ class Pattern:
     looks for one part after the other."""
 
     def matched(self, content: Content) -> Any:
-        """Return the message if it counts, else None. Raises Unreadable."""
+        """When that message was received, by the clock at that time."""
         if self.level is not None and (content.byte(LEVEL) or 255) < LEVELS[self.level]:
             return None
         parts = [part for part in (self.says or "").split("*") if part]
@@ -98,15 +99,15 @@ class _LogRecord:
     seen: Content | None = None
     """The newest message that was evaluated."""
     received: float = 0.0
-    """When that was received, by the clock at that time."""
+    """When that message was received, by the clock at that time."""
     times: deque[float] = field(default_factory=deque)
-    """When the last of the messages that count were received."""
+    """Times of receipt of the last messages that count."""
     first: float | None = None
-    """When the first of the messages that were too many was received; None while they were not too many."""
+    """When the first message of those that exceeded the count was received; None while the count is not exceeded."""
     last: float = -math.inf
     """When the last message that counts was received."""
     why: str = ""
-    """The message with which they became too many. The text stays the same while the failure lasts."""
+    """The message with which the count was exceeded. The text stays the same while the failure lasts."""
 
     def shift(self) -> None:
         """Follow a step of the clock, which moved the time of the newest message."""
@@ -174,7 +175,7 @@ class LogLeaf(Leaf):
         if message is None:
             return
         if track.first is not None and content.received >= track.last + self._quiet:
-            track.begin(track.active)  # it was well again in between
+            track.begin(track.active)  # the leaf was healthy again in between
         track.last = content.received
         track.times.append(content.received)
         # The window is open at its end: as many messages in exactly a window's length are too many, like a gap of
@@ -187,7 +188,7 @@ class LogLeaf(Leaf):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def _limits(self) -> tuple[float, float, float]:
-        """Return when the messages make it no longer healthy, when failed, and when healthy again; infinite for
+        """Return when the messages end the leaf's health, when it fails, and when it is healthy again; infinite for
         never."""
         track, evaluation = self._followed(), self._evaluation
         if track.first is None:
@@ -197,7 +198,7 @@ class LogLeaf(Leaf):
         return settled, max(settled, evaluation.in_time), track.last + self._quiet
 
     def state(self) -> State:
-        """The state at the time of the evaluation."""
+        """Return the state at the time of the evaluation."""
         begins, fails, ends = self._limits()
         now = self._evaluation.now
         if now < begins or now >= ends:
@@ -205,7 +206,7 @@ class LogLeaf(Leaf):
         return "Starting" if now < fails else "Failed"
 
     def healthy_until(self) -> float | None:
-        """When it stops being healthy; None if it is not healthy. Another message can arrive at any time."""
+        """Return when the leaf stops being healthy; None if it is not healthy. Another message can arrive at any time."""
         begins, _, ends = self._limits()
         now = self._evaluation.now
         if now >= ends:
@@ -219,7 +220,7 @@ class LogLeaf(Leaf):
         return [moment for moment in self._limits() if self._evaluation.now < moment < math.inf]
 
     def last(self) -> float | None:
-        """Return when all was last well: when the first of the messages that were too many was received."""
+        """Return the last good time: when the first of the messages that exceeded the count was received."""
         return self._followed().first
 
     def _plain_reason(self, state: State) -> str:

@@ -88,7 +88,7 @@ class MotionLeaf(IntervalLeaf):
         return found[::-1]
 
     def _follow_clock(self) -> None:
-        """Follow a step of the clock, which moved the times of the messages."""
+        """Follow a step of the clock, which moved the times of the known messages."""
         steps = [content.received - received for content, received in self._seen.values()]
         if any(steps):
             self._following.shift(max(steps, key=abs))
@@ -97,7 +97,7 @@ class MotionLeaf(IntervalLeaf):
     # -- the state --------------------------------------------------------------------------------------------------
 
     def _failing(self) -> tuple[float, float] | None:
-        """Return from when to when it fails if nothing more arrives; None if it does not."""
+        """Return the interval in which the leaf fails if nothing more arrives; None if it does not fail."""
         if not self._evaluation.observations.in_control or not self.counts():
             return None
         following = self._followed()

@@ -26,11 +26,11 @@ class NodeLeaf(EvidenceLeaf[NodePresence]):
         return Finding(False, "another instance or the robot has one of that name" if content.elsewhere else "")
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"node {self.topic}"
 
     def awaited(self) -> str:
-        """What must arrive first."""
+        """Return what must arrive first."""
         return f"look for node {self.topic}"
 
     def _plain_reason(self, state: State) -> str:

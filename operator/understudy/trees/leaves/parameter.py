@@ -23,7 +23,7 @@ BURST = 4000.0
 """Expected messages per second: a starting stack reports each of its parameters."""
 
 KEPT = 256
-"""Greatest number of messages between two evaluations. What is lost is requested."""
+"""Greatest number of messages between two evaluations. Values of lost messages are requested."""
 
 LONGEST = 256
 """Most characters of a name or a value."""
@@ -111,11 +111,11 @@ class ParameterLeaf(AnswerLeaf[ParameterState]):
         return "" if self._expected.holds(content.value) else f"it is {found_text(content.value)}"
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"parameter {self._name} of node {self._node} {self._expected}"
 
     def awaited(self) -> str:
-        """What must arrive first."""
+        """Return what must arrive first."""
         return f"answer of node {self._node} about its parameter {self._name}"
 
 

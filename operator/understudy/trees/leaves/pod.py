@@ -44,7 +44,7 @@ class Bound:
 
     sign: str
     text: str
-    """The quantity as it is written."""
+    """The quantity as the tree writes it."""
 
     def holds(self, value: float) -> bool:
         """Return whether a figure is within the bound."""
@@ -80,7 +80,7 @@ class _LookLeaf(EvidenceLeaf[PodState]):
         return super()._limits(track) if self._evaluation.observations.in_control else (math.inf, math.inf)
 
     def awaited(self) -> str:
-        """What must arrive first."""
+        """Return what must arrive first."""
         return "look at the pod"
 
 
@@ -135,12 +135,12 @@ class _Counted:
     since: float
     """When the instance took control, which identifies it."""
     times: deque[float] = field(default_factory=deque)
-    """When the last of them were seen: one more than allowed."""
+    """When the last restarts were seen: one more than are allowed."""
     total: int | None = None
     """The total number at the last observation."""
     seen: PodState | None = None
     received: float = 0.0
-    """When that was observed, by the clock at that time."""
+    """When that number was observed, by the clock at that time."""
 
     def shift(self) -> None:
         """Follow a step of the clock, which moved the time of the last observation."""
@@ -182,7 +182,7 @@ class RestartsLeaf(IntervalLeaf):
         return counted
 
     def _failing(self) -> tuple[float, float] | None:
-        """Return from when to when it fails if there is no further restart; None if it does not."""
+        """Return the interval in which the leaf fails if there is no further restart; None if it does not fail."""
         counted = self._followed()
         if len(counted.times) <= self._most or not self._evaluation.observations.in_control:
             return None
@@ -195,7 +195,7 @@ class RestartsLeaf(IntervalLeaf):
         return (begin, end) if begin < end else None
 
     def last(self) -> float | None:
-        """Return when all was last well: when the last restart was seen."""
+        """Return the last good time: when the last restart was seen."""
         counted = self._counted
         return self._last_with_task(counted.times[-1] if counted.times else None)
 

@@ -35,11 +35,11 @@ class PublisherLeaf(EvidenceLeaf[Publishers]):
         return Finding(False, f"there {'is' if count == 1 else 'are'} {count}" if count else "there is none")
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"a count of at least {self._count} publisher{'s' if self._count > 1 else ''} of {self._asked()}"
 
     def awaited(self) -> str:
-        """What must arrive first."""
+        """Return what must arrive first."""
         return f"look at the publishers of {self._asked()}"
 
     def _asked(self) -> str:

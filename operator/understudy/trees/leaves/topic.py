@@ -34,7 +34,7 @@ class TopicLeaf(Leaf):
         """The instance (its ``since``) whose rate has been in the band once."""
 
     def state(self) -> State:
-        """The state at the time of the evaluation."""
+        """Return the state at the time of the evaluation."""
         if self.tasks:
             found = task_timing(self.tasks, self._evaluation)
             return self._task_state(found) if found is not None else "Healthy"
@@ -46,11 +46,11 @@ class TopicLeaf(Leaf):
         return "Starting" if "Starting" in states else "Healthy"
 
     def remember(self) -> None:
-        """Note that the instance has been healthy by this leaf: a rate then has no more grace."""
+        """Note that the instance has been healthy by this leaf: its rate then has no more grace."""
         self._held = self._evaluation.since
 
     def healthy_until(self) -> float | None:
-        """When it stops being healthy; None if it is not healthy."""
+        """Return when the leaf stops being healthy; None if it is not healthy."""
         if self.tasks:
             return self._task_healthy_until()
         record, now, since = (
@@ -86,8 +86,8 @@ class TopicLeaf(Leaf):
         return [moment for moment in moments if moment > self._evaluation.now]
 
     def last(self) -> float | None:
-        """Return when all was last well: when the instance's last sample was received, or its task became active, in
-        Unix seconds."""
+        """Return the last good time, in Unix seconds: when the instance's last sample was received, or the task became
+        active."""
         record = self._record()
         return self._last_with_task(record.last if record is not None else None)
 

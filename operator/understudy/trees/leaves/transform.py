@@ -86,21 +86,21 @@ class TransformLeaf(ContentLeaf):
                 yield stamp.sec + stamp.nanosec * 1e-9
 
     def lost(self, track: EvidenceTrack[Content]) -> float:
-        """Return when it has failed if nothing more arrives: because of the gap or the age."""
+        """Return when the leaf fails if nothing more arrives: because of the gap or the age."""
         return min(super().lost(track), self._silent(track))
 
     def _silent(self, track: EvidenceTrack[Content]) -> float:
-        """Return when the gap has failed if nothing more arrives."""
+        """Return when the gap is exceeded if nothing more arrives."""
         return max(track.last_finding if track.last_finding is not None else -math.inf, self.clocks_start()) + self._gap
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         if self._most is None:
             return self.awaited()
         return f"an age of at most {duration(self._most)} of {self.awaited()}"
 
     def awaited(self) -> str:
-        """The transform that must arrive."""
+        """Return the transform that must arrive."""
         frames = f"{self._parent} -> {self._child}" if self._parent is not None else f"to {self._child}"
         return f"transform {frames} on {self.topic}"
 

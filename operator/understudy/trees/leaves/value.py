@@ -53,7 +53,7 @@ class ValueLeaf(ContentLeaf):
             return Finding(False, f"it cannot be determined: {error}")
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         text = self._holds.text
         return f"{text if len(text) <= 80 else f'{text[:77]}...'} of {self.topic}"
 

@@ -26,8 +26,8 @@ class Undefined(Exception):
 
 
 def field_of(evaluate: Evaluate, name: str) -> Evaluate:
-    """Return what evaluates a field. Only fields of the message's type are accessible, and none of its class's
-    attributes."""
+    """Return a function that evaluates a field. Only fields of the message's type are accessible, and none of its
+    class's attributes."""
     known: dict[type, bool] = {}
 
     def field(message: Any, element: Any) -> Any:
@@ -104,7 +104,7 @@ def is_finite(value: float) -> bool:
 
 
 def root_of(evaluate: Evaluate, text: str) -> Evaluate:
-    """Return what evaluates a square root."""
+    """Return a function that evaluates a square root."""
 
     def root(message: Any, element: Any) -> float:
         value = evaluate(message, element)
@@ -129,8 +129,8 @@ def value_or_undefined(evaluate: Evaluate, message: Any, element: Any) -> Any:
 def comparison_of(
     compare: Callable[[Any, Any], bool], ordered: bool, values: Sequence[Evaluate], texts: Sequence[str]
 ) -> Evaluate:
-    """Return what evaluates a comparison. The usual comparison, of two numbers, is fast, because it may run for each
-    element of an array."""
+    """Return a function that evaluates a comparison. The usual comparison, of two numbers, is fast, because it may run
+    for each element of an array."""
     left, right = values
 
     def evaluate(message: Any, element: Any) -> bool:
@@ -163,8 +163,8 @@ def compared(compare: Callable[[Any, Any], bool], ordered: bool, values: Sequenc
 
 
 def all_of(parts: Sequence[Evaluate], conjunction: bool) -> Evaluate:
-    """Return what evaluates ``and`` or ``or``: the first condition that decides it, or else Undefined if one of them
-    is."""
+    """Return a function that evaluates ``and`` or ``or``: by the first condition that decides the result, else
+    Undefined if any condition is."""
 
     def evaluate(message: Any, element: Any) -> bool:
         undefined: Undefined | None = None
@@ -182,7 +182,7 @@ def all_of(parts: Sequence[Evaluate], conjunction: bool) -> Evaluate:
 
 
 def negation_of(truth: Evaluate) -> Evaluate:
-    """Return what evaluates ``not``."""
+    """Return a function that evaluates ``not``."""
     return lambda message, element: not as_truth(truth(message, element), "a part of it")
 
 

@@ -217,11 +217,11 @@ class _Compiler:
     # -- kinds of values --------------------------------------------------------------------------------------------
 
     def truth(self, node: ast.expr, depth: int) -> Evaluate:
-        """Return what evaluates a truth value."""
+        """Return a function that evaluates a truth value."""
         return self._wanted(node, depth, _TRUTH, "compare it with something")
 
     def number(self, node: ast.expr, depth: int) -> Evaluate:
-        """Return what evaluates a number."""
+        """Return a function that evaluates a number."""
         evaluate, text = self._wanted(node, depth, _NUMBER, "calculate with numbers"), self._source(node)
         return lambda message, element: as_number(evaluate(message, element), text)
 
@@ -446,7 +446,7 @@ class _Compiler:
         return extreme
 
     def _loop(self, node: ast.expr, name: str, depth: int) -> Evaluate:
-        """Return what evaluates ``any`` or ``all`` over the elements of one array that pass the filter."""
+        """Return a function that evaluates ``any`` or ``all`` over the elements of one array that pass the filter."""
         if not isinstance(node, ast.GeneratorExp) or len(node.generators) != 1 or node.generators[0].is_async:
             raise ExpressionError(f"{self._source(node)} cannot be iterated; write {_CALLS[name]}")
         if self._element is not None:

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 MOST_LISTED = 10
-"""Most problems of one tree that are listed if there is no room for all of them."""
+"""Maximum number of a tree's problems that are listed if there is no room for all of them."""
 
 _LONGEST_SHOWN = 1000
 _LONGEST_WORD = 64

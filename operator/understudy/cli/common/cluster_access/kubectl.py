@@ -43,7 +43,7 @@ _REMEDIES = {
     _CREDENTIALS: "log in with the kubeconfig's credential plugin, for example by running kubectl get pods in a terminal",
     "Unauthorized": "the cluster does not accept your credentials; log in again, or choose another user with --context or --kubeconfig",
 }
-"""What to do about a message of kubectl that does not say it, by a part of the message."""
+"""Remedies for messages of kubectl that name none, by a part of the message."""
 
 _GUESS = " - did you specify the right host or port?"
 
@@ -167,10 +167,12 @@ class Kubectl:
 
     @contextlib.contextmanager
     def changes(self, kind: str, *arguments: str, also: Sequence[str] = ()) -> Iterator[Callable[[float], bool]]:
-        """Yield a function that waits up to the given seconds for a change of the objects and returns whether there was one.
+        """Yield a function that waits up to the given seconds for a change of the objects and returns whether there was
+        one.
 
-        It does not say what changed: the caller fetches all objects again. The watch restarts after the API server ends it.
-        ``also`` is the kind and the arguments of an optional second watch, for which the user may lack the permission.
+        The function does not say what changed: the caller fetches all objects again. The watch restarts after the API
+        server ends it. ``also`` is the kind and the arguments of an optional second watch, for which the user may lack
+        the permission.
         """
 
         watches = [
@@ -196,7 +198,7 @@ class Kubectl:
 
 def _is_interactive() -> bool:
     """Return whether a person can answer questions: not during shell completion."""
-    # It is None if it was closed, as by `<&-`.
+    # stdin is None if it was closed, as by `<&-`.
     return sys.stdin is not None and sys.stdin.isatty() and not shell_completion.is_asked()
 
 

@@ -78,7 +78,7 @@ def waiting(first: Watch, *others: Watch) -> Iterator[Callable[[float], bool]]:
                 if one.read():
                     return True
                 if one is first:
-                    time.sleep(within)  # it may end at once again, for example for lack of permission
+                    time.sleep(within)  # the watch may end at once again
                     first.begin()
                     return True
 

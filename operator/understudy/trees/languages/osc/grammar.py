@@ -115,7 +115,7 @@ class _Parts:
         if rule in _CHAIN and len(children) == 1 and getattr(children[0], "symbol", None) is None:
             return self.part(children[0])
         start, stop = found.start, found.stop or found.start
-        if rule == "osc_file":  # otherwise it begins at its first word
+        if rule == "osc_file":  # otherwise the file begins at its first word
             place = (1 + self._begins.lines, 1 + self._begins.columns)
             return Part(rule, "", *place, tuple(self.part(child) for child in children))
         text = self._source.getText(start.start, max(start.start, stop.stop)) if rule in _WRITTEN else ""

@@ -46,7 +46,7 @@ class FirstErrorListener:
         """Ignore that the parser looks further ahead."""
 
     def reportContextSensitivity(self, *_: Any) -> None:
-        """Ignore the end of that."""
+        """Ignore that the parser ends looking further ahead."""
 
 
 def _unread(text: str) -> str:

@@ -16,11 +16,11 @@ class Unit:
     """A unit of a physical type."""
 
     factor: Fraction
-    """Its value in the type's SI unit."""
+    """The value of one unit in the type's SI unit."""
     short: str
-    """The unit as the short form writes it."""
+    """A unit of the short form."""
     scale: int = 1
-    """Its value in that unit."""
+    """The value of one unit in that unit of the short form."""
 
 
 MILLISECOND = Unit(Fraction(1, 1000), "ms")

@@ -2,7 +2,7 @@
 (docs/procedures.md).
 
 Both are loaded from the short form, regardless of the language in which they were written (procedure_notations.py), and
-run inside the instance's pod. Their leaves use the interface :class:`understudy.trees.core.procedure_leaves.Actions`.
+run inside the instance's pod. Their leaves use the interface :class:`understudy.trees.core.procedure_steps.Actions`.
 """
 
 from __future__ import annotations

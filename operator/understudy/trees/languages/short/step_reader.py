@@ -146,7 +146,7 @@ class StepReader(Reader):
         return work
 
     def leaf(self, kind: str, fields: Mapping[str, Any], path: str) -> Work | None:
-        """Return what evaluates a leaf of health trees; a procedure waits for it while it is starting."""
+        """Return a function that evaluates a leaf of health trees; a procedure waits for it while it is starting."""
         try:
             tree: HealthTree = load({kind: fields}, path=path)
         except TreeError as error:
