@@ -1,7 +1,8 @@
-"""Files and folders that are there whole or not at all, whenever their writer is interrupted.
+"""Writes files and folders completely or not at all, even if the writer is interrupted.
 
-They are made beside their place under a name with the writer's process id, and renamed when they are complete. What an
-interrupted writer left is removed by the next; a program it had started may still be writing there, which does no harm.
+A writer makes them beside their place under a name with its process id, and renames them when they are complete. The
+next writer removes what an interrupted one left. A program that the interrupted writer had started may still write
+there, which does no harm.
 """
 
 import os
@@ -15,7 +16,7 @@ _MARK = ".partial."
 
 
 def is_partial(path: Path) -> bool:
-    """Whether a path is one of those that are still being written."""
+    """Return whether a path is still being written."""
     return _MARK in path.name
 
 
@@ -35,7 +36,7 @@ def _remove_stale(destination: Path) -> None:
 
 @contextmanager
 def folder(destination: Path) -> Iterator[Path]:
-    """Gives an empty folder that becomes the destination at the end of the block, unless the block fails."""
+    """Provide an empty folder that becomes the destination at the end of the block, unless the block fails."""
     destination.parent.mkdir(parents=True, exist_ok=True)
     _remove_stale(destination)
     partial = Path(tempfile.mkdtemp(prefix=f"{destination.name}{_MARK}{os.getpid()}.", dir=destination.parent))
@@ -50,7 +51,7 @@ def folder(destination: Path) -> Iterator[Path]:
 
 @contextmanager
 def file(destination: Path) -> Iterator[Path]:
-    """Gives a path for a file that becomes the destination at the end of the block, unless the block fails."""
+    """Provide a path for a file that becomes the destination at the end of the block, unless the block fails."""
     destination.parent.mkdir(parents=True, exist_ok=True)
     _remove_stale(destination)
     handle, name = tempfile.mkstemp(prefix=f"{destination.name}{_MARK}{os.getpid()}.", dir=destination.parent)
@@ -65,14 +66,14 @@ def file(destination: Path) -> Iterator[Path]:
 
 
 def write(destination: Path, content: str | bytes, mode: int = 0o644) -> None:
-    """Writes a file, or replaces it."""
+    """Write a file, or replace it."""
     with file(destination) as partial:
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
         partial.chmod(mode)
 
 
 def link(destination: Path, target: Path) -> None:
-    """Makes a symbolic link, or points it elsewhere."""
+    """Make a symbolic link, or change its target."""
     with file(destination) as partial:
         partial.unlink()
         partial.symlink_to(target)

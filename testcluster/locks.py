@@ -1,4 +1,4 @@
-"""Locks between runs of these programs, by name. The kernel frees one when its holder ends, however it ends."""
+"""Locks between runs of these programs, by name. The kernel releases a lock when its holder ends, for any reason."""
 
 import fcntl
 from collections.abc import Iterator
@@ -10,11 +10,11 @@ from testcluster.progress import Progress
 
 @contextmanager
 def held(name: str, progress: Progress | None = None) -> Iterator[None]:
-    """Holds a lock for the time of a block, after waiting for it as long as need be.
+    """Hold a lock for the duration of the block. Waits for it without a limit.
 
     Args:
         name: what is protected; part of a file's name.
-        progress: where to say that somebody else holds it.
+        progress: reports that another process holds it.
     """
     folder = cache() / "locks"
     folder.mkdir(exist_ok=True)

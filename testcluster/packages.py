@@ -1,4 +1,4 @@
-"""Installing what is missing, with the distribution's own package manager."""
+"""Installs missing programs with the distribution's own package manager."""
 
 import os
 import shutil
@@ -17,16 +17,17 @@ class MissingPrograms(RuntimeError):
 
 
 def find(program: str) -> str | None:
-    """The path of a program; an absolute path stands for itself where it exists."""
+    """Return the path of a program; an absolute path is returned if it exists."""
     if program.startswith("/"):
         return program if Path(program).exists() else None
     return shutil.which(program, path=os.environ.get("PATH", "") + ":" + SBIN)
 
 
 def ensure(programs: Mapping[str, str], progress: Progress) -> None:
-    """Installs the packages of those programs that are missing.
+    """Install the packages of programs that are missing.
 
-    Looking for programs, not for packages, leaves alone what a machine has from elsewhere (say, Docker's containerd).
+    The check looks for programs, not for packages, so programs from elsewhere (for example Docker's containerd) are
+    kept.
 
     Args:
         programs: the name of a program (or an absolute path), and the Debian package that brings it.
@@ -45,10 +46,10 @@ def ensure(programs: Mapping[str, str], progress: Progress) -> None:
 
 
 def install(names: Sequence[str], why: str, progress: Progress) -> None:
-    """Installs Debian packages.
+    """Install Debian packages.
 
     Args:
-        why: what is missing, for the message where this cannot be done.
+        why: what is missing, for the message if this cannot be done.
 
     Raises:
         MissingPrograms: apt-get is not there, or this is not root.

@@ -1,6 +1,6 @@
-"""Where things are kept.
+"""The folders for files.
 
-Everything made at run time lives under one cache folder, so that it is easy to find and to remove.
+Everything that is made at run time is in one cache folder, so that it is easy to find and to remove.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 
 def cache() -> Path:
-    """The project's cache folder, made if missing."""
+    """Return the project's cache folder, and make it if it is missing."""
     base = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     path = Path(base).resolve() / "understudy"
     path.mkdir(parents=True, exist_ok=True)
@@ -19,5 +19,6 @@ def cache() -> Path:
 
 
 def mark() -> str:
-    """A few characters that tell this cache from another user's or another checkout's, for names that the machine shares."""
+    """Return a few characters that distinguish this cache from that of another user or checkout, for names that the
+    machine shares."""
     return hashlib.sha256(str(cache()).encode()).hexdigest()[:6]

@@ -1,4 +1,4 @@
-"""Progress lines for people: what is being done, and how long it has been going on, on standard error."""
+"""Prints progress for people on standard error: the current step, and its duration."""
 
 import sys
 import time
@@ -18,7 +18,7 @@ class Progress:
 
     @contextmanager
     def step(self, text: str) -> Iterator[None]:
-        """Prints what begins and, when it took longer than a second, that it is done."""
+        """Print the step when it begins and, if it took longer than a second, when it is done."""
         self(text)
         start = time.monotonic()
         yield
@@ -34,14 +34,13 @@ def wait_until(
     interval: float = 0.1,
     despite: type[Exception] | tuple[type[Exception], ...] = (),
 ) -> None:
-    """Returns as soon as the condition holds.
+    """Wait until the condition holds.
 
     Args:
-        despite: errors of the condition that mean no more than that it does not hold yet.
+        despite: errors of the condition that only mean that it does not hold yet.
 
     Raises:
-        TimeoutError: it did not hold within the given seconds; the message names what was waited for, and the last of
-            those errors.
+        TimeoutError: it did not hold within the given seconds; the message has ``what`` and the last of those errors.
     """
     deadline = time.monotonic() + seconds
     while True:

@@ -1,4 +1,4 @@
-"""Running other programs, with errors that say what was run and what it answered."""
+"""Runs other programs. Errors contain the command line and its output."""
 
 import os
 import shlex
@@ -25,11 +25,11 @@ def run(
     cwd: Path | None = None,
     timeout: float | None = None,
 ) -> str:
-    """Runs a program and returns what it wrote to standard output.
+    """Run a program and return its standard output.
 
     Args:
-        check: raise when the program's exit code is not 0; otherwise the output is returned anyway.
-        env: variables to set on top of this process's own.
+        check: whether to raise an error if the program's exit code is not 0.
+        env: variables in addition to this process's own.
         input: text for the program's standard input, which is empty otherwise.
         timeout: seconds after which the program is killed.
 
@@ -58,7 +58,7 @@ def run(
 
 
 def succeeds(*command: str | Path, timeout: float = 20) -> bool:
-    """Whether a program is there and ends with 0 in time."""
+    """Return whether a program exists and ends with 0 in time."""
     try:
         run(*command, timeout=timeout)
     except CommandFailed:
@@ -69,7 +69,7 @@ def succeeds(*command: str | Path, timeout: float = 20) -> bool:
 def run_logged(
     command: Sequence[str | Path], log: Path, env: Mapping[str, str] | None = None, cwd: Path | None = None
 ) -> None:
-    """Runs a program whose output goes to a file, for what takes minutes.
+    """Run a program that takes minutes, with its output in a file.
 
     Raises:
         CommandFailed: with the end of the output.

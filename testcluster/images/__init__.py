@@ -1,1 +1,1 @@
-"""Building the project's container images and bringing them to clusters, with a registry or without."""
+"""Builds the project's container images and brings them to clusters, with or without a registry."""

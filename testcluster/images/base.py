@@ -1,4 +1,4 @@
-"""A base image made from Debian packages, for machines that can reach no container registry."""
+"""A base image made from Debian packages, for machines that cannot reach a container registry."""
 
 import hashlib
 import os
@@ -15,7 +15,8 @@ from testcluster.shell import run, run_logged
 NAME = "localhost/understudy-base:dev"
 _SUITE = "bookworm"
 _PACKAGES = "python3,python3-venv,ca-certificates"
-# Documentation, translations and package lists: nothing that runs needs them, and they are more than half of the size.
+# Documentation, translations and package lists: no program that runs needs them, and they are more than half of the
+# size.
 _UNNEEDED = (
     "usr/share/doc",
     "usr/share/man",
@@ -29,12 +30,12 @@ _UNNEEDED = (
 
 
 def key() -> str:
-    """A hash over what decides the base image."""
+    """Return a hash over the inputs of the base image."""
     return hashlib.sha256("\n".join((_SUITE, _PACKAGES, *_UNNEEDED, os.uname().machine)).encode()).hexdigest()[:12]
 
 
 def _mirror() -> str | None:
-    """Where this machine takes its own Debian packages from, or None for debootstrap's own default."""
+    """Return the mirror of this machine's own Debian packages; None for debootstrap's default."""
     if not packages.find("apt-get"):
         return None
     sites = run("apt-get", "indextargets", "--format", "$(ORIGIN)|$(SITE)|$(CODENAME)", check=False)
@@ -46,7 +47,7 @@ def _mirror() -> str | None:
 
 
 def _proxy() -> dict[str, str]:
-    """apt's proxy as the variable that debootstrap reads."""
+    """Return apt's proxy as the variable that debootstrap reads."""
     if not packages.find("apt-config"):
         return {}
     found = re.search(r'Acquire::http::Proxy "(.+)";', run("apt-config", "dump", "Acquire::http::Proxy", check=False))
@@ -54,7 +55,7 @@ def _proxy() -> dict[str, str]:
 
 
 def archive(progress: Progress) -> Path:
-    """The base image's files as a tar archive, made unless it is in the cache.
+    """Return the tar archive of the base image's files, and make it if it is not in the cache.
 
     Raises:
         CommandFailed, MissingPrograms: debootstrap is missing or failed.
@@ -67,7 +68,8 @@ def archive(progress: Progress) -> Path:
         progress,
     )
     with progress.step("making a base image from Debian packages (about a minute, once)"):
-        # Under a name of this run alone: an interrupted run's debootstrap may still be at work in its own.
+        # The name is of this run alone, because debootstrap of an interrupted run may still be at work in its own
+        # folder.
         root = Path(tempfile.mkdtemp(prefix="understudy-base-", dir=destination.parent))
         try:
             _install(root)
@@ -94,7 +96,7 @@ def _install(root: Path) -> None:
 
 
 def _remove(root: Path) -> None:
-    """Removes a system that was being installed, unless something is still mounted in it (debootstrap mounts /proc)."""
+    """Remove a system that was being installed, unless something is still mounted in it (debootstrap mounts /proc)."""
     for line in reversed(Path("/proc/self/mounts").read_text().splitlines()):
         mount = Path(line.split()[1])
         if root in mount.parents:

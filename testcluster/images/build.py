@@ -18,7 +18,7 @@ from testcluster.shell import CommandFailed
 
 @dataclass
 class _Built:
-    """What was built from which inputs, so that nothing is built twice."""
+    """Records what was built from which inputs, so that nothing is built twice."""
 
     path: Path
 
@@ -38,7 +38,7 @@ class _Built:
 
 
 def build(engine: Engine, wanted: list[Image], progress: Progress, force: bool = False) -> list[Image]:
-    """Builds those images whose inputs changed since they were built; returns them.
+    """Build the images whose inputs changed since their last build, and return them.
 
     Raises:
         CommandFailed: with the end of the build's output.
@@ -63,13 +63,13 @@ def build(engine: Engine, wanted: list[Image], progress: Progress, force: bool =
             built.record(engine, image, fingerprint, identity)
             changed.append(image)
     finally:
-        # It may hold an index's password.
+        # It may contain an index's password.
         shutil.rmtree(secrets_folder, ignore_errors=True)
     return changed
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Runs the command; returns the exit code."""
+    """Run the command, and return the exit code."""
     parser = argparse.ArgumentParser(
         prog="scripts/images", description="Builds the images whose inputs changed, and loads them into a cluster."
     )

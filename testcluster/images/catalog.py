@@ -1,4 +1,4 @@
-"""The images of this repository: where each is described, and what it is made of."""
+"""The images of this repository: where each is described, and its inputs."""
 
 import hashlib
 import re
@@ -11,11 +11,11 @@ from testcluster.paths import REPOSITORY
 
 @dataclass(frozen=True)
 class Source:
-    """Where images are built from: this repository as it is, or what it was at a commit (`commits.lay_out`).
+    """The source of images: this repository as it is now, or as it was at a commit (`commits.lay_out`).
 
     Attributes:
-        folder: with a Dockerfile and the examples in it.
-        tag: of the images that are built from it.
+        folder: contains a Dockerfile and the examples.
+        tag: the tag of the images that are built from it.
     """
 
     folder: Path = REPOSITORY
@@ -32,11 +32,10 @@ class Image:
     Attributes:
         name: its full name with its tag; the `localhost/` in front keeps nodes from asking a registry for it.
         context: the folder that is sent to the builder, with the Dockerfile in it.
-        target: the stage of the Dockerfile, or None for the last.
-        inputs: what of the context decides the result, relative to it.
+        target: the stage of the Dockerfile, None for the last one.
+        inputs: the parts of the context that decide the result, relative to it.
         stages: stages that take long and seldom change; the builder keeps them.
-        parent: the name of the image of this repository that it is built on, or None when that is an operating system
-        with Python.
+        parent: the name of the image of this repository that it is built on, None if it is built on an operating system with Python.
     """
 
     name: str
@@ -48,7 +47,7 @@ class Image:
 
     @property
     def short(self) -> str:
-        """The name without registry and tag, for people and for the command line."""
+        """The name without registry and tag, for messages and for the command line."""
         return self.name.removeprefix("localhost/understudy-").rpartition(":")[0]
 
     @property
@@ -57,7 +56,7 @@ class Image:
         return self.name.rpartition(":")[2]
 
     def fingerprint(self, *extra: str) -> str:
-        """A hash over everything that decides the result, and over what else the caller names."""
+        """Return a hash over all inputs of the image, and over ``extra`` inputs."""
         digest = hashlib.sha256("\n".join((self.name, self.target or "", *extra)).encode())
         for path in self._files():
             mode = "x" if path.stat().st_mode & 0o100 else "-"
@@ -97,12 +96,12 @@ def _name(short: str, source: Source) -> str:
 
 
 def _example(folder: str, source: Source) -> str:
-    """The name of an example's image: that of its folder, unless one of our own images has it."""
+    """Return the name of an example's image: that of its folder, unless one of our own images has it."""
     return _name(f"{folder}-example" if folder in _TARGETS else folder, source)
 
 
 def images(source: Source = PRESENT) -> list[Image]:
-    """All images of a source, in the order in which they are best built."""
+    """Return all images of a source, in build order."""
     found = [
         Image(_name(target, source), source.folder, target, _OWN, ("tools", f"{target}-dependencies"))
         for target in _TARGETS
@@ -115,7 +114,7 @@ def images(source: Source = PRESENT) -> list[Image]:
                 dockerfile.parent,
                 None,
                 (".",),
-                # What is built on the side, and only its result taken.
+                # Stages of which only the result is copied.
                 tuple(re.findall(r"^FROM \S+ AS (\S+)", dockerfile.read_text(), re.MULTILINE)),
                 parent=_name(parent[1], source) if parent else None,
             )
@@ -124,7 +123,7 @@ def images(source: Source = PRESENT) -> list[Image]:
 
 
 def with_parents(wanted: Iterable[Image], source: Source = PRESENT) -> list[Image]:
-    """The images of a source that are wanted and those they are built on, each after its parent."""
+    """Return the wanted images of a source and their parents, each after its parent."""
     known = {image.name: image for image in images(source)}
     ordered: dict[str, Image] = {}
 
@@ -139,10 +138,11 @@ def with_parents(wanted: Iterable[Image], source: Source = PRESENT) -> list[Imag
 
 
 def base_argument(dockerfile: Path) -> str:
-    """The base image that a Dockerfile names where none is given: `understudy/NAME` means an image of this repository.
+    """Return the base image that a Dockerfile names as its default: `understudy/NAME` means an image of this
+    repository.
 
     Raises:
-        ValueError: it has no such line.
+        ValueError: the Dockerfile has no such line.
     """
     found = re.search(r"^ARG BASE_IMAGE=(\S+)", dockerfile.read_text(), re.MULTILINE)
     if not found:

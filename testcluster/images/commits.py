@@ -1,4 +1,4 @@
-"""Earlier states of this repository, laid out beside it, so that their images are built as those of the present are."""
+"""Lays out earlier commits of this repository beside it, so that their images are built like the present ones."""
 
 from testcluster import atomic
 from testcluster.images.catalog import Source
@@ -6,21 +6,22 @@ from testcluster.paths import REPOSITORY, cache
 from testcluster.shell import CommandFailed, run
 
 _DIGITS = 12
-"""Of a commit's hash, in names."""
+"""Length of a commit's hash in names."""
 
 
 class NoSuchCommit(LookupError):
-    """This repository doesn't have the commit: the name is wrong, or it was cloned without its history, or isn't a clone."""
+    """This repository does not have the commit: its name is wrong, or the repository was cloned without its history, or
+    is no clone."""
 
 
 def lay_out(commit: str) -> Source:
-    """The files of a commit, in the cache, where each commit is laid out once.
+    """Return the files of a commit from the cache, in which each commit is laid out once.
 
     Args:
-        commit: a hash, or whatever else git knows it by.
+        commit: a hash, or another name that git accepts.
 
     Raises:
-        NoSuchCommit: it isn't in this repository.
+        NoSuchCommit: it is not in this repository.
     """
     git = ("git", "-C", REPOSITORY)
     try:

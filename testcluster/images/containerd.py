@@ -1,4 +1,4 @@
-"""Bringing images from the store to a containerd, whole or as far as it lacks them."""
+"""Brings images from the store to a containerd, with only those parts that it lacks."""
 
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -11,20 +11,20 @@ from testcluster.shell import CommandFailed, run
 _NAMESPACE = ("-n", "k8s.io")
 
 _FORMER = "-former"
-"""Suffix of the name that an image keeps while its successor is imported."""
+"""Suffix of the name under which an image is kept while its successor is imported."""
 
 
 def present(ctr: Sequence[str | Path]) -> dict[str, str]:
-    """The images that a containerd has: name and content hash."""
+    """Return the images of a containerd: name and content hash."""
     rows = [line.split() for line in run(*ctr, *_NAMESPACE, "images", "list").splitlines()[1:]]
     return {row[0]: row[2] for row in rows if len(row) > 2}
 
 
 def load(ctr: Sequence[str | Path], wanted: Sequence[Reference]) -> list[Reference]:
-    """Brings images to a containerd; returns those that it did not have.
+    """Bring images to a containerd, and return those that it did not have.
 
     Args:
-        ctr: the words that run containerd's client against it.
+        ctr: the command line of containerd's client for it.
     """
     has = present(ctr)
     missing = [reference for reference in wanted if has.get(reference.name) != reference.digest]
@@ -33,7 +33,7 @@ def load(ctr: Sequence[str | Path], wanted: Sequence[Reference]) -> list[Referen
             try:
                 _import(ctr, missing, run(*ctr, *_NAMESPACE, "content", "list", "--quiet").split())
             except CommandFailed:
-                # What was listed may have been garbage that was collected since, as after a start.
+                # Parts that were listed may have been garbage that was collected since, for example after a start.
                 _import(ctr, missing, [])
     return missing
 
@@ -45,8 +45,8 @@ def _import(ctr: Sequence[str | Path], wanted: Sequence[Reference], parts: Colle
 
 @contextmanager
 def _kept(ctr: Sequence[str | Path], images: Sequence[str]) -> Iterator[None]:
-    """Keeps images under a second name: an image whose name is given to another is garbage at once, with the layers that
-    its successor is just being built on.
+    """Keep images under a second name. If the name of an image is given to another one, containerd would collect it at
+    once, with the layers on which its successor is based.
     """
     for name in images:
         run(*ctr, *_NAMESPACE, "images", "tag", "--force", name, name + _FORMER)

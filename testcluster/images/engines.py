@@ -1,4 +1,4 @@
-"""Programs that build images: buildah (which needs no daemon) and Docker."""
+"""The programs that build images: buildah (which needs no daemon) and Docker."""
 
 import json
 import os
@@ -15,38 +15,39 @@ from testcluster.shell import CommandFailed, run, run_logged, succeeds
 
 
 def wanted_base() -> str:
-    """The operating system with Python to build on: UNDERSTUDY_BASE_IMAGE, or what the project's own Dockerfile names."""
+    """Return the operating system with Python to build on: UNDERSTUDY_BASE_IMAGE, or the default of the project's
+    Dockerfile."""
     return os.environ.get("UNDERSTUDY_BASE_IMAGE") or base_argument(REPOSITORY / "Dockerfile")
 
 
 def _stage(name: str, image: Image) -> str:
-    """The name that keeps a stage of an image in the builder's cache when the rest is cleared.
+    """Return the name that keeps a stage of an image in the builder's cache when the rest is cleared.
 
-    It has the image's tag: what an earlier commit needs isn't kept in the place of what the present one does.
+    It has the image's tag, so that stages of an earlier commit do not replace those of the present one.
     """
     return f"localhost/understudy-stage-{name}:{image.tag}"
 
 
 class Engine(ABC):
-    """A program that builds images and keeps them under their names."""
+    """A program that builds images and keeps them by name."""
 
     name: str
 
     @abstractmethod
     def base_image(self, progress: Progress) -> str:
-        """A base image that can be used here, fetched or made if need be."""
+        """Return a base image that can be used here. Fetches or makes it if necessary."""
 
     @abstractmethod
     def build(self, image: Image, base_image: str, secrets: Mapping[str, Path], log: Path) -> None:
-        """Builds an image. Raises CommandFailed with the end of the log."""
+        """Build an image. Raises CommandFailed with the end of the log."""
 
     @abstractmethod
     def identity(self, name: str) -> str | None:
-        """The content hash of an image's configuration (`sha256:...`), or None when there is no image of that name."""
+        """Return the content hash of an image's configuration (`sha256:...`); None if there is no image of that name."""
 
     @abstractmethod
     def export(self, name: str, archive: Path) -> None:
-        """Writes an image to a file in the format of `docker save`."""
+        """Write an image to a file in the format of `docker save`."""
 
 
 class Buildah(Engine):
@@ -76,7 +77,7 @@ class Buildah(Engine):
         kept = self._store / "driver"
         if kept.exists():
             return kept.read_text().strip()
-        # `overlay` is faster and smaller by far; inside some containers it cannot be mounted.
+        # `overlay` is much faster and smaller, but cannot be mounted in some containers.
         driver = "overlay" if succeeds(*self._command("images", driver="overlay")) else "vfs"
         kept.write_text(driver + "\n")
         return driver
@@ -84,7 +85,7 @@ class Buildah(Engine):
     def base_image(self, progress: Progress) -> str:
         wanted = wanted_base()
         made = f"{base.NAME.rpartition(':')[0]}:{base.key()}"
-        # One that was named is never replaced by another.
+        # A base image that the user named is never replaced by another.
         named = "UNDERSTUDY_BASE_IMAGE" in os.environ
         for name in [wanted] if named else [made, wanted]:
             if self.identity(name):
@@ -111,15 +112,15 @@ class Buildah(Engine):
         bases = {"BASE_IMAGE": base_image, **self._stand_in(image)}
         self._bud(image, image.target, image.name, bases, secrets, log)
         for stage in image.stages:
-            # All of it is in the builder's cache now.
+            # All of the stage is in the builder's cache now.
             self._bud(image, stage, _stage(stage, image), bases, secrets, log.with_suffix(".stages.log"))
-        # What earlier versions left would pile up with every change.
+        # Images of earlier versions would pile up with every change.
         run(*self._command("rmi", "--prune"), check=False)
 
     def _stand_in(self, image: Image) -> dict[str, str]:
-        """The parent without its own code as a build argument, if it exists and the Dockerfile takes it.
+        """Return the build argument for the parent without its own code, if that exists and the Dockerfile accepts it.
 
-        What is built on that needn't be built again with every change of the code.
+        Images that are built on it need not be built again after every change of the code.
         """
         if not image.parent or "ARG DEPENDENCIES_IMAGE" not in (image.context / "Dockerfile").read_text():
             return {}
@@ -197,12 +198,12 @@ class Docker(Engine):
 
 
 def docker_works() -> bool:
-    """Whether there is a Docker whose daemon answers."""
+    """Return whether there is a Docker whose daemon answers."""
     return succeeds("docker", "version", "--format", "{{.Server.Version}}")
 
 
 def choose(wanted: str | None, progress: Progress) -> Engine:
-    """The engine of a name, or Docker where it works and buildah elsewhere."""
+    """Return the engine of a name. The default is Docker if it works here, else buildah."""
     if wanted == "docker" or (wanted is None and docker_works()):
         return Docker()
     return Buildah(progress)

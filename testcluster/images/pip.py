@@ -1,6 +1,6 @@
-"""What pip needs to reach its index from inside a build, on machines with a mirror or a certificate of their own.
+"""The settings with which pip reaches its index from inside a build, on machines with their own mirror or certificate.
 
-Both files are handed to the build as secrets, so they are there while pip runs and leave nothing in the image.
+The build receives both files as secrets, so they exist only while pip runs and leave nothing in the image.
 """
 
 import os
@@ -11,18 +11,18 @@ from pathlib import Path
 
 from testcluster.shell import CommandFailed, run
 
-# Settings that are about reaching an index. Others (a target folder, a user install) are about this machine and would
+# Settings for reaching an index. Other settings (a target folder, a user install) are about this machine and would
 # break a build.
 _NETWORK = ("index-url", "extra-index-url", "trusted-host", "proxy", "timeout", "default-timeout", "retries")
 
 
 def _settings() -> dict[str, str]:
-    """pip's settings from its files and from PIP_* variables, which win."""
+    """Return pip's settings from its files and from PIP_* variables, which take precedence."""
     found: dict[str, str] = {}
     try:
         listed = run(sys.executable, "-m", "pip", "config", "list")
     except CommandFailed:
-        # This Python has no pip; its variables may be set anyway.
+        # This Python has no pip, but its variables may be set.
         listed = ""
     for line in listed.splitlines():
         match = re.fullmatch(r"(?:global|install|:env:)\.([a-z-]+)='(.*)'", line)
@@ -35,7 +35,7 @@ def _settings() -> dict[str, str]:
 
 
 def _certificates() -> Path | None:
-    """The certificate authorities that this machine trusts."""
+    """Return the certificate authorities that this machine trusts."""
     named = [os.environ.get(name) for name in ("PIP_CERT", "REQUESTS_CA_BUNDLE", "SSL_CERT_FILE")]
     paths = ssl.get_default_verify_paths()
     for candidate in [*named, paths.cafile, "/etc/ssl/certs/ca-certificates.crt", "/etc/pki/tls/certs/ca-bundle.crt"]:
@@ -45,7 +45,7 @@ def _certificates() -> Path | None:
 
 
 def secrets(folder: Path) -> dict[str, Path]:
-    """Writes pip's configuration for a build into a folder; returns the build's secrets by name."""
+    """Write pip's configuration for a build into a folder, and return the build's secrets by name."""
     settings = _settings()
     lines = ["[global]"] + [f"{name} = {settings[name]}" for name in _NETWORK if settings.get(name)]
     certificates = _certificates()

@@ -1,7 +1,7 @@
-"""Images taken apart into layers, each kept once: so that only what a node does not have yet is brought to it.
+"""Stores images as layers, each only once, so that a node receives only the layers that it lacks.
 
-An image that a builder exports is one file with all its layers, most of which every earlier version had too. Here the
-layers lie side by side under their content hashes, and an archive for a node is put together from those that the node
+A builder exports an image as one file with all its layers, most of which every earlier version had too. The store keeps
+the layers side by side by their content hashes, and puts an archive for a node together from the layers that the node
 lacks.
 """
 
@@ -64,7 +64,7 @@ def _put(data: bytes) -> str:
 
 
 def _put_layer(archive: tarfile.TarFile, member: str, expected: str) -> None:
-    """Copies a layer out of an image archive, unless it is here, and checks its hash."""
+    """Copy a layer out of an image archive, unless the store has it, and check its hash."""
     path = _blob(expected)
     if path.exists():
         return
@@ -84,7 +84,7 @@ def _put_layer(archive: tarfile.TarFile, member: str, expected: str) -> None:
 
 
 def add(path: Path) -> list[Reference]:
-    """Takes the images of an archive into the store.
+    """Add the images of an archive to the store.
 
     Raises:
         NotAnImage: the file has another format, names no image, or its contents do not match.
@@ -132,12 +132,12 @@ def _add(archive: tarfile.TarFile, entry: dict[str, object], name: str) -> Refer
 
 
 def references() -> list[Reference]:
-    """All images in the store."""
+    """Return all images in the store."""
     return [Reference(**json.loads(path.read_text())) for path in sorted((_folder() / "references").glob("*.json"))]
 
 
 def get(name: str) -> Reference | None:
-    """The image of a name, or None."""
+    """Return the image of a name; None if there is none."""
     return next((reference for reference in references() if reference.name == name), None)
 
 
@@ -149,12 +149,12 @@ def _parts(reference: Reference) -> Iterator[str]:
 
 
 def forget(reference: Reference) -> None:
-    """Removes an image; its layers go with the next `prune`."""
+    """Remove an image; the next `prune` removes its layers."""
     _reference_file(reference.name).unlink(missing_ok=True)
 
 
 def prune() -> None:
-    """Removes layers that no image of the store has any more."""
+    """Remove layers that no image of the store has any more."""
     wanted = {part.removeprefix("sha256:") for reference in references() for part in _parts(reference)}
     for path in (_folder() / "blobs").glob("*"):
         if path.name not in wanted and not atomic.is_partial(path):
@@ -163,14 +163,14 @@ def prune() -> None:
 
 @contextmanager
 def archive(wanted: Collection[Reference], present: Collection[str]) -> Iterator[Path]:
-    """Writes an archive in the OCI layout with some images, without those of their parts that are present already.
+    """Write an archive of some images in the OCI layout, without the parts that are present already.
 
     Args:
         present: content hashes (`sha256:...`) that the reader of the archive has.
     """
     folder = _folder() / "archives"
     folder.mkdir(parents=True, exist_ok=True)
-    # A file for each call: nodes that lack the same are loaded at the same time.
+    # Each call has its own file, because nodes that lack the same parts are loaded at the same time.
     handle, name = tempfile.mkstemp(suffix=".tar", dir=folder)
     os.close(handle)
     path = Path(name)

@@ -1,6 +1,7 @@
-"""Control groups as the cluster's register of processes: whatever runs in its group is its own, and nothing else is.
+"""Control groups as the register of the cluster's processes: those in its group belong to it, and no others.
 
-Both versions are handled. Version 1 has a tree per controller, so every operation is done in each; version 2 has one.
+Both versions are supported. Version 1 has a tree per controller, so every operation is done in each; version 2 has one
+tree.
 """
 
 import os
@@ -14,7 +15,7 @@ _SKIPPED = ("perf_event", "net_cls", "net_prio", "rdma", "misc")
 
 @cache
 def _trees() -> tuple[list[Path], Path | None]:
-    """The mount points of version 1 controllers, and that of version 2."""
+    """Return the mount points of version 1 controllers, and that of version 2."""
     first: list[Path] = []
     second: Path | None = None
     for line in Path("/proc/mounts").read_text().splitlines():
@@ -27,7 +28,7 @@ def _trees() -> tuple[list[Path], Path | None]:
 
 
 def _unified() -> bool:
-    """Whether version 2 has the controllers (on a hybrid machine it is mounted, and has none)."""
+    """Return whether version 2 has the controllers. On a hybrid machine it is mounted without controllers."""
     first, second = _trees()
     return second is not None and not any(
         (tree / "cpu.shares").exists() or (tree / "memory.limit_in_bytes").exists() for tree in first
@@ -43,15 +44,15 @@ def _mounts() -> list[Path]:
 
 
 def create(group: str) -> None:
-    """Makes a group (a path below the root) with all its parents, ready to hold processes with every controller."""
+    """Make a group (a path below the root) with all its parents, with every controller enabled."""
     for tree in _mounts():
         path = tree
         for part in group.split("/"):
             if _unified():
                 offered = (path / "cgroup.controllers").read_text().split()
                 for controller in offered:
-                    # One by one: a controller that cannot be delegated here (say, cpu beside real-time processes)
-                    # spoils the whole write.
+                    # One by one: a controller that cannot be delegated here (for example cpu beside real-time
+                    # processes) would fail the whole write.
                     try:
                         (path / "cgroup.subtree_control").write_text(f"+{controller}")
                     except OSError:
@@ -59,14 +60,14 @@ def create(group: str) -> None:
             path = path / part
             path.mkdir(exist_ok=True)
             if (path / "cpuset.cpus").exists() and not _unified():
-                # A version 1 cpuset takes no process before its processors and memory nodes are named.
+                # A version 1 cpuset accepts no process before its processors and memory nodes are set.
                 for name in ("cpuset.cpus", "cpuset.mems"):
                     if not (path / name).read_text().strip():
                         (path / name).write_text((path.parent / name).read_text())
 
 
 def weigh(group: str, times: int) -> None:
-    """Gives a group so many times the usual weight where processors are fought over."""
+    """Give a group this many times the usual weight for processors."""
     for tree in _mounts():
         for name, usual in (("cpu.shares", 1024), ("cpu.weight", 100)):
             if (tree / group / name).exists():
@@ -74,12 +75,12 @@ def weigh(group: str, times: int) -> None:
 
 
 def processors(group: str) -> Path | None:
-    """The folder that says which share of the processors a group has, where that is apart from all else (version 1)."""
+    """Return the folder with a group's share of the processors; None unless that has a tree of its own (version 1)."""
     return next((tree / group for tree in _mounts() if (tree / group / "cpu.shares").exists()), None)
 
 
 def join(group: str) -> None:
-    """Moves the calling process into a group. Meant to run between fork and exec, so it only opens and writes."""
+    """Move the calling process into a group. It runs between fork and exec, so it only opens and writes files."""
     me = str(os.getpid())
     for tree in _mounts():
         with open(tree / group / "cgroup.procs", "w") as procs:
@@ -87,7 +88,7 @@ def join(group: str) -> None:
 
 
 def _folders(group: str) -> list[Path]:
-    """The group's folders in every tree, and those of groups below it, the deepest first."""
+    """Return the folders of a group and of groups below it in every tree, the deepest first."""
     first, second = _trees()
     found = []
     for tree in [*first, *([second] if second else [])]:
@@ -97,20 +98,20 @@ def _folders(group: str) -> list[Path]:
 
 
 def pids(group: str) -> set[int]:
-    """The processes in a group and in all groups below it."""
+    """Return the processes in a group and in all groups below it."""
     found: set[int] = set()
     for path in _folders(group):
         try:
             found.update(int(line) for line in (path / "cgroup.procs").read_text().split())
         except OSError:
             continue
-    # A process of another process-id namespace than ours shows as 0; there is none below us, but killing 0 would hit
-    # ourselves.
+    # A process of a process-id namespace outside of ours has the id 0. None is expected, but killing 0 would kill this
+    # process.
     return found - {0}
 
 
 def freeze(group: str, frozen: bool) -> None:
-    """Stops every process of a group and of those below it where it stands, or lets them go on.
+    """Freeze every process of a group and of those below it, or let them continue.
 
     A missing group is no error.
     """
@@ -123,7 +124,7 @@ def freeze(group: str, frozen: bool) -> None:
 
 
 def frozen(group: str) -> bool:
-    """Whether a group was frozen."""
+    """Return whether a group is frozen."""
     for tree in _mounts():
         path = tree / group
         if (path / "freezer.state").exists():
@@ -134,10 +135,10 @@ def frozen(group: str) -> bool:
 
 
 def kill(group: str, timeout: float = 20) -> None:
-    """Kills every process of a group and of those below it, and returns when all are gone.
+    """Kill every process of a group and of those below it, and wait until all are gone.
 
     Raises:
-        TimeoutError: some are still there after the given seconds.
+        TimeoutError: some still exist after the given seconds.
     """
     freeze(group, False)
     deadline = time.monotonic() + timeout
@@ -153,7 +154,7 @@ def kill(group: str, timeout: float = 20) -> None:
 
 
 def remove(group: str, timeout: float = 5) -> None:
-    """Removes a group and all below it, none of which may hold a process.
+    """Remove a group and all groups below it, none of which may contain a process.
 
     Raises:
         TimeoutError: a folder is still busy after the given seconds.

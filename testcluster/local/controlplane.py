@@ -26,7 +26,7 @@ def _etcd(layout: Layout) -> list[str]:
         f"--listen-peer-urls={_ETCD_PEER}",
         f"--initial-advertise-peer-urls={_ETCD_PEER}",
         f"--initial-cluster=default={_ETCD_PEER}",
-        # A test cluster begins afresh after a crash of the machine, so it need not pay for writes that survive one.
+        # After a crash of the machine a test cluster is made again, so its writes need not survive one.
         "--unsafe-no-fsync",
         "--log-level=warn",
     ]
@@ -49,7 +49,7 @@ def _apiserver(layout: Layout, pki: Path) -> list[str]:
         "--authorization-mode=Node,RBAC",
         "--enable-admission-plugins=NodeRestriction",
         "--allow-privileged",
-        # Node names resolve nowhere; logs and exec go by address.
+        # Node names cannot be resolved; logs and exec use addresses.
         "--kubelet-preferred-address-types=InternalIP",
         f"--kubelet-client-certificate={pki}/apiserver-kubelet-client.crt",
         f"--kubelet-client-key={pki}/apiserver-kubelet-client.key",
@@ -61,8 +61,8 @@ def _apiserver(layout: Layout, pki: Path) -> list[str]:
 
 
 def _controller_manager(layout: Layout, pki: Path) -> list[str]:
-    # A node is lost six seconds after its last sign of life (upstream: 50), and its pods are evicted at once. Simulated
-    # ones are never lost: whoever is late with their signs of life is the simulator.
+    # A node counts as lost six seconds after its last heartbeat (upstream: 50), and its pods are evicted at once.
+    # Simulated nodes never count as lost, because only the simulator can be late with their heartbeats.
     losses = ["--node-monitor-period=1s", "--node-monitor-grace-period=6s"] if layout.node_count else []
     return [
         "kube-controller-manager",
@@ -91,7 +91,7 @@ def _scheduler(pki: Path) -> list[str]:
 
 
 def kubectl(layout: Layout, programs: Programs, *arguments: str, input: str | None = None) -> str:
-    """Runs kubectl as the cluster's administrator."""
+    """Run kubectl as the cluster's administrator."""
     return run(
         programs.hyperkube,
         "kubectl",
@@ -104,12 +104,12 @@ def kubectl(layout: Layout, programs: Programs, *arguments: str, input: str | No
 
 
 def answers(layout: Layout) -> bool:
-    """Whether the API server says that it is ready."""
+    """Return whether the API server reports that it is ready."""
     pki = layout.state / "pki"
     try:
         trust = ssl.create_default_context(cafile=str(pki / "ca.crt"))
         trust.load_cert_chain(pki / "admin.crt", pki / "admin.key")
-        # Without the proxy that the environment may name: it does not know this machine's own networks.
+        # Do not use the environment's proxy, which cannot reach this machine's own networks.
         direct = urllib.request.build_opener(
             urllib.request.ProxyHandler({}), urllib.request.HTTPSHandler(context=trust)
         )
@@ -120,14 +120,14 @@ def answers(layout: Layout) -> bool:
 
 
 def running(layout: Layout) -> dict[str, bool]:
-    """Which programs of the control plane run."""
+    """Return which programs of the control plane run."""
     group = network.control_plane_group(layout)
     names = ("etcd", "kube-apiserver", "kube-controller-manager", "kube-scheduler")
     return {name: processes.find(group, name) is not None for name in names}
 
 
 def stop_api(layout: Layout) -> None:
-    """Ends the API server as a crash would, and returns when it is gone. What is gone already is no error.
+    """End the API server as a crash would, and wait until it is gone. It is no error if it is gone already.
 
     Raises:
         TimeoutError: the kernel does not end it.
@@ -145,10 +145,10 @@ def stop_api(layout: Layout) -> None:
 
 
 def up(layout: Layout, programs: Programs, pki: Path, holder: int) -> None:
-    """Starts those programs that do not run, and returns when the API server answers.
+    """Start the programs that do not run, and wait until the API server answers.
 
     Raises:
-        TimeoutError: it does not answer in time; its log is named.
+        TimeoutError: it does not answer in time; the message names its log.
     """
     group = network.control_plane_group(layout)
     runs = running(layout)

@@ -1,4 +1,4 @@
-"""Asking a DNS server a question, to see that it answers: what Kubernetes says lags behind a loss of a node."""
+"""Asks a DNS server a question to test whether it answers. Kubernetes reports a failure after the loss of a node late."""
 
 import secrets
 import socket
@@ -6,7 +6,7 @@ import struct
 
 
 def answers(server: str, name: str, timeout: float = 0.5) -> bool:
-    """Whether a server resolves a name to an IPv4 address in time (RFC 1035, section 4)."""
+    """Return whether a server resolves a name to an IPv4 address in time (RFC 1035, section 4)."""
     identity = secrets.randbelow(1 << 16)
     labels = b"".join(bytes([len(label)]) + label.encode() for label in name.rstrip(".").split("."))
     # One question, recursion desired, type A, class IN.

@@ -1,6 +1,7 @@
-"""A container store with the images that new nodes begin with; a node gets its own by hard links, at once and for free.
+"""A container store with the images of new nodes. A node gets its own store by hard links, which takes no time and no
+space.
 
-That is sound because a container store never writes to a blob or to a lower layer again; only its databases are copied.
+That is safe because a container store never changes a blob or a lower layer; only its databases are copied.
 """
 
 import hashlib
@@ -29,7 +30,7 @@ COREDNS_IMAGE = "localhost/understudy-coredns:1"
 
 
 def _single_program_image(archive: Path, name: str, program: Path) -> None:
-    """Writes an image that holds one static program, as an archive in the format of `docker save`."""
+    """Write an image that contains one static program, as an archive in the format of `docker save`."""
     layer = io.BytesIO()
     with tarfile.open(fileobj=layer, mode="w") as tar:
         entry = tarfile.TarInfo(program.name)
@@ -56,7 +57,7 @@ def _single_program_image(archive: Path, name: str, program: Path) -> None:
 
 
 def _listed(store: Path) -> dict[str, str] | None:
-    """What a store was made with, by name and content hash, or None where it is missing or was not finished."""
+    """Return the images of a store by name and content hash; None if the store is missing or unfinished."""
     try:
         listed: dict[str, str] = json.loads((store / _LISTING).read_text())
     except FileNotFoundError:
@@ -70,8 +71,8 @@ def _store(programs: Programs) -> Path:
 
 @contextmanager
 def _containerd(root: Path) -> Iterator[list[str | Path]]:
-    """Runs a containerd on a store; gives the words that run its client."""
-    # With a dot: no cluster's group can have this name.
+    """Run a containerd on a store, and yield the command line of its client."""
+    # The name has a dot, because no cluster's group can have such a name.
     group = f"understudy.golden-{mark()}"
     cgroups.kill(group)
     cgroups.create(group)
@@ -88,7 +89,7 @@ def _containerd(root: Path) -> Iterator[list[str | Path]]:
             what = "containerd for the images of new nodes"
             wait_until(lambda: succeeds(*client, "version"), 20, f"{what} answers")
             yield client
-            # Its databases are complete on disk only once it has closed them.
+            # The databases are complete on disk only after containerd has closed them.
             run("kill", "-TERM", str(server))
             wait_until(lambda: not cgroups.pids(group), 20, f"{what} ends")
         finally:
@@ -97,10 +98,10 @@ def _containerd(root: Path) -> Iterator[list[str | Path]]:
 
 
 def ensure(programs: Programs, progress: Progress) -> None:
-    """Makes the store, or brings those images to it that the machine's image store has and it has not.
+    """Make the store, or add the images of the machine's image store that it lacks.
 
-    It is changed as a copy that then takes its place, so that neither an interruption nor a node that is cloned from it
-    meanwhile sees half of it.
+    A changed copy replaces the store, so that neither an interruption nor a node that is cloned meanwhile gets an
+    incomplete store.
     """
     with locks.held("golden", progress), locks.held("images", progress):
         wanted = images.references()
@@ -132,7 +133,7 @@ def _renew(
 
 
 def _import_own(client: list[str | Path], programs: Programs) -> None:
-    """Brings the cluster's own images to a container runtime."""
+    """Bring the cluster's own images to a container runtime."""
     with tempfile.TemporaryDirectory(prefix="understudy-") as folder:
         for image, program in ((PAUSE_IMAGE, programs.pause), (COREDNS_IMAGE, programs.coredns)):
             archive = Path(folder) / "image.tar"
@@ -141,7 +142,7 @@ def _import_own(client: list[str | Path], programs: Programs) -> None:
 
 
 def _copy(store: Path, destination: Path) -> None:
-    """Fills an empty folder with a store's content, by hard links as far as nobody writes to it in place."""
+    """Fill an empty folder with a store's content. Files that are never written in place become hard links."""
     run("cp", "-a", "--link", f"{store}/.", destination)
     for shared in (*destination.rglob("*.db"), destination / _LISTING):
         copy = shared.with_name(f"{shared.name}.copy")
@@ -150,7 +151,7 @@ def _copy(store: Path, destination: Path) -> None:
 
 
 def clone(programs: Programs, destination: Path) -> None:
-    """Gives a node its store, unless it has one."""
+    """Give a node its store, unless it has one."""
     if destination.exists():
         return
     with atomic.folder(destination) as partial, locks.held("golden"):

@@ -1,4 +1,4 @@
-"""Names, addresses and folders of one local cluster. Everything else is derived from what is decided here."""
+"""Names, addresses and folders of one local cluster, all derived from a few decisions."""
 
 import ipaddress
 import itertools
@@ -13,10 +13,10 @@ from testcluster.paths import cache, mark
 from testcluster.shell import run
 
 DEFAULT_NAME = "understudy"
-# 198.18.0.0/15 is set aside for tests of network devices (RFC 2544, RFC 6890), so homes, companies and clouds do not
-# use it.
+# 198.18.0.0/15 is reserved for tests of network devices (RFC 2544, RFC 6890), so homes, companies and clouds do not use
+# it.
 POOL = ipaddress.ip_network("198.18.0.0/15")
-# Of a cluster's /18, counted in /24: 0 nodes, 16-31 services, 32-63 pods of node 1-31.
+# Parts of a cluster's /18 in units of /24: 0 nodes, 16-31 services, 32-63 pods of node 1-31.
 PREFIX = 18
 MAX_NODES = 31
 API_PORT = 6443
@@ -28,10 +28,10 @@ class BadSetting(ValueError):
 
 @dataclass(frozen=True)
 class Layout:
-    """What is decided for one cluster.
+    """The decisions for one cluster.
 
     Attributes:
-        slot: a number that no other cluster of this machine has.
+        slot: a number that is unique on this machine.
         network: all of its addresses.
         cgroup: name of the control group of all of its processes.
     """
@@ -50,7 +50,7 @@ class Layout:
 
     @property
     def state(self) -> Path:
-        """The folder with everything that this cluster writes."""
+        """The folder with all files of this cluster."""
         return folder(self.name)
 
     @property
@@ -74,11 +74,11 @@ class Layout:
         return self._fabric(254)
 
     def node_ip(self, node: int) -> str:
-        """Address of a node."""
+        """Return the address of a node."""
         return self._fabric(10 + node)
 
     def pod_network(self, node: int) -> ipaddress.IPv4Network:
-        """Addresses of a node's pods."""
+        """Return the addresses of a node's pods."""
         return self._subnet(32 + node)
 
     @property
@@ -118,15 +118,15 @@ class Layout:
 
     @property
     def api_ready(self) -> Path:
-        """A file that is there once the API server answers; nodes wait for it."""
+        """A file that exists once the API server answers; nodes wait for it."""
         return self.state / "api-ready"
 
     def node_state(self, node: int) -> Path:
-        """The folder with everything that a node writes."""
+        """Return the folder with all files of a node."""
         return self.state / node_name(node)
 
     def save(self) -> None:
-        """Writes the decisions down for later calls."""
+        """Save the decisions for later calls."""
         decided = {
             "slot": self.slot,
             "network": str(self.network),
@@ -141,12 +141,12 @@ def _host_link(slot: int) -> str:
 
 
 def node_name(node: int) -> str:
-    """The Kubernetes name of a node, which is its host name too."""
+    """Return the Kubernetes name of a node, which is also its host name."""
     return f"node{node}"
 
 
 def node_number(name: str, layout: Layout) -> int:
-    """The number of a node by its name.
+    """Return the number of a node with this name.
 
     Raises:
         BadSetting: the cluster has no such node.
@@ -160,12 +160,12 @@ def node_number(name: str, layout: Layout) -> int:
 
 
 def folder(name: str) -> Path:
-    """The folder of a cluster by its name."""
+    """Return the folder of a cluster with this name."""
     return cache() / "clusters" / name
 
 
 def load(name: str) -> Layout | None:
-    """The layout of a cluster that was begun before, or None."""
+    """Return the layout of a cluster that was started before; None if there is none."""
     try:
         kept = json.loads((folder(name) / "layout.json").read_text())
     except FileNotFoundError:
@@ -175,7 +175,7 @@ def load(name: str) -> Layout | None:
 
 
 def names() -> list[str]:
-    """The names of all clusters of this machine."""
+    """Return the names of all clusters of this machine."""
     return [path.parent.name for path in (cache() / "clusters").glob("*/layout.json")]
 
 
@@ -184,7 +184,7 @@ def _others(name: str) -> list[Layout]:
 
 
 def _routed() -> list[ipaddress.IPv4Network]:
-    """What this machine already has a route to, apart from the default route."""
+    """Return the networks to which this machine has a route, except the default route."""
     routes = json.loads(run("ip", "-j", "-4", "route", "show", "table", "all") or "[]")
     destinations = (route["dst"] for route in routes if route["dst"] != "default")
     return [ipaddress.IPv4Network(destination, strict=False) for destination in destinations]
@@ -199,7 +199,7 @@ def _free_network(taken: Iterable[ipaddress.IPv4Network]) -> ipaddress.IPv4Netwo
 
 
 def decide(name: str) -> Layout:
-    """The layout of a new cluster: a free slot and network, or the network that UNDERSTUDY_CLUSTER_NETWORK names.
+    """Decide the layout of a new cluster: a free slot and network, or the network of UNDERSTUDY_CLUSTER_NETWORK.
 
     Raises:
         BadSetting: a setting is malformed or its addresses are in use.

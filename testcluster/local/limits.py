@@ -1,4 +1,5 @@
-"""Limits of the kernel that several nodes on one machine reach: raised for a cluster, put back with the last one."""
+"""Kernel limits that several nodes on one machine reach. They are raised for a cluster, and restored after the last
+one."""
 
 import json
 from pathlib import Path
@@ -7,8 +8,8 @@ from testcluster import atomic
 from testcluster.paths import cache
 from testcluster.progress import Progress
 
-# Every kubelet and container runtime watches some dozen folders, and the kernel counts them all as one user's. Most
-# distributions allow 128; the kubelet ends with "too many open files" when there are no more.
+# Every kubelet and container runtime watches dozens of folders, and the kernel counts them all for one user. Most
+# distributions allow 128. If there are no more, the kubelet ends with "too many open files".
 _LIMITS = {"fs/inotify/max_user_instances": 1024, "fs/inotify/max_user_watches": 262144}
 
 
@@ -21,7 +22,7 @@ def _former() -> Path:
 
 
 def ensure(progress: Progress) -> None:
-    """Raises those limits that are too low, and remembers what they were."""
+    """Raise the limits that are too low, and save their former values."""
     for limit, wanted in _LIMITS.items():
         value = int(_path(limit).read_text())
         if value >= wanted:
@@ -35,7 +36,7 @@ def ensure(progress: Progress) -> None:
 
 
 def restore() -> None:
-    """Puts back what was raised, unless somebody changed it since."""
+    """Restore the limits that were raised, unless somebody has changed them since."""
     if not _former().exists():
         return
     for limit, value in json.loads(_former().read_text()).items():

@@ -1,9 +1,9 @@
-"""The cluster's network: a bridge that stands for the switch, a link to each node, and one to this machine.
+"""The cluster's network: a bridge as its switch, a link to each node, and one to this machine.
 
-The bridge lives in a network namespace of its own, that of the control plane, so that this machine's packet filter
-never sees frames between nodes. Namespaces are held by processes, not by mounted files: nothing is left to unmount, and
-a node that loses power loses its packet filter and connection tracking too. `ip netns add` is never used: its first use
-mounts /run/netns over itself, and every container runtime on the machine then fails to remove its pods.
+The bridge is in the control plane's own network namespace, so that this machine's packet filter never sees frames
+between nodes. Processes hold the namespaces, not mounted files: nothing has to be unmounted, and a node that loses
+power also loses its packet filter and connection tracking. `ip netns add` is never used: its first use mounts
+/run/netns over itself, and every container runtime on the machine then fails to remove its pods.
 """
 
 import ipaddress
@@ -22,12 +22,12 @@ HOLDER = ("sleep", "infinity")
 
 
 def inside(pid: int) -> list[str]:
-    """The words that run a command in the network namespace of a process."""
+    """Return the prefix of a command that runs in the network namespace of a process."""
     return ["nsenter", f"--net=/proc/{pid}/ns/net"]
 
 
 def _batch(commands: Sequence[str], pid: int | None = None) -> None:
-    """Runs `ip` commands in one process, in the namespace of the given process or in this machine's."""
+    """Run `ip` commands in one process, in the namespace of the given process or in this machine's."""
     run(*(inside(pid) if pid else []), "ip", "-batch", "-", input="\n".join(commands) + "\n")
 
 
@@ -39,23 +39,23 @@ def _own_namespace(pid: int) -> bool:
 
 
 def control_plane_group(layout: Layout) -> str:
-    """The control group of the control plane and of its network."""
+    """Return the control group of the control plane and of its network."""
     return f"{layout.cgroup}/control-plane"
 
 
 def holder(layout: Layout) -> int | None:
-    """The process that keeps the control plane's network namespace, or None."""
+    """Return the process that holds the control plane's network namespace; None if there is none."""
     pid = processes.find(control_plane_group(layout), *HOLDER)
     return pid if pid and _own_namespace(pid) else None
 
 
 def _links(pid: int | None = None) -> dict[str, bool]:
-    """The names of links in a namespace, and whether each is up."""
+    """Return the names of the links in a namespace, and whether each is up."""
     listed = json.loads(run(*(inside(pid) if pid else []), "ip", "-j", "link") or "[]")
     return {link["ifname"]: "UP" in link["flags"] for link in listed}
 
 
-# A control plane has machines of its own. Here it shares some processors with all that it controls.
+# A real control plane has its own machines. Here it shares some processors with everything that it controls.
 WEIGHT = 16
 
 
@@ -64,14 +64,14 @@ def _node_link(node: int) -> str:
 
 
 def up(layout: Layout) -> int:
-    """Makes the bridge and the link to it, as far as they are missing; returns the process that holds the namespace."""
+    """Make the bridge and its link as far as they are missing, and return the process that holds the namespace."""
     group = control_plane_group(layout)
     cgroups.create(group)
     cgroups.weigh(group, WEIGHT)
     pid = holder(layout)
     if pid is None:
         pid = processes.start(group, ["unshare", "--net", *HOLDER], layout.log / "network.log")
-        # `unshare` becomes the holder; until then its namespace is still this machine's.
+        # `unshare` becomes the holder. Until then its namespace is still this machine's.
         wait_until(lambda: holder(layout) is not None, 10, "network namespace of the control plane")
     links = _links(pid)
     if BRIDGE not in links:
@@ -108,7 +108,7 @@ def up(layout: Layout) -> int:
 
 
 def attach_node(layout: Layout, node: int, pid: int) -> None:
-    """Gives a node, whose first process is given, its link, address and routes.
+    """Give the node with this first process its link, address and routes.
 
     The node's script waits for the link.
     """
@@ -137,14 +137,14 @@ def attach_node(layout: Layout, node: int, pid: int) -> None:
 
 
 def detach_node(layout: Layout, node: int) -> None:
-    """Removes a node's link, if there is one."""
+    """Remove a node's link, if there is one."""
     control_plane = holder(layout)
     if control_plane is not None and _node_link(node) in _links(control_plane):
         _batch([f"link del {_node_link(node)}"], control_plane)
 
 
 def set_node_link(layout: Layout, node: int, connected: bool) -> None:
-    """Pulls a node's cable, or puts it back.
+    """Disconnect a node from the network, or connect it again.
 
     Raises:
         RuntimeError: the cluster or the node is not up.
@@ -156,13 +156,13 @@ def set_node_link(layout: Layout, node: int, connected: bool) -> None:
 
 
 def node_connected(layout: Layout, node: int) -> bool:
-    """Whether a node's cable is in."""
+    """Return whether a node is connected to the network."""
     control_plane = holder(layout)
     return control_plane is not None and _links(control_plane).get(_node_link(node), False)
 
 
 def remove_host_link(layout: Layout) -> None:
-    """Removes this machine's link into the cluster, and with it every route through it."""
+    """Remove this machine's link into the cluster, and with it every route through it."""
     for _ in range(50):
         links = json.loads(run("ip", "-j", "-4", "addr", "show", check=False) or "[]")
         ours = [link for link in links if link["ifname"] == layout.host_link]
@@ -177,5 +177,5 @@ def remove_host_link(layout: Layout) -> None:
         try:
             run("ip", "link", "del", layout.host_link)
         except CommandFailed:
-            # Its other end may be going away with a namespace at this moment, and takes it along.
+            # The namespace of its other end may be ending now, and then removes the link.
             time.sleep(0.1)

@@ -1,4 +1,4 @@
-"""A node: its own namespaces, container runtime, kubelet and kube-proxy; and the faults it can have."""
+"""A node: its own namespaces, container runtime, kubelet and kube-proxy, and the faults that it can have."""
 
 import contextlib
 import os
@@ -17,18 +17,18 @@ from testcluster.shell import run
 
 _INIT = Path(__file__).resolve().parent / "node-init.sh"
 _RUNTIME = {"kubelet": ("kubelet",), "containerd": ("containerd", "--config")}
-"""The programs that Kubernetes has a node's containers by, and words of their command lines."""
+"""The programs with which Kubernetes runs a node's containers, and words of their command lines."""
 
 _NAMESPACES = ["--net", "--mount", "--uts", "--ipc", "--pid", "--fork", "--mount-proc", "--propagation", "private"]
 
 
 def group(layout: Layout, node: int) -> str:
-    """The control group of a node: its programs in `system`, its pods in `pods`."""
+    """Return the control group of a node: its programs are in `system`, its pods in `pods`."""
     return f"{layout.cgroup}/{node_name(node)}"
 
 
 def init(layout: Layout, node: int) -> int | None:
-    """The node's first process, or None when the node is off."""
+    """Return the node's first process; None if the node is off."""
     return processes.init_of(f"{group(layout, node)}/system")
 
 
@@ -37,14 +37,14 @@ def _container_store(layout: Layout, node: int) -> Path:
 
 
 def has_images(layout: Layout, node: int) -> bool:
-    """Whether a node was on before, and so has images."""
+    """Return whether a node was on before, and so has images."""
     return _container_store(layout, node).exists()
 
 
 def _reserved_memory(nodes: int) -> int:
-    """Memory (MiB) that a node may not give to pods.
+    """Return the memory (MiB) that a node may not give to pods.
 
-    Each node reports all of the machine's; so together they would have too much.
+    Each node reports all memory of the machine, so together the nodes would have too much.
     """
     for line in Path("/proc/meminfo").read_text().splitlines():
         if line.startswith("MemTotal:"):
@@ -146,7 +146,7 @@ def _configure(layout: Layout, node: int) -> None:
     (state / "log").mkdir(exist_ok=True)
     hosts = ["127.0.0.1 localhost", *(f"{layout.node_ip(other)} {node_name(other)}" for other in layout.nodes)]
     (etc / "hosts").write_text("\n".join(hosts) + "\n")
-    # For pods that take the node's resolver. There is none beyond the cluster: nothing outside can be reached.
+    # For pods that use the node's resolver. It is empty, because nothing outside the cluster can be reached.
     (etc / "resolv.conf").write_text("nameserver 127.0.0.1\n")
     (etc / "ip").write_text(layout.node_ip(node))
     (etc / "containerd.toml").write_text(_containerd(layout, node))
@@ -154,12 +154,12 @@ def _configure(layout: Layout, node: int) -> None:
     (etc / "kubelet.yaml").write_text(_kubelet(layout, node))
     (etc / "kube-proxy.yaml").write_text(_kube_proxy(layout, node))
     shutil.copy2(layout.state / "pki" / f"{node_name(node)}.conf", etc / "kubelet.conf")
-    # A copy, because the shell reads a script while it runs it, and the original may be edited meanwhile.
+    # A copy, because the shell reads a script while it runs, and somebody may edit the original meanwhile.
     shutil.copy2(_INIT, etc / "init.sh")
 
 
 def _exchange_netpol(layout: Layout, node: int, programs: Programs) -> bool:
-    """Gives a node the current enforcer of network policies; returns whether it had another one."""
+    """Give a node the current enforcer of network policies, and return whether it had another one."""
     link = layout.node_state(node) / "etc" / "understudy-netpol"
     if link.is_symlink() and link.readlink() == programs.netpol:
         return False
@@ -168,9 +168,9 @@ def _exchange_netpol(layout: Layout, node: int, programs: Programs) -> bool:
 
 
 def renew(layout: Layout, node: int, programs: Programs) -> bool:
-    """Exchanges what can be exchanged in a running node; returns whether anything was.
+    """Update what can be updated in a running node, and return whether anything was.
 
-    The node's first process starts the enforcer of network policies again when it ends; its rules stay in force
+    When the enforcer of network policies ends, the node's first process starts it again. Its rules stay in force
     meanwhile.
     """
     if not _exchange_netpol(layout, node, programs):
@@ -182,7 +182,7 @@ def renew(layout: Layout, node: int, programs: Programs) -> bool:
 
 
 def up(layout: Layout, node: int, programs: Programs) -> bool:
-    """Switches a node on unless it is; returns whether it had to be."""
+    """Switch a node on unless it is on, and return whether it was off."""
     running = init(layout, node)
     if running is not None and network.node_connected(layout, node) and not cgroups.frozen(group(layout, node)):
         renew(layout, node, programs)
@@ -190,7 +190,7 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
     if running is not None and cgroups.frozen(group(layout, node)):
         cgroups.freeze(group(layout, node), False)
     if running is not None and not network.node_connected(layout, node):
-        # Cut off by a test, or its start was interrupted before it got its link: from here both look the same.
+        # A test disconnected it, or its start was interrupted before it got its link: both look the same from here.
         down(layout, node)
         running = None
     if running is None:
@@ -201,7 +201,7 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
         golden.clone(programs, _container_store(layout, node))
         for part in ("system", "pods"):
             cgroups.create(f"{group(layout, node)}/{part}")
-        # Its node's pods must not keep it waiting: in a node of its own it would have another processor.
+        # The node's pods must not delay the enforcer: a real node would have another processor for it.
         enforcers = f"{layout.cgroup}/enforcers"
         cgroups.create(enforcers)
         cgroups.weigh(enforcers, network.WEIGHT)
@@ -227,20 +227,20 @@ def up(layout: Layout, node: int, programs: Programs) -> bool:
 
 
 def down(layout: Layout, node: int) -> None:
-    """Cuts a node's power: everything in it dies at once, without notice."""
+    """Cut a node's power: everything in it ends at once, without notice."""
     first = init(layout, node)
     if first is not None:
         cgroups.freeze(group(layout, node), False)
         run("kill", "-KILL", str(first), check=False)
-    # What an interrupted start left, and the parent of the first process.
+    # Remove what an interrupted start left, and the parent of the first process.
     cgroups.kill(group(layout, node))
-    # Left-over groups of containers would cost the next kubelet three seconds each.
+    # Remaining groups of containers would cost the next kubelet three seconds each.
     cgroups.remove(group(layout, node))
     network.detach_node(layout, node)
 
 
 def stop_runtime(layout: Layout, node: int) -> None:
-    """Ends a node's kubelet and container runtime, as if they had been stopped there; its containers and its network live on.
+    """Stop a node's kubelet and container runtime. Its containers and its network continue.
 
     Raises:
         RuntimeError: the node is off.
@@ -264,7 +264,7 @@ def stop_runtime(layout: Layout, node: int) -> None:
 
 
 def start_runtime(layout: Layout, node: int) -> None:
-    """Has a node's kubelet and container runtime started again. What was not stopped is no error."""
+    """Start a node's kubelet and container runtime again. It is no error if they run."""
     for name in _RUNTIME:
         (_stopped(layout, node) / name).unlink(missing_ok=True)
 
@@ -274,7 +274,7 @@ def _stopped(layout: Layout, node: int) -> Path:
 
 
 def mounts(layout: Layout, node: int) -> list[str]:
-    """The words that run a command with a node's mounts: its container runtime's socket is only there.
+    """Return the prefix of a command that runs with a node's mounts, which contain its container runtime's socket.
 
     Raises:
         RuntimeError: the node is off.

@@ -1,4 +1,4 @@
-"""Keys, certificates and kubeconfigs of a cluster. They are made once per cluster and go with it."""
+"""Keys, certificates and kubeconfigs of a cluster. They are made once per cluster and removed with it."""
 
 import base64
 from pathlib import Path
@@ -10,7 +10,7 @@ from testcluster.shell import run
 _DAYS = "3650"
 _KEY = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
 
-# user (and file name): the subject that Kubernetes reads the user and its groups from
+# user (also the file name): the subject from which Kubernetes reads the user and its groups
 _CLIENTS = {
     "admin": "/O=system:masters/CN=understudy-admin",
     "apiserver-kubelet-client": "/O=system:masters/CN=apiserver-kubelet-client",
@@ -71,7 +71,7 @@ current-context: {cluster}
 
 
 def create(layout: Layout) -> Path:
-    """Makes all keys, certificates and kubeconfigs unless they are there; returns their folder."""
+    """Make all keys, certificates and kubeconfigs unless they exist, and return their folder."""
     final = layout.state / "pki"
     if final.exists():
         return final

@@ -1,7 +1,7 @@
-"""Starting and finding the cluster's long-running programs.
+"""Starts and finds the cluster's long-running programs.
 
-There are no pid files: a program is found by its control group and its command line, so what an interrupted run left
-behind is found too, and a number that the kernel gave to somebody else's process is never mistaken for ours.
+There are no pid files: a program is found by its control group and its command line. So programs of an interrupted run
+are found too, and another process with a reused id is never mistaken for one of them.
 """
 
 import os
@@ -13,7 +13,7 @@ from testcluster.local import cgroups, slices
 
 
 def command_line(pid: int) -> list[str]:
-    """The words a process was started with; empty when it is gone."""
+    """Return the words with which a process was started; empty if it is gone."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").rstrip("\0").split("\0")
     except OSError:
@@ -21,7 +21,7 @@ def command_line(pid: int) -> list[str]:
 
 
 def find(group: str, *words: str) -> int | None:
-    """The process of a group whose command line has these words in a row, or None."""
+    """Return the process of a group whose command line contains these words in a row; None if there is none."""
     for pid in sorted(cgroups.pids(group)):
         line = command_line(pid)
         if any(line[start : start + len(words)] == list(words) for start in range(len(line))):
@@ -30,7 +30,8 @@ def find(group: str, *words: str) -> int | None:
 
 
 def init_of(group: str) -> int | None:
-    """The process of a group that is the first of a process-id namespace of its own, as a node's is, or None."""
+    """Return the process of a group that is the first of its own process-id namespace, as a node's is; None if there is
+    none."""
     for pid in sorted(cgroups.pids(group)):
         try:
             status = Path(f"/proc/{pid}/status").read_text()
@@ -43,7 +44,7 @@ def init_of(group: str) -> int | None:
 
 
 def start(group: str, command: Sequence[str | Path], log: Path, *, prompt: bool = False) -> int:
-    """Starts a program in a group, apart from this process, with its output added to a file; returns its process id.
+    """Start a program in a group, detached from this process, append its output to a file, and return its process id.
 
     ``prompt`` programs run as soon as they are woken, even where every processor is busy.
     """
@@ -56,10 +57,10 @@ def start(group: str, command: Sequence[str | Path], log: Path, *, prompt: bool 
         os.setsid()
 
     with log.open("ab") as out:
-        # A proxy is for reaching the world, and these only reach each other.
+        # Proxies are for outside networks, and these programs only reach each other.
         environment = {name: value for name, value in os.environ.items() if not name.lower().endswith("_proxy")}
         if prompt:
-            # Rarer collections of garbage, for memory: one takes a processor for 50 ms.
+            # Collect garbage less often, at the cost of memory: one collection uses a processor for 50 ms.
             environment.setdefault("GOGC", "400")
         return subprocess.Popen(
             [str(word) for word in command],

@@ -1,4 +1,4 @@
-"""The programs a cluster is made of: what Debian packages bring, and what is built from Go modules."""
+"""The programs of a cluster, from Debian packages or built from Go modules."""
 
 import re
 import shlex
@@ -49,7 +49,7 @@ def _required(module: str) -> str:
 
 
 def kubernetes_version() -> str:
-    """The version of Kubernetes that the sources name, without a leading v."""
+    """Return the version of Kubernetes in the sources, without a leading v."""
     return _required("k8s.io/kubernetes")
 
 
@@ -67,7 +67,7 @@ def _version_flags() -> list[str]:
 
 
 def _link_tools(hyperkube: Path, helm: Path) -> None:
-    """Puts kubectl and helm at a path that stays the same over versions, for people and scripts."""
+    """Link kubectl and helm at a path that stays the same over versions, for people and scripts."""
     tools = tools_folder()
     tools.mkdir(exist_ok=True)
     for name, command in (("kubectl", [hyperkube, "kubectl"]), ("helm", [helm])):
@@ -82,12 +82,12 @@ exec {shlex.join(str(word) for word in command)} "$@"
 
 
 def tools_folder() -> Path:
-    """The folder with kubectl and helm."""
+    """Return the folder with kubectl and helm."""
     return cache() / "tools"
 
 
 def ensure(progress: Progress) -> Programs:
-    """Installs and builds what is missing.
+    """Install and build the programs that are missing.
 
     Raises:
         CommandFailed, MissingPrograms: a package could not be installed or a program could not be built.

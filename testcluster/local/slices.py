@@ -1,7 +1,7 @@
 """Short time slices for programs that others wait for.
 
-Linux lets a program that asks for less time at once go before one that is running (EEVDF, from 6.12 on; older kernels take
-no notice).
+Linux (EEVDF, from 6.12 on) lets a program that requests short slices preempt a running one. Older kernels ignore the
+request.
 """
 
 import ctypes
@@ -14,7 +14,7 @@ _ATTRIBUTES = struct.Struct("=IIQiIQQQII")  # sched_attr of sched_setattr(2)
 
 
 def shorten() -> None:
-    """For the calling process and what it starts. Where that isn't possible, all is as it was."""
+    """Request short slices for the calling process and its children. If that is not possible, nothing changes."""
     number = _SCHED_SETATTR.get(platform.machine())
     if number is not None:
         ctypes.CDLL(None).syscall(number, 0, _ATTRIBUTES.pack(_ATTRIBUTES.size, 0, 0, 0, 0, _SLICE, 0, 0, 0, 0), 0)

@@ -1,4 +1,4 @@
-"""What runs in every cluster: DNS, and the rights of the node's programs."""
+"""The pods of every cluster: DNS, and the rights of the node's programs."""
 
 import json
 import string
@@ -15,12 +15,12 @@ _MANIFEST = Path(__file__).resolve().parent / "system.yaml"
 
 
 def dns_replicas(layout: Layout) -> int:
-    """How many DNS pods a cluster has: two where there are two nodes, for one to outlive a node."""
+    """Return the number of DNS pods of a cluster: two if it has two nodes, so that one outlives a node."""
     return min(2, layout.node_count)
 
 
 def apply(layout: Layout, programs: Programs) -> None:
-    """Applies the manifests; for as long as a minute, since an API server that has just started may not serve all yet."""
+    """Apply the manifests, for up to a minute, because an API server that has just started may not serve all kinds yet."""
     text = string.Template(_MANIFEST.read_text()).substitute(
         dns_ip=layout.dns_ip, dns_replicas=dns_replicas(layout), coredns_image=golden.COREDNS_IMAGE
     )
@@ -33,7 +33,7 @@ def apply(layout: Layout, programs: Programs) -> None:
 
 
 def ready_nodes(layout: Layout, programs: Programs) -> set[str]:
-    """The nodes that Kubernetes says are Ready and that nothing keeps pods from."""
+    """Return the nodes that are Ready and accept pods, according to Kubernetes."""
     listed = json.loads(controlplane.kubectl(layout, programs, "get", "nodes", "-o", "json"))
     return {
         item["metadata"]["name"]
@@ -47,7 +47,7 @@ def ready_nodes(layout: Layout, programs: Programs) -> set[str]:
 
 
 def _renewed_nodes(layout: Layout, programs: Programs, since: datetime) -> set[str]:
-    """The nodes whose kubelet showed a sign of life since a moment; a lost one is called Ready for a while."""
+    """Return the nodes whose kubelet has sent a heartbeat since a time. A lost node counts as Ready for a while."""
     listed = json.loads(controlplane.kubectl(layout, programs, "-n", "kube-node-lease", "get", "leases", "-o", "json"))
     return {
         item["metadata"]["name"]
@@ -57,7 +57,7 @@ def _renewed_nodes(layout: Layout, programs: Programs, since: datetime) -> set[s
 
 
 def _dns_serves(layout: Layout, programs: Programs) -> bool:
-    """Whether every DNS pod is known as ready and answers."""
+    """Return whether every DNS pod is ready and answers."""
     slices = json.loads(
         controlplane.kubectl(
             layout,
@@ -85,7 +85,7 @@ def _dns_serves(layout: Layout, programs: Programs) -> bool:
 
 
 def wait_ready(layout: Layout, programs: Programs, since: datetime, seconds: float = 300) -> None:
-    """Returns when all nodes are Ready, with a sign of life after a moment, and DNS serves.
+    """Wait until all nodes are Ready, with a heartbeat after a given time, and DNS answers.
 
     Raises:
         TimeoutError: with what is missing.

@@ -1,1 +1,1 @@
-"""The ways to have a cluster: one module each, all with the face of `base.Provider`."""
+"""The ways to have a cluster: one module each, all with the interface of `base.Provider`."""

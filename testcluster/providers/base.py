@@ -1,4 +1,4 @@
-"""What a provider of clusters can do."""
+"""The interface of a provider of clusters."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -7,19 +7,19 @@ from pathlib import Path
 
 
 class ClusterError(RuntimeError):
-    """The cluster, or this machine, does not allow what was asked; the message says what would."""
+    """The cluster, or this machine, does not allow the operation; the message says what would help."""
 
 
 class NotSupported(ClusterError):
-    """This provider cannot do that at all."""
+    """This provider does not have that operation at all."""
 
 
 @dataclass(frozen=True)
 class Status:
-    """How a cluster is.
+    """The state of a cluster.
 
     Attributes:
-        ready: it can be used in full.
+        ready: whether everything in it can be used.
         summary: one line for people.
         details: further lines.
     """
@@ -33,24 +33,24 @@ class Provider(ABC):
     """A way to have a cluster. Every operation may be repeated, and may follow one that was interrupted."""
 
     name: str
-    # The builder whose images this provider can take, or None when any will do.
+    # The builder whose images this provider accepts; None for any.
     engine: str | None = None
 
     @abstractmethod
     def up(self) -> None:
-        """Makes the cluster, or what is missing of it, and returns when it can be used."""
+        """Make the cluster, or what is missing of it, and wait until it can be used."""
 
     @abstractmethod
     def down(self) -> None:
-        """Removes all that `up` made, and nothing else."""
+        """Remove everything that `up` made, and nothing else."""
 
     @abstractmethod
     def status(self) -> Status:
-        """How the cluster is, now."""
+        """Return the present state of the cluster."""
 
     @abstractmethod
     def load_images(self, images: Sequence[str]) -> None:
-        """Brings images to every node, as far as they are not there.
+        """Bring images to every node that lacks them.
 
         Args:
             images: for each, the path of an archive in the format of `docker save`, or the name of an image that was
@@ -59,40 +59,40 @@ class Provider(ABC):
 
     @abstractmethod
     def kubeconfig(self) -> Path:
-        """The path of a kubeconfig with an administrator's rights.
+        """Return the path of a kubeconfig with an administrator's rights.
 
         Raises:
             ClusterError: there is no cluster.
         """
 
     def nodes(self) -> Sequence[str]:
-        """The names of nodes that the faults below can be done to."""
+        """Return the names of nodes that can have the faults below."""
         raise NotSupported(f"provider {self.name} cannot do faults to nodes")
 
     def node_down(self, node: str) -> None:
-        """Cuts a node's power: everything on it is gone at once."""
+        """Cut a node's power: everything on it ends at once."""
         raise NotSupported(f"provider {self.name} cannot cut a node's power")
 
     def node_up(self, node: str) -> None:
-        """Switches a node on again; it becomes Ready later. Also ends a freeze and puts the cable back."""
+        """Switch a node on again; it becomes Ready later. This also ends a freeze and a disconnection."""
         raise NotSupported(f"provider {self.name} cannot switch a node on")
 
     def node_freeze(self, node: str, frozen: bool) -> None:
-        """Stops every process of a node where it stands, or lets them go on."""
+        """Freeze every process of a node, or let them continue."""
         raise NotSupported(f"provider {self.name} cannot freeze a node")
 
     def node_runtime(self, node: str, running: bool) -> None:
-        """Stops a node's kubelet and container runtime, or starts them again. Its containers go on meanwhile."""
+        """Stop a node's kubelet and container runtime, or start them again. Its containers continue meanwhile."""
         raise NotSupported(f"provider {self.name} cannot stop a node's kubelet and container runtime")
 
     def api_stop(self) -> None:
-        """Ends the API server at once; everything else goes on without it."""
+        """End the API server at once; everything else continues without it."""
         raise NotSupported(f"provider {self.name} cannot stop the API server")
 
     def api_start(self) -> None:
-        """Starts the API server again, and returns when it answers."""
+        """Start the API server again, and wait until it answers."""
         raise NotSupported(f"provider {self.name} cannot start the API server")
 
     def node_link(self, node: str, connected: bool) -> None:
-        """Pulls a node's network cable, or puts it back. Its pods go on running."""
+        """Disconnect a node from the network, or connect it again. Its pods continue."""
         raise NotSupported(f"provider {self.name} cannot cut a node off")

@@ -1,6 +1,6 @@
-"""Provider `current`: the cluster that kubectl is pointed at, whatever it is.
+"""Provider `current`: the cluster that kubectl uses.
 
-It is used, never made, changed or removed.
+It is used, but never made, changed or removed.
 """
 
 import json

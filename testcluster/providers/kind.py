@@ -1,7 +1,7 @@
 """Provider `kind`: Kubernetes in Docker (https://kind.sigs.k8s.io), for machines that have both.
 
-A node of kind is a container, so most faults of nodes can be done to it as well. Its network plugin, kindnet, enforces
-network policies.
+A node of kind is a container, so it can have most faults of nodes. Its network plugin, kindnet, enforces network
+policies.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ from testcluster.shell import CommandFailed, run, succeeds
 
 _NETWORK = "kind"
 
-# The same times for the loss of a node as with the local provider; see its control plane for what upstream's are.
+# The times for the loss of a node are those of the local provider; its control plane says what upstream's are.
 _CONFIGURATION = """kind: Cluster
 apiVersion: kind.x-k8s.io/v1alpha4
 nodes:
@@ -57,7 +57,7 @@ class KindProvider(Provider):
 
     @staticmethod
     def obstacle() -> str | None:
-        """Why this provider cannot be used here, or None."""
+        """Return why this provider cannot be used here; None if it can."""
         if not packages.find("kind"):
             return "the program `kind` is missing"
         if not docker_works():
@@ -77,7 +77,7 @@ class KindProvider(Provider):
         return self._cluster in run("kind", "get", "clusters").split()
 
     def _kubectl(self, *arguments: str) -> str:
-        # From inside the control plane, for people who have no kubectl yet.
+        # From inside the control plane, for people without kubectl.
         return run(
             "docker",
             "exec",
@@ -120,7 +120,7 @@ class KindProvider(Provider):
         self._progress(f"cluster {self._cluster} is ready: export KUBECONFIG={self._kubeconfig}")
 
     def _whole(self) -> bool:
-        """Whether kind finished making it: the last thing that it does is to label the nodes it joined."""
+        """Return whether kind finished making the cluster: its last step is to label the nodes that joined."""
         for node in self._containers():
             run("docker", "start", node, check=False)
         with contextlib.suppress(CommandFailed):

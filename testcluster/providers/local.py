@@ -39,7 +39,7 @@ class LocalProvider(Provider):
 
     @staticmethod
     def obstacle() -> str | None:
-        """Why this provider cannot be used here, or None."""
+        """Return why this provider cannot be used here; None if it can."""
         if os.uname().sysname != "Linux":
             return "it needs Linux"
         if os.geteuid() != 0:
@@ -54,7 +54,7 @@ class LocalProvider(Provider):
             )
 
     def _locked(self) -> AbstractContextManager[None]:
-        """One change of a cluster at a time."""
+        """Return the lock that allows one change of a cluster at a time."""
         return locks.held(f"cluster-{self._cluster}", self._progress)
 
     def _layout(self) -> Layout:
@@ -66,15 +66,15 @@ class LocalProvider(Provider):
     def up(self) -> None:
         self._require_root()
         with self._locked():
-            # Building comes before anything is made: it takes longest, and most likely fails because something is missing on
-            # the machine.
+            # Building comes first: it takes longest, and is most likely to fail because the machine lacks something.
             programs = tools.ensure(self._progress)
             found = layouts.load(self._cluster)
             if found is not None and network.holder(found) is None and found.state.exists():
                 self._progress(f"cluster {self._cluster}: removing what is left of an earlier one")
                 self._remove(found)
                 found = None
-            # A network and a number are free as long as no other new cluster has chosen them.
+            # The lock lasts until the new cluster has saved its network and slot, so that no other new cluster chooses
+            # them.
             with locks.held("clusters"):
                 layout = found or layouts.decide(self._cluster)
                 if found is None:
@@ -92,8 +92,8 @@ class LocalProvider(Provider):
             golden.ensure(programs, self._progress)
         holder = network.up(layout)
         started = [node for node in layout.nodes if nodes.up(layout, node, programs)]
-        # A node that was running sends its heartbeat every second; one that was started now counts from its first sign
-        # of life.
+        # A node that was running sends its heartbeat every second. A node that was started now counts from its first
+        # heartbeat.
         since = datetime.now(UTC) if started else datetime.now(UTC) - timedelta(seconds=10)
         controlplane.up(layout, programs, certificates, holder)
         system.apply(layout, programs)
@@ -159,21 +159,21 @@ class LocalProvider(Provider):
             store.prune()
 
             def load(node: int) -> list[store.Reference]:
-                # The node's container runtime has its socket in the node's own mounts.
+                # The container runtime's socket is in the node's own mounts.
                 return containerd.load([*nodes.mounts(layout, node), "ctr"], wanted)
 
             with ThreadPoolExecutor() as pool:
                 loaded = list(pool.map(load, on))
             for reference in wanted:
                 if not (reference.name.startswith(_OWN_IMAGES) and reference.name.endswith(f":{PRESENT.tag}")):
-                    # Only the project's own images of now are kept, for new nodes to begin with.
+                    # Only the present images of the project are kept, for new nodes.
                     store.forget(reference)
         for reference in wanted:
             news = [node_name(node) for node, missing in zip(on, loaded, strict=True) if reference in missing]
             self._progress(f"{reference.name}: {'loaded into ' + ', '.join(news) if news else 'was there'}")
 
     def _take(self, image: str) -> list[store.Reference]:
-        """Brings an image into the store, from an archive or from the builder."""
+        """Add an image to the store, from an archive or from the builder."""
         if Path(image).is_file():
             return store.add(Path(image))
         engine = engines.choose(self.engine, self._progress)

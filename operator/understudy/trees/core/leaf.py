@@ -88,7 +88,7 @@ class Leaf(Behaviour, ABC):
 
     @abstractmethod
     def state(self) -> State:
-        """The state at the time of the evaluation."""
+        """Return the state at the time of the evaluation."""
 
     @abstractmethod
     def healthy_until(self) -> float | None:
@@ -137,7 +137,7 @@ class IntervalLeaf(Leaf):
         """Return the interval in which the leaf fails if nothing more arrives; None if it does not fail."""
 
     def state(self) -> State:
-        """The state at the time of the evaluation."""
+        """Return the state at the time of the evaluation."""
         failing = self._failing()
         return "Failed" if failing is not None and failing[0] <= self._evaluation.now < failing[1] else "Healthy"
 

@@ -102,7 +102,7 @@ class ConditionLeaf(_LookLeaf):
         return Finding(False, f"it is {found.status}{f', {found.reason}' if found.reason else ''}")
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"status {self._status} of the pod's condition {self._condition}"
 
 
@@ -124,7 +124,7 @@ class UsageLeaf(_LookLeaf):
         return Finding(False, f"it was {RESOURCES[self._what](taken)}")
 
     def condition(self) -> str:
-        """The condition in words."""
+        """Return the condition in words."""
         return f"{self._what} {self._bound} of the pod"
 
 
