@@ -1,15 +1,14 @@
-"""Whether a robot that is seen from outside does what it is commanded to.
+"""Tests whether a robot that is observed from outside follows its commands.
 
-Two questions, one after the other. *What may it do?* From the commands follows, for each moment, an interval of velocities:
-a command acts after a delay that is only known not to be longer than some time, and what it asks for is reached
-at some acceleration at least. *Is what is seen outside of that by more than chance?* That is asked by a cumulative sum
-(CUSUM: E. S. Page, Continuous Inspection Schemes, Biometrika 41, 1954) of log-likelihood ratios, one for each direction in
-which a velocity can be wrong.
+There are two steps. *Which velocities are possible?* The commands give an interval of velocities for each moment: a command acts after a
+delay of which only the upper bound is known, and the robot reaches the commanded velocity with at least some acceleration. *Is the observed
+velocity outside this interval by more than chance?* A cumulative sum (CUSUM: E. S. Page, Continuous Inspection Schemes, Biometrika 41,
+1954) of log-likelihood ratios tests that, one for each direction in which a velocity can be wrong.
 
-How seldom it errs is known without trying: a sum of log-likelihood ratios passes a threshold h by chance once in exp(h)
-independent observations or less (G. Lorden, Procedures for Reacting to a Change in Distribution, Annals of Mathematical Statistics
-42, 1971). Velocities over a window are not independent of each other; each counts by the part of the window that passed since
-the one before, and by Hoelder's inequality so many of them weigh no more than one that is independent.
+The rate of false alarms is known in advance: by chance, a sum of log-likelihood ratios passes a threshold h at most once in exp(h)
+independent observations (G. Lorden, Procedures for Reacting to a Change in Distribution, Annals of Mathematical Statistics 42, 1971).
+Velocities over overlapping windows are not independent. So each one counts by the fraction of the window that has passed since the previous
+one. By Hoelder's inequality, the observations of one window then weigh no more than one independent observation.
 """
 
 from __future__ import annotations
@@ -21,29 +20,29 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 SILENT = 0.5
-"""Seconds after a command from which on a robot may stop, since it is not commanded any more, or may go on."""
+"""Seconds after the last command after which the robot may have stopped or may continue."""
 
 LOST = 1.0
 """Seconds without an observation after which nothing can be determined."""
 
 BETWEEN_FALSE_ALARMS = 10 * 365 * 86400.0
-"""Seconds of driving in which one false alarm is expected at most."""
+"""Seconds of driving in which at most one false alarm is expected."""
 
 STEPS = 3
-"""How many observations a failure takes at least: a single one, however wrong, may be a marker that was misread."""
+"""Minimum number of observations for a failure: a single wrong one may be a misread marker."""
 
 JITTER = 0.015, 0.05
 """Standard deviations, in m/s and rad/s, of the velocity of a robot that works well: floors, wheels and controllers are uneven."""
 
 MOST_PIECES = 1000
-"""Commands that are remembered at once; 50 Hz for twenty seconds."""
+"""Maximum number of commands that are remembered: 50 Hz for twenty seconds."""
 
 Component = Literal["forward", "sideways", "turning"]
 COMPONENTS: tuple[Component, ...] = ("forward", "sideways", "turning")
 
 
 class Motion(NamedTuple):
-    """A velocity in the robot's own frame (REP 103), commanded or seen: m/s forward and to the left, rad/s."""
+    """A commanded or observed velocity in the robot's own frame (REP 103): m/s forward and to the left, rad/s."""
 
     forward: float
     left: float
@@ -52,26 +51,26 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class Allowance:
-    """What is allowed for between a command and what is seen. All are at least 0, accelerations more."""
+    """The tolerances between commands and observed motion. All are at least 0; accelerations are above 0."""
 
     delay: float = 0.3
-    """Seconds from a command to when its effect can be seen, at most: communication, control, camera and detection."""
+    """Maximum seconds from a command to its visible effect: communication, control, camera and detection."""
     window: float = 0.5
-    """Seconds over which what is seen is averaged."""
+    """Seconds over which the observed velocity is averaged."""
     acceleration: float = 0.5
-    """m/s2 with which it reaches what is commanded, at least."""
+    """Minimum acceleration in m/s2 with which the robot reaches a commanded velocity."""
     turn_acceleration: float = 1.0
     """rad/s2"""
     slip: float = 0.2
-    """The part of a velocity that may be wrong."""
+    """Fraction of a velocity that may be wrong."""
     tolerance: float = 0.03
-    """m/s that may be wrong in addition."""
+    """Additional error in m/s that is allowed."""
     turn_tolerance: float = 0.1
     """rad/s"""
 
     @property
     def threshold(self) -> float:
-        """Which sum of log-likelihood ratios is a failure: the false alarms are those of all tests together."""
+        """The sum of log-likelihood ratios that counts as a failure. The bound on false alarms covers all tests together."""
         return math.log(BETWEEN_FALSE_ALARMS / max(self.window, 0.05) * 2 * len(COMPONENTS))
 
 
@@ -87,14 +86,14 @@ class Reach:
     """The velocities that a robot may have in one component, by its commands. Times are seconds of one clock."""
 
     def __init__(self, acceleration: float, slack: float) -> None:
-        """``slack`` is how many seconds a command may still show after its end, besides what slowing down takes."""
+        """``slack`` is the seconds for which a command may have an effect after its end, in addition to the time to change speed."""
         self._acceleration, self._slack = acceleration, slack
         self._pieces: deque[_Piece] = deque(maxlen=MOST_PIECES)
         self._value: float | None = None
         self._begin = self._last = 0.0
 
     def command(self, time: float, value: float) -> None:
-        """A command came. Times do not go back."""
+        """Record a command. Times do not go back."""
         if self._value is not None:
             self._interrupt(time)
             if value != self._value:
@@ -105,23 +104,23 @@ class Reach:
         self._value, self._last = value, time
 
     def had(self, time: float, value: float) -> None:
-        """It was seen to have this velocity, for reasons that are not known."""
+        """Record an observed velocity whose cause is not known."""
         self._pieces.append(_Piece(value, time, time))
 
     def _interrupt(self, time: float) -> None:
-        """Where nothing came for some time it may have stopped meanwhile, unless it went on."""
+        """If no command came for some time, record that the robot may have stopped."""
         if time - self._last > SILENT:
             self._pieces.append(_Piece(0.0, self._last + SILENT, time))
 
     def bounds(self, time: float) -> tuple[float, float] | None:
-        """The least and the greatest velocity that it may have had within the window up to a time; None without a command."""
+        """Return the lowest and highest velocity that is possible within the window up to a time; None without a command."""
         if self._value is None:
             return None
         low = high = self._value
         if time - self._last > SILENT:
             low, high = min(low, 0.0), max(high, 0.0)
         kept: list[_Piece] = []
-        for piece in reversed(self._pieces):  # newer ones first: what they cover the older do not widen, now or ever
+        for piece in reversed(self._pieces):  # newest first: a piece within the range of newer ones never widens it
             over = self._acceleration * max(0.0, time - piece.end - self._slack)
             if piece.value + over < low or piece.value - over > high or not over:
                 kept.append(piece)
@@ -140,29 +139,29 @@ class Reach:
 
 
 class Sums:
-    """Page's two sums over one component: that it is too slow, and that it is too fast."""
+    """Page's two sums for one component: one for too slow, one for too fast."""
 
     def __init__(self, threshold: float, least: float) -> None:
-        """``least`` is the discrepancy, beyond what is allowed, that is to be found soonest."""
+        """``least`` is the discrepancy beyond the tolerance that is to be found soonest."""
         self._threshold, self._least = threshold, least
         self._below = self._above = 0.0
         self._since: float | None = None
         self.failed = False
-        """Whether a sum has reached the threshold, and none has come back to 0 since."""
+        """Whether a sum has reached the threshold and the sums have not returned to 0 since."""
 
     @property
     def since(self) -> float | None:
-        """Since when it has been wrong, in the tests' view; None while it is right."""
+        """Since when the velocity has been wrong according to the sums; None while it is right."""
         return self._since
 
     def add(self, time: float, seen: float, low: float, high: float, variance: float, part: float) -> None:
-        """An observation: allowed is what lies between low and high. It counts by a ``part`` of an independent one."""
+        """Add an observation. Velocities from ``low`` to ``high`` are allowed; ``part`` is its weight relative to an independent one."""
         most = self._threshold / STEPS
         scale = part * self._least / variance
 
         def summed(before: float, beyond: float) -> float:
             step = scale * (beyond - self._least / 2)
-            # At the threshold a sum has said all; it is to come down as soon as it went up.
+            # The sum stops at the threshold, so that it can fall as quickly as it rose.
             return min(self._threshold, max(0.0, before + min(most, max(-most, step))))
 
         self._below, self._above = summed(self._below, low - seen), summed(self._above, seen - high)
@@ -180,13 +179,13 @@ class Sums:
 
 @dataclass(frozen=True)
 class Discrepancy:
-    """What is wrong with a robot's motion."""
+    """A component in which a robot does not move as commanded."""
 
     component: Component
     seen: float
     low: float
     high: float
-    """What was seen, and what the commands let it be; m/s or rad/s."""
+    """The observed velocity, and the bounds that the commands allow, in m/s or rad/s."""
 
     def __str__(self) -> str:
         unit = "rad/s" if self.component == "turning" else "m/s"
@@ -216,7 +215,7 @@ class CommandFollowing:
             reach.command(time, value)
 
     def see(self, time: float, motion: Motion, variances: Motion) -> None:
-        """The robot was seen to move so, with an uncertainty as variances in m2/s2 and rad2/s2."""
+        """Record the observed motion of the robot, with its variances in m2/s2 and rad2/s2."""
         if self._last is not None and time - self._last > LOST:
             self._begin_sums()
         before, self._last = self._last, time
@@ -224,7 +223,7 @@ class CommandFollowing:
             self._well = time
             return
         if not self._known:
-            # It moved somehow before the first command, and that takes time to change.
+            # The robot may have moved before the first command, and its motion takes time to change.
             self._known = True
             for reach, value in zip(self._reaches, motion, strict=True):
                 reach.had(time, value)
@@ -248,25 +247,25 @@ class CommandFollowing:
             self._found = Discrepancy(COMPONENTS[index], motion[index], *bounds[index])
 
     def _begin_sums(self) -> None:
-        """From nothing: what was not seen for long says nothing of now."""
+        """Start new sums: after a long gap, earlier observations do not describe the present."""
         allowance = self._allowance
         tolerances = allowance.tolerance, allowance.tolerance, allowance.turn_tolerance
         self._sums = [Sums(allowance.threshold, 2 * tolerance) for tolerance in tolerances]
         self._found = None
 
     def discrepancy(self, time: float) -> Discrepancy | None:
-        """What is wrong at a time, as it was when it was found; None if nothing is, or it cannot be determined."""
+        """Return the discrepancy at a time, as it was when it was found; None if there is none or it cannot be determined."""
         until = self.until
         return self._found if until is not None and time < until else None
 
     @property
     def until(self) -> float | None:
-        """Until when what was seen says something, if nothing more is; None if nothing was seen."""
+        """The time until which the observations count if no more arrive; None if there are none."""
         return self._last + LOST if self._last is not None else None
 
     @property
     def well(self) -> float | None:
-        """When it last moved as commanded, as far as was seen; None for never."""
+        """When the robot was last observed to move as commanded; None if never."""
         return self._well
 
     @property
@@ -275,7 +274,7 @@ class CommandFollowing:
         return self._known
 
     def shift(self, seconds: float) -> None:
-        """The clock was set by so many seconds."""
+        """Adjust all times after the clock was set by ``seconds``."""
         for part in self._parts():
             part.shift(seconds)
         self._last = self._last + seconds if self._last is not None else None

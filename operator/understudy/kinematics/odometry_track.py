@@ -1,8 +1,7 @@
-"""What odometry has said of late, as long as it is one motion without a break.
+"""The recent odometry of a topic, as long as it is one motion without a break.
 
-Odometry is only good for how the robot moved between two moments, and only while nothing has set it again in between: its
-publisher was started again, a driver reset it, a filter jumped. That is looked for in each step, since afterwards nobody
-could tell.
+Odometry only shows how the robot moved between two moments, and only if it was not reset in between: its publisher was started again, a
+driver reset it, or a filter jumped. Each step is checked for that, because a reset cannot be detected later.
 """
 
 from __future__ import annotations
@@ -15,25 +14,25 @@ from typing import NamedTuple
 from understudy.kinematics.poses import Pose, Vector
 
 LENGTH = 120
-"""Points that are remembered. A message may be of a time that lies back a little; older moments were asked for before."""
+"""Number of points that are remembered. A message may refer to a time shortly before; moments of older times were requested earlier."""
 
 SLACK = 100_000_000
 """Longest time after the last point, in ns, for which that point still gives the pose if no other point follows."""
 
 BLIND = 1_000_000_000
-"""ns without a point after which it was not watched meanwhile."""
+"""Nanoseconds without a point after which the motion in between counts as unobserved."""
 
 FASTEST = 10.0
-"""m/s that a robot is taken to move at most where nothing else is known."""
+"""Assumed maximum speed of a robot in m/s, if its velocity is not known."""
 
 HARDEST, TWISTIEST = 30.0, 60.0
-"""m/s2 and rad/s2: no robot changes its speed faster than that, unless something hits it."""
+"""Maximum acceleration in m/s2 and rad/s2: no robot changes its speed faster, unless something hits it."""
 
 LEAST_STEP, LEAST_TURN = 0.1, 0.2
-"""m and rad that are no jump in any case: odometry is corrected by a little now and then."""
+"""Steps up to this size, in m and rad, are never jumps: odometry makes small corrections now and then."""
 
 MARK_STEP, MARK_TURN = 0.02, 0.02
-"""m and rad from which on motion is added up: a robot that stands does not drive by its sensors' noise."""
+"""Minimum motion, in m and rad, that is added up, so that sensor noise does not make a standing robot drive."""
 
 _SECOND = 1e-9
 _PACKED = struct.Struct("<7d2q16s3dH")
@@ -41,7 +40,7 @@ _FRAMES = "\n"
 
 
 class Moment(NamedTuple):
-    """Where odometry had the body at a time, and how far it had come by then since the track began."""
+    """The pose of the body in odometry at a time, and its motion since the track began."""
 
     pose: Pose
     driven: float
@@ -49,7 +48,7 @@ class Moment(NamedTuple):
     turned: float
     """rad"""
     blind: float
-    """s for which it was not watched."""
+    """Seconds for which the motion was not observed."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +57,9 @@ class Point:
 
     pose: Pose
     stamp: int
-    """ns by the clock of who said it; 0 if it does not say."""
+    """Time in ns by the publisher's clock; 0 if the message has none."""
     received: int
-    """ns by this machine's clock."""
+    """Time in ns by this machine's clock."""
     frame: str
     child: str
     writer: bytes
@@ -68,7 +67,7 @@ class Point:
 
 
 class Track:
-    """One topic's odometry."""
+    """The odometry of one topic."""
 
     def __init__(self) -> None:
         self._points: deque[tuple[Point, Moment]] = deque(maxlen=LENGTH)
@@ -82,11 +81,11 @@ class Track:
 
     @property
     def present(self) -> Moment | None:
-        """The moment of the latest point."""
+        """The moment of the latest point; None before the first."""
         return self._points[-1][1] if self._points else None
 
     def add(self, point: Point) -> str:
-        """Take in what came next; why what was before cannot be joined with it, empty if it can."""
+        """Add the next point. Returns why the earlier points cannot be joined with it; empty if they can."""
         if not self._points:
             self._begin(point)
             return ""
@@ -121,7 +120,7 @@ class Track:
         self._velocity, self._mark = None, point.pose
 
     def _break(self, last: Point, point: Point, elapsed: int) -> str:
-        """Why two points are not of one motion; empty if they may be."""
+        """Return why two points do not belong to one motion; empty if they may."""
         if reason := changed(last, point):
             return reason
         if elapsed < 0:
@@ -138,7 +137,7 @@ class Track:
         return f"it jumped by {last.pose.distance(point.pose):.2f} m within {seconds:.2f} s" if miss > most else ""
 
     def at(self, stamp: int, received: int, *, last: bool = False) -> Moment | None:
-        """The moment at a time, which is given by the clock of who says it (0 if it does not) and by this machine's.
+        """Return the moment at a time, given by the publisher's clock (``stamp``, 0 if there is none) and by this machine's clock.
 
         None if the time is not known. With ``last``, the last point also answers for a time shortly after it.
         """
@@ -157,7 +156,7 @@ class Track:
         return None
 
     def shift(self, step: float) -> None:
-        """This machine's clock was set by so many seconds."""
+        """Adjust the times after this machine's clock was set by ``step`` seconds."""
         by = round(step / _SECOND)
         moved = [
             (Point(p.pose, p.stamp, p.received + by, p.frame, p.child, p.writer), moment) for p, moment in self._points
@@ -167,7 +166,7 @@ class Track:
     # -- over a restart ---------------------------------------------------------------------------------------------
 
     def pack(self) -> bytes:
-        """The last point and how far it had come, for :meth:`unpack`; empty before the first."""
+        """Return the last point and its moment as bytes for :meth:`unpack`; empty before the first point."""
         if not self._points:
             return b""
         point, moment = self._points[-1]
@@ -176,7 +175,7 @@ class Track:
 
     @classmethod
     def unpack(cls, data: bytes) -> Track:
-        """A track that goes on where another ended. Raises ValueError if the bytes are none."""
+        """Return a track that continues from packed bytes. Raises ValueError if they are invalid."""
         track = cls()
         if not data:
             return track
@@ -193,7 +192,7 @@ class Track:
 
 
 def changed(before: Point, now: Point) -> str:
-    """What makes two messages those of different odometries, in plain words; empty if they may be of the same one."""
+    """Return why two messages come from different odometry, in plain words; empty if they may come from the same."""
     if before.writer != now.writer:
         return "it comes from another publisher"
     if (before.frame, before.child) != (now.frame, now.child):

@@ -1,6 +1,6 @@
-"""The pose in a serialized message, without ROS: stamp, frames and pose are at its beginning, whatever follows.
+"""Reads the pose of a serialized message without ROS. Stamp, frames and pose are at the beginning of the message.
 
-A monitor reads ten of a topic's messages in a second. Making messages of them would cost more than all else that it does.
+A monitor reads ten messages of a topic per second. Deserializing them would cost more than everything else that it does.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ POSE_TYPES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     ODOMETRY,
 )
-"""Types that begin with a header, for the last also the body's frame, and then a pose."""
+"""Types that begin with a header and a pose; in the last one, the body's frame is between them."""
 
 _HEADER = 4
 """Bytes before the message itself. Alignment is counted from their end (CDR, OMG DDS-XTypes 7.4)."""
 
 
 class Reading(NamedTuple):
-    """What a message says of a pose."""
+    """The pose in a message, with its time and frames."""
 
     stamp: int
     """Time of the pose in ns, by the clock of its publisher; 0 if the message has none."""
@@ -35,7 +35,7 @@ class Reading(NamedTuple):
 
 
 def stamp_of(data: bytes) -> int:
-    """The stamp in ns of a message whose type begins with a header; 0 if it has none. Raises ValueError."""
+    """Return the stamp in ns of a message whose type begins with a header; 0 if it has none. Raises ValueError."""
     order = _order(data)
     try:
         seconds, rest = struct.unpack_from(f"{order}iI", data, _HEADER)
@@ -45,7 +45,7 @@ def stamp_of(data: bytes) -> int:
 
 
 def read(type_name: str, data: bytes) -> Reading:
-    """What a message of one of POSE_TYPES says, given as CDR with its header. Raises ValueError if it is none."""
+    """Read a message of one of POSE_TYPES, given as CDR with its header. Raises ValueError if it is invalid."""
     if type_name not in POSE_TYPES:
         raise ValueError(f"{type_name} has no pose at its beginning: {', '.join(POSE_TYPES)} do")
     order = _order(data)
@@ -63,7 +63,7 @@ def read(type_name: str, data: bytes) -> Reading:
 
 
 def _order(data: bytes) -> str:
-    """The byte order, as of the struct module. Raises ValueError if the bytes are serialized in another way."""
+    """Return the byte order as the struct module writes it. Raises ValueError if the bytes are not plain CDR."""
     if len(data) < _HEADER or data[0] != 0 or data[1] > 1:
         raise ValueError(f"it is not plain CDR: it begins with {data[:_HEADER].hex() or 'nothing'}")
     return "<" if data[1] == 1 else ">"

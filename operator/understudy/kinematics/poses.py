@@ -1,7 +1,7 @@
 """Poses in space, their composition, and the covariance of the result.
 
-Metres and radians, in right-handed frames (REP 103); orientations are unit quaternions x, y, z, w. A pose is where a body
-is in a frame and, what is the same, the transform from the body's frame into that one.
+Metres and radians, in right-handed frames (REP 103); orientations are unit quaternions x, y, z, w. A pose is the place of a body in a
+frame, and equally the transform from the body's frame into that frame.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 DRIFT = 0.05
-"""What odometry is doubted by, as a standard deviation: a part of the distance and of the angle that it says."""
+"""Standard deviation of odometry, as a fraction of the distance and of the angle that it reports."""
 
 DRIFT_IN_HEADING = 0.02
-"""And in each angle, in rad for each metre: wheels that are not equally large turn a robot that believes to drive straight."""
+"""Additional standard deviation of each angle, in rad per metre: wheels of different sizes turn a robot that is meant to drive straight."""
 
 _UNIT = 0.1
-"""How far from 1 the length of a quaternion may be: what is rounded is made a rotation, what is none is not."""
+"""Maximum difference of a quaternion's length from 1. A rounded quaternion is normalized; any other is refused."""
 
 Vector = tuple[float, float, float]
 
@@ -35,7 +35,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Pose:
-        """From place and quaternion, which is made a unit one. Raises ValueError if they are no pose."""
+        """Return the pose of a place and a quaternion, which is normalized. Raises ValueError if the values are not a pose."""
         if len(values) != 7 or not all(map(math.isfinite, values)):
             raise ValueError(
                 f"{list(values)} is not a pose: a pose has seven finite numbers (position x, y, z and quaternion x, y, z, w)"
@@ -47,19 +47,19 @@ class Pose(NamedTuple):
 
     @property
     def place(self) -> Vector:
-        """If it is, in m."""
+        """The position in m."""
         return self.x, self.y, self.z
 
     @property
     def angle(self) -> float:
-        """By how much it is turned against its frame, about whatever axis, from 0 to pi."""
+        """The angle of its rotation in its frame, about any axis, from 0 to pi."""
         return 2.0 * math.atan2(math.hypot(self.qx, self.qy, self.qz), abs(self.qw))
 
     def turned(self, vector: Vector) -> Vector:
-        """A vector of the body's frame, in the outer one."""
+        """Return a vector of the body's frame in the outer frame."""
         x, y, z, w = self[3:]
         vx, vy, vz = vector
-        # v + 2 q x (q x v + w v), which is q v q* without the products that cancel each other
+        # v + 2 q x (q x v + w v), which equals q v q* without the products that cancel each other
         tx, ty, tz = 2 * (y * vz - z * vy), 2 * (z * vx - x * vz), 2 * (x * vy - y * vx)
         return (
             vx + w * tx + y * tz - z * ty,
@@ -68,7 +68,7 @@ class Pose(NamedTuple):
         )
 
     def then(self, step: Pose) -> Pose:
-        """Where a pose that is given in this one's frame is in the outer frame."""
+        """Return a pose, which is given in this pose's frame, in the outer frame."""
         dx, dy, dz = self.turned(step.place)
         ax, ay, az, aw = self[3:]
         bx, by, bz, bw = step[3:]
@@ -82,21 +82,21 @@ class Pose(NamedTuple):
         return Pose(self.x + dx, self.y + dy, self.z + dz, *(value / length for value in turned))
 
     def inverse(self) -> Pose:
-        """The transform the other way."""
+        """Return the inverse transform."""
         back = Pose(0.0, 0.0, 0.0, -self.qx, -self.qy, -self.qz, self.qw)
         x, y, z = back.turned(self.place)
         return back._replace(x=-x, y=-y, z=-z)
 
     def to(self, other: Pose) -> Pose:
-        """The other pose, of the same frame, as seen from this one."""
+        """Return another pose of the same frame relative to this one."""
         return self.inverse().then(other)
 
     def distance(self, other: Pose) -> float:
-        """Between the places, in m."""
+        """Return the distance between the places in m."""
         return math.dist(self.place, other.place)
 
     def towards(self, other: Pose, part: float) -> Pose:
-        """The pose that is so far (0 to 1) on the way to the other: straight on, and turning evenly the shorter way."""
+        """Return the pose at a fraction (0 to 1) of the way to the other, on a straight line and with a uniform turn by the shorter way."""
         step = self.to(other)
         sine = math.hypot(step.qx, step.qy, step.qz)
         half = math.atan2(sine, abs(step.qw))
@@ -111,25 +111,25 @@ HERE = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 
 
 def carried(kept: Pose, then: Pose, now: Pose) -> Pose:
-    """A kept pose of a body, moved as the body did since.
+    """Return a kept pose of a body, moved as the body has moved since.
 
-    ``then`` and ``now`` are where odometry had it at the time of the kept pose, and has it now. Only the motion between
-    those counts, in the body's own frame: what odometry calls its origin has no say in it.
+    ``then`` and ``now`` are the poses of odometry at the time of the kept pose and now. Only the motion between them counts, in the body's
+    own frame. The origin of odometry has no effect.
     """
     return kept.then(then.to(now))
 
 
 def grown(covariance: Sequence[float], kept: Pose, present: Pose, *, driven: float, turned: float) -> list[float]:
-    """The covariance of a pose that was carried from ``kept`` to ``present``, over so many metres and radians.
+    """Return the covariance of a pose that was propagated from ``kept`` to ``present``, over ``driven`` metres and ``turned`` radians.
 
-    Row by row, for x, y, z and the turns about the fixed axes, as in geometry_msgs/msg/PoseWithCovariance. A doubt in the
-    orientation becomes one in the place, the more the farther it went; what odometry itself is doubted by (DRIFT) is
-    added. What says that it is unknown (a negative variance) stays as it is.
+    Row by row, for x, y, z and the rotations about the fixed axes, as in geometry_msgs/msg/PoseWithCovariance. Uncertainty of the
+    orientation becomes uncertainty of the place, in proportion to the distance. The uncertainty of odometry itself (DRIFT) is added. A
+    covariance that is marked as unknown (a negative variance) stays as it is.
     """
     if len(covariance) != 36 or any(covariance[7 * i] < 0 for i in range(6)):
         return list(covariance)
     dx, dy, dz = (b - a for a, b in zip(kept.place, present.place, strict=True))
-    lever = ((0.0, dz, -dy), (-dz, 0.0, dx), (dy, -dx, 0.0))  # of a small turn, on what lies at that distance
+    lever = ((0.0, dz, -dy), (-dz, 0.0, dx), (dy, -dx, 0.0))  # effect of a small turn on a place at that distance
     jacobian = [[float(i == j) for j in range(6)] for i in range(6)]
     for i in range(3):
         jacobian[i][3:] = lever[i]
@@ -138,7 +138,7 @@ def grown(covariance: Sequence[float], kept: Pose, present: Pose, *, driven: flo
     after = [[sum(half[i][k] * jacobian[j][k] for k in range(6)) for j in range(6)] for i in range(6)]
     place, turn = (DRIFT * driven) ** 2, (DRIFT * turned + DRIFT_IN_HEADING * driven) ** 2
     for i in range(6):
-        # What a planar robot is not doubted in (z, roll, pitch are 0) it does not begin to be by driving.
+        # Driving adds no uncertainty to components that have none in a planar robot (z, roll and pitch).
         if before[i][i] > 0 or i in (0, 1, 5):
             after[i][i] += place if i < 3 else turn
     return [value for row in after for value in row]

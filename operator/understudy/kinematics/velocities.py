@@ -1,9 +1,8 @@
-"""How fast a body moves over the floor, from where it was seen recently.
+"""Estimates how fast a body moves over the floor from its recent positions.
 
-A velocity is the slope of a straight line through the poses of a short window, by weighted least squares; what is said
-of its uncertainty follows from that of the poses. If they do not lie on a line as well as they should, since the
-body has changed its speed meanwhile, the uncertainty grows by how badly they do (the Birge ratio: R. T. Birge, Phys.
-Rev. 40, 1932).
+A velocity is the slope of a straight line through the poses of a short window, by weighted least squares. Its uncertainty follows from that
+of the poses. If the poses fit the line worse than expected, because the body has changed its speed, the uncertainty grows with the misfit
+(the Birge ratio: R. T. Birge, Phys. Rev. 40, 1932).
 """
 
 from __future__ import annotations
@@ -17,21 +16,21 @@ LEAST = 3
 """Minimum number of poses in a window for a velocity: two always lie on a line, and show nothing about the fit."""
 
 FULL = 0.5
-"""The part of the window that the poses must span at least, so that a body that has just come into sight has no velocity yet."""
+"""Minimum fraction of the window that the poses must span, so that a body that has just come into sight has no velocity yet."""
 
 
 class Position(NamedTuple):
-    """Where a body was seen on the floor."""
+    """An observed position of a body on the floor."""
 
     stamp: float
-    """When, in seconds of whatever clock."""
+    """Time in seconds of any clock."""
     x: float
     y: float
     """m"""
     heading: float
     """rad"""
     variances: tuple[float, float, float]
-    """Of x and y in m2, and of the heading in rad2."""
+    """Variances of x and y in m2, and of the heading in rad2."""
 
 
 class Velocity(NamedTuple):
@@ -43,7 +42,7 @@ class Velocity(NamedTuple):
     turn: float
     """rad/s, counter-clockwise"""
     covariance: tuple[tuple[float, float], tuple[float, float]]
-    """Of forward and left, in m2/s2."""
+    """Covariance of forward and left in m2/s2."""
     turn_variance: float
     """rad2/s2"""
 
@@ -57,18 +56,18 @@ class Velocities:
         self._poses: deque[Position] = deque()
 
     def add(self, seen: Position) -> Velocity | None:
-        """Note where the body was seen, and say how fast it moves; None if too little has been seen.
+        """Add a position and return the velocity; None if too little has been observed.
 
-        A stamp that is not later than the last one begins again: its clock was set, or the images come from the start again.
+        A stamp that is not later than the last one starts a new window: the clock was set, or the images are replayed.
         """
         poses = self._poses
         if poses and seen.stamp <= poses[-1].stamp:
             poses.clear()
-        if poses:  # on from the last heading, so that the line has no step in it where the angle begins again
+        if poses:  # continue from the last heading, so that the line has no step where the angle wraps around
             before = poses[-1].heading
             seen = seen._replace(heading=before + math.remainder(seen.heading - before, math.tau))
         poses.append(seen)
-        # A stamp is rounded to whatever its clock counts in.
+        # Stamps are rounded to the resolution of their clock.
         while poses[-1].stamp - poses[0].stamp > self._window * (1 + 1e-6) + 1e-9:
             poses.popleft()
         if len(poses) < LEAST or poses[-1].stamp - poses[0].stamp < FULL * self._window:
@@ -79,7 +78,7 @@ class Velocities:
         heading = _line(times, [pose.heading for pose in poses], [pose.variances[2] for pose in poses])
         cos, sin = math.cos(heading.mean), math.sin(heading.mean)
         forward, left = cos * x.slope + sin * y.slope, -sin * x.slope + cos * y.slope
-        # A doubt in the heading swaps a part of the one for the other.
+        # An error of the heading exchanges a part of forward for a part of left.
         covariance = (
             (
                 cos * cos * x.variance + sin * sin * y.variance + left * left * heading.mean_variance,
@@ -96,13 +95,13 @@ class Velocities:
 class _Line(NamedTuple):
     slope: float
     variance: float
-    """Of the slope."""
+    """Variance of the slope."""
     mean: float
     mean_variance: float
 
 
 def _line(times: Sequence[float], values: Sequence[float], variances: Sequence[float]) -> _Line:
-    """The line through values by weighted least squares."""
+    """Return the line through values by weighted least squares."""
     weights = [1.0 / variance for variance in variances]
     total = sum(weights)
     middle = sum(w * t for w, t in zip(weights, times, strict=True)) / total
