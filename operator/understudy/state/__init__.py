@@ -1,4 +1,4 @@
 """The state of the last healthy instance: which messages count, where they are stored, and how a pose is brought up to date.
 
-Pure but for the files of the store.
+Pure except for the files of the store.
 """

@@ -1,9 +1,8 @@
-"""The odometry of the moment of a kept pose, as long as it can be joined with the odometry of now.
+"""Keeps the odometry for the time of each kept pose, so that the pose can be propagated to the present.
 
-A restored pose is from before the failure, and the robot may have driven since. Odometry measured that motion, which
-brings the pose to the present. That takes one moment of odometry for each version of a pose that is kept, found when
-the pose comes, so that only seconds of odometry have to be remembered. When odometry starts again, all of this is
-lost, and the monitor reports why.
+A restored pose is from before the failure, and the robot may have driven since. Odometry measured that motion, which brings the pose to the
+present. Each version of a kept pose needs one moment of odometry. It is determined when the pose arrives, so that only seconds of odometry
+are remembered. If odometry starts again, all moments are lost, and the monitor reports why.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from understudy.state.state_capture import Key, Version
 _logger = logging.getLogger(__name__)
 
 PATIENCE = 1.0
-"""Seconds for which odometry of the time of a pose may be late."""
+"""Maximum delay, in seconds, of the odometry for the time of a pose."""
 
 _SECOND = 1e-9
 _MOMENT = struct.Struct("<q10d")
@@ -37,9 +36,9 @@ class _Odometry:
 
     track: Track = field(default_factory=Track)
     problem: str = _NOTHING
-    """Why nothing is known of it; empty where something is."""
+    """Why no odometry is known; empty if some is."""
     restart: str = ""
-    """Why it counts from its last beginning only."""
+    """Why the odometry started again last; empty if it never did."""
 
 
 @dataclass
@@ -48,22 +47,22 @@ class _Pose:
 
     by: CarriedBy
     moments: dict[int, Moment] = field(default_factory=dict)
-    """Where odometry had the robot, by the time that messages are of."""
+    """The moments of odometry for messages, by the time that the message refers to."""
     waiting: dict[int, tuple[int, int]] = field(default_factory=dict)
-    """Messages whose odometry may still come: the stamp, and when they came."""
+    """Messages whose odometry may still arrive, by the time that they refer to: the stamp, and when the message arrived."""
 
 
 class Carrier:
-    """What carries the poses that a policy keeps. Times are in ns, or in Unix seconds where they are floats."""
+    """Propagates the poses that a policy keeps. Integer times are in ns, float times in Unix seconds."""
 
     def __init__(self) -> None:
         self._poses: dict[str, _Pose] = {}
         self._odometry: dict[str, _Odometry] = {}
         self.revision = 0
-        """Grows whenever what must outlast a restart has changed."""
+        """Grows whenever data that must survive a restart changes."""
 
     def follow(self, state: State) -> None:
-        """Carry what this policy says. What both the old and the new one carry by the same odometry stays."""
+        """Propagate the poses of this policy. Data of poses that the old policy propagated by the same odometry stays."""
         wanted = {topic.topic: topic.carried_by for topic in state.keep if topic.carried_by is not None}
         before, self._poses = self._poses, {}
         for name, by in wanted.items():
@@ -74,26 +73,26 @@ class Carrier:
 
     @property
     def topics(self) -> Mapping[str, str]:
-        """The odometry that is needed, with its types."""
+        """The odometry topics that are needed, with their types."""
         return {pose.by.topic: pose.by.type for pose in self._poses.values()}
 
     # -- taking in --------------------------------------------------------------------------------------------------
 
     def kept(self, topic: str, data: bytes, *, taken_at: float) -> None:
-        """A message has come that may be kept."""
+        """Record a message that may be kept."""
         pose = self._poses.get(topic)
         if pose is None:
             return
         try:
             stamp = stamp_of(data)
         except ValueError:
-            return  # it can't be restored either
+            return  # such a message cannot be restored either
         time_ = _time(stamp, taken_at)
         if time_ not in pose.moments:
             pose.waiting[time_] = (stamp, round(taken_at / _SECOND))
 
     def moved(self, topic: str, type_name: str, data: bytes, *, received_at: float, writer: bytes) -> None:
-        """Odometry has come."""
+        """Record a message of odometry."""
         odometry = self._odometry.get(topic)
         if odometry is None:
             return
@@ -119,7 +118,7 @@ class Carrier:
         return sum(len(pose.waiting) for pose in self._poses.values())
 
     def note(self, problems: Mapping[str, str]) -> None:
-        """Say why odometry can't come, by topic."""
+        """Set, by topic, why no odometry can arrive."""
         for topic, odometry in self._odometry.items():
             if topic in problems:
                 odometry.problem = problems[topic]
@@ -127,7 +126,7 @@ class Carrier:
                 odometry.problem = ""
 
     def settle(self, now: float) -> None:
-        """Find where odometry had the robot at the times of the messages that have come, as far as it is known by now."""
+        """Determine the moments of odometry for the messages that have arrived, as far as the odometry is known by now."""
         for pose in self._poses.values():
             for time_, (stamp, taken_at) in list(pose.waiting.items()):
                 late = now - taken_at * _SECOND > PATIENCE
@@ -139,7 +138,7 @@ class Carrier:
                     del pose.waiting[time_]
 
     def prune(self, versions: Mapping[Key, Iterable[Version]]) -> None:
-        """Forget what belongs to no version that is kept (any more)."""
+        """Drop the moments of versions that are not kept."""
         for topic, pose in self._poses.items():
             kept = {_time_of(v.data, v.taken_at) for v in versions.get(Key("Topic", topic), ())} | pose.waiting.keys()
             pose.moments = {time_: moment for time_, moment in pose.moments.items() if time_ in kept}
@@ -147,7 +146,7 @@ class Carrier:
     # -- giving out -------------------------------------------------------------------------------------------------
 
     def carry(self, state: KeptState, now: float) -> KeptState:
-        """The state with what brings its poses to the present; without those that must not be given otherwise."""
+        """Return the state with the motion that propagates its poses, without poses that must not be restored otherwise."""
         if not self._poses:
             return state
         samples: list[KeptSample] = []
@@ -162,7 +161,7 @@ class Carrier:
         return replace(state, samples=tuple(samples), left_out=tuple(left_out))
 
     def reasons(self, state: KeptState, now: float) -> dict[str, str]:
-        """Why a pose of this state could not be carried now, by topic."""
+        """Return why poses of this state could not be propagated now, by topic."""
         found = ((sample.topic, self._motion(sample, now)) for sample in state.samples)
         return {topic: motion.missing for topic, motion in found if motion is not None and motion.missing}
 
@@ -205,17 +204,17 @@ class Carrier:
     # -- over time --------------------------------------------------------------------------------------------------
 
     def shift(self, step: float) -> None:
-        """The clock was set by so many seconds."""
+        """Adjust all times after the clock was set by ``step`` seconds."""
         by = round(step / _SECOND)
         for odometry in self._odometry.values():
             odometry.track.shift(step)
         for pose in self._poses.values():
-            # Messages that don't say of when they are go by this clock.
+            # The time of a message without a stamp is by this clock.
             own = {time_ for time_, (stamp, _) in pose.waiting.items() if not stamp}
             pose.waiting = {t + by * (t in own): (s, at + by) for t, (s, at) in pose.waiting.items()}
 
     def packed(self, now: float) -> dict[Key, list[Version]]:
-        """What outlasts a restart, as what is kept is."""
+        """Return the data that must survive a restart, in the form of kept state."""
         found: dict[Key, list[Version]] = {}
         for topic, odometry in self._odometry.items():
             if data := odometry.track.pack():
@@ -226,7 +225,7 @@ class Carrier:
         return found
 
     def adopt(self, versions: Mapping[Key, Collection[Version]]) -> None:
-        """Take up what an earlier carrier knew. What is damaged is left out."""
+        """Continue with the data of an earlier process. Damaged data is left out."""
         for topic, odometry in self._odometry.items():
             for version in versions.get(_track_key(topic), ()):
                 try:

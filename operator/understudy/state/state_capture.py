@@ -1,9 +1,9 @@
-"""Which of an instance's messages, parameters and lifecycle states is the last healthy one.
+"""Selects the messages, parameters and lifecycle states of an instance from the time when it was last healthy.
 
-What was taken while the health tree did not hold is never kept. What is kept is not yet good: a failure begins before
-it is noticed, so several versions are held, and at a failure the newest is chosen that had been good for the policy's
-margin when the failure began. The older versions are, the fewer: for each moment in the past there is one that is not
-much older, however late a failure is noticed. Times are Unix seconds.
+State that arrived while the health tree did not hold is never kept. Kept state may still be bad, because a failure begins before it is
+noticed. So several versions are held. After a failure, the newest one is selected that had been good for the policy's margin when the
+failure began. The older the versions, the fewer are held: for each moment in the past there is one that is not much older, however late a
+failure is noticed. Times are Unix seconds.
 """
 
 from __future__ import annotations
@@ -28,45 +28,45 @@ from understudy.api.protocol.kept_state import (
 Kind = Literal["Topic", "Parameters", "Lifecycle"]
 
 Standing = Literal["", "instance", "robot"]
-"""Whether a message is held for late joiners, so that it holds until the next one comes, and by whom."""
+"""Who holds a message for late joiners, so that it is valid until the next one arrives; empty if nobody does."""
 
 Trouble = Literal["NeverCame", "TooOld", "TooBig", "NotWatched", "NotAsked", "NotCarried"]
 """Why something that should be kept is not, in the order in which the reasons are reported."""
 
 SPREAD = 0.25
-"""Distance of two versions, as a part of their age: how much older than asked for the chosen one may be."""
+"""Distance of two versions as a fraction of their age. It limits how much older than requested the selected version is."""
 
 LAG = 10.0
 """Maximum seconds from a failure until it is noticed, if there is no room for many versions."""
 
 PATIENCE = 10.0
-"""Seconds of health after which something that never came is said to be missing."""
+"""Seconds of health after which state that never arrived is reported as missing."""
 
 SQUEEZED = 60.0
-"""Seconds for which it is said that a message didn't fit, after the last one that didn't."""
+"""Seconds for which a message that did not fit is reported, after the last such message."""
 
 
 class Key(NamedTuple):
-    """One thing that is kept."""
+    """An item of state that is kept."""
 
     kind: Kind
     name: str
-    """Topic, or node."""
+    """The topic or node."""
 
     @property
     def label(self) -> str:
-        """What it is called in reports; a node may have both parameters and a lifecycle state."""
+        """The name in reports; a node may have both parameters and a lifecycle state."""
         return self.name if self.kind == "Topic" else f"{self.name} ({self.kind.lower()})"
 
 
 @dataclass(frozen=True)
 class Version:
-    """What it was at one time."""
+    """The value of an item at one time."""
 
     taken_at: float
-    """When the message was received (or sent, where the publisher held it for late joiners), or the node asked."""
+    """When the message was received (or sent, if the publisher held it for late joiners), or the node was asked."""
     good_from: float
-    """From when on it is known to have been that of a healthy instance."""
+    """Since when it is known to be the value of a healthy instance."""
     data: bytes
     type: str = ""
     """Message type of a topic."""
@@ -74,11 +74,11 @@ class Version:
 
 @dataclass(frozen=True)
 class Entry:
-    """How it stands with one thing that is kept."""
+    """The status of one item that should be kept."""
 
     key: Key
     taken_at: float | None
-    """When that was taken which would be restored now."""
+    """When the version that would be restored now was captured; None if there is none."""
     bytes: int
     trouble: Trouble | None = None
     message: str = ""
@@ -86,17 +86,17 @@ class Entry:
 
 @dataclass
 class _Item:
-    """The versions of one thing, oldest first."""
+    """The versions of one item, oldest first."""
 
     max_age: float = math.inf
     versions: list[Version] = field(default_factory=list)
     pending: tuple[Version, Standing] | None = None
-    """What came since the last verdict, and whether its publisher holds it for late joiners."""
+    """The version that arrived since the last verdict, and who holds it for late joiners."""
     squeezed: tuple[float, str] | None = None
-    """When a message last didn't fit, and what is said of it."""
+    """When a message last did not fit, and the text that reports it."""
 
     size: int = 0
-    """Bytes held; versions that follow each other and are the same share them."""
+    """Bytes held. Consecutive versions with the same data share it."""
 
     def count(self) -> None:
         """Calculate the size again."""
@@ -107,14 +107,14 @@ class _Item:
             before = version.data
 
     def before(self, moment: float) -> Version | None:
-        """The newest version that was good at a moment."""
+        """Return the newest version that was good at a moment."""
         return next((v for v in reversed(self.versions) if v.good_from <= moment), None)
 
 
 class Keeper:
-    """Holds what a policy's ``state`` asks for, within its bounds.
+    """Keeps the state that a policy's ``state`` names, within its bounds.
 
-    After each evaluation: :meth:`offer` what has arrived, then :meth:`judge` with the verdict of the same evaluation.
+    After each evaluation, call :meth:`offer` for what has arrived, then :meth:`judge` with the verdict of the same evaluation.
     """
 
     def __init__(self, state: State | None = None) -> None:
@@ -125,12 +125,12 @@ class Keeper:
         self._healthy_since: float | None = None
         self._notes: dict[Key, tuple[Trouble, str]] = {}
         self.revision = 0
-        """Grows whenever something else is kept than before."""
+        """Grows whenever the kept state changes."""
         if state is not None:
             self.follow(state)
 
     def follow(self, state: State) -> None:
-        """Keep this and nothing else from now on. What both the old and the new policy keep stays."""
+        """Keep only the state that this policy names. Versions of items that the old policy named too stay."""
         if state == self._state and self._items:
             return
         self._state = state
@@ -148,7 +148,7 @@ class Keeper:
         self.revision += 1
 
     def _is_wanted(self, key: Key, version: Version) -> bool:
-        """Whether a version is still of the type, or of the parameters, that the policy names."""
+        """Return whether a version still has the type, or the parameters, that the policy names."""
         if key.kind == "Topic":
             return self._topics[key.name].type in (None, version.type)
         if key.kind == "Parameters":
@@ -158,7 +158,7 @@ class Keeper:
 
     @property
     def keys(self) -> Collection[Key]:
-        """All that should be kept."""
+        """The items that should be kept."""
         return self._items.keys()
 
     @property
@@ -171,13 +171,13 @@ class Keeper:
     def offer(
         self, key: Key, data: bytes, *, taken_at: float, received_at: float, type: str = "", standing: Standing = ""
     ) -> None:
-        """Something of the instance in control, or of the robot, has come; the next verdict says whether it is kept."""
+        """Record a version from the active instance or the robot. The next verdict determines whether it is kept."""
         item = self._items.get(key)
         if item is not None:
             item.pending = (Version(taken_at, received_at, data, type), standing)
 
     def judge(self, health: Literal["Starting", "Healthy", "Failed"], now: float) -> None:
-        """Keep what has come since the last verdict, if the instance was healthy then and is."""
+        """Keep the versions that arrived since the last verdict, if the instance was healthy then and still is."""
         if health == "Failed":
             self.forget_offers()
         elif health == "Starting":
@@ -192,13 +192,13 @@ class Keeper:
                     if version.good_from >= self._healthy_since:
                         self._add(key, item, version, now)
                     elif standing:
-                        # It was said while the instance started, and held when it was first healthy.
+                        # It was sent while the instance started, and was still valid when the instance was first healthy.
                         self._add(key, item, replace(version, good_from=now), now)
 
     def forget_offers(self) -> None:
-        """The instance failed, or another is in control: nothing of it that came and isn't kept yet counts.
+        """Discard versions that are not kept yet, because the instance failed or another one is active.
 
-        What the robot itself holds for late joiners holds for the next instance as well.
+        Messages that the robot itself holds for late joiners stay: they are valid for the next instance as well.
         """
         self._healthy_since = None
         self._forget("", "instance")
@@ -220,9 +220,9 @@ class Keeper:
                 return  # the clock was set back
             if version.data == last.data and version.type == last.type:
                 if version.taken_at <= last.taken_at:
-                    return  # the same message, given to a late joiner again
+                    return  # the same message, sent to a late joiner again
                 version = replace(version, data=last.data)
-        # The newest is always the last that came; the one before it is at least the period older.
+        # The last version is always the last that arrived; the one before it is at least a period older.
         if len(versions) > 1 and versions[-1].good_from - versions[-2].good_from < self._period:
             versions[-1] = version
         else:
@@ -234,7 +234,7 @@ class Keeper:
             item.squeezed = None
 
     def _thin(self, item: _Item, now: float) -> None:
-        """Drop versions whose neighbours are near enough for their age, and those that are too old for ever."""
+        """Drop versions whose neighbours are close enough for their age, and versions that would always be too old to restore."""
         versions = item.versions
         kept = versions[-2:]
         for version, older in _pairs(reversed(versions[:-2])):
@@ -248,7 +248,7 @@ class Keeper:
         item.versions = kept
 
     def _fit(self, now: float, newcomer: _Item | None = None) -> bool:
-        """Drop versions until all that is kept fits; whether no newest one had to go."""
+        """Drop versions until the kept state fits. Returns whether the newest version of every item is left."""
         untouched = True
         while (total := sum(item.size for item in self._items.values())) > self._state.max_bytes:
             by_size = sorted(self._items.values(), key=lambda item: -item.size)
@@ -257,7 +257,7 @@ class Keeper:
                 ripe.versions.pop(0)
                 ripe.count()
             elif dense := next((i for i in by_size if len(i.versions) > 3), None):
-                # The second oldest is left to ripen, or the oldest would stay for ever.
+                # The second oldest stays until it can replace the oldest, which would otherwise stay for ever.
                 dense.versions.pop(-2)
                 dense.count()
             else:
@@ -268,7 +268,7 @@ class Keeper:
                     f"a message of {len(gone.data)} bytes did not fit: {total} bytes would have been kept, and "
                     f"state.maxBytes is {self._state.max_bytes}"
                 )
-                # Without a newcomer the policy has changed, and what comes next decides.
+                # Without a newcomer the policy has changed: the next message that fits ends this report.
                 largest.squeezed = (now if newcomer else -math.inf, message)
                 untouched = False
         return untouched
@@ -276,7 +276,7 @@ class Keeper:
     # -- giving out -------------------------------------------------------------------------------------------------
 
     def select(self, onset: float) -> KeptState:
-        """What is given to the instance that takes over after a failure that began then, and what can't be."""
+        """Return the state for the instance that takes over after a failure with this onset, and what cannot be restored."""
         samples: list[KeptSample] = []
         parameters: list[ParameterValues] = []
         states: list[LifecycleState] = []
@@ -307,11 +307,11 @@ class Keeper:
         return KeptState(tuple(samples), tuple(parameters), tuple(states), tuple(left_out))
 
     def note(self, notes: Mapping[Key, tuple[Trouble, str]]) -> None:
-        """Set why something cannot be captured: reported if nothing of it is kept."""
+        """Set why items cannot be captured. The reason NeverCame is reported only if no version is kept."""
         self._notes = dict(notes)
 
     def entries(self, now: float) -> list[Entry]:
-        """How it stands with everything that should be kept, if the instance failed now."""
+        """Return the status of every item that should be kept, as if the instance failed now."""
         found: list[Entry] = []
         for key, item in self._items.items():
             version = item.before(now - self._margin)
@@ -357,7 +357,7 @@ class Keeper:
     # -- over time --------------------------------------------------------------------------------------------------
 
     def shift(self, step: float) -> None:
-        """The clock was set by so many seconds: move all times with it, so that ages stay what they are."""
+        """Adjust all times after the clock was set by ``step`` seconds, so that ages stay the same."""
         if self._healthy_since is not None:
             self._healthy_since += step
         for item in self._items.values():
@@ -369,20 +369,20 @@ class Keeper:
         self.revision += 1
 
     def versions(self) -> dict[Key, Sequence[Version]]:
-        """All that is kept, oldest first."""
+        """Return all kept versions by item, oldest first."""
         return {key: tuple(item.versions) for key, item in self._items.items() if item.versions}
 
     def held(self) -> dict[Key, Sequence[Version]]:
-        """All that is kept, and what may be with the next verdict."""
+        """Return all kept versions, and those that the next verdict may add."""
         return {
             key: (*item.versions, *((item.pending[0],) if item.pending is not None else ()))
             for key, item in self._items.items()
         }
 
     def adopt(self, versions: Mapping[Key, Iterable[Version]], now: float) -> None:
-        """Take up what an earlier keeper had kept; what the policy doesn't name (any more) is left out.
+        """Continue with the versions of an earlier process. Items that the policy does not name are left out.
 
-        A version that claims to be from the future is of a clock that was wrong, and of an age that nobody knows.
+        A version from the future was captured with a wrong clock, so that its age is unknown. It is left out too.
         """
         for key, old in versions.items():
             item = self._items.get(key)
@@ -401,7 +401,7 @@ class Keeper:
 
 
 def _pairs(versions: Iterable[Version]) -> Iterator[tuple[Version, Version | None]]:
-    """Each with the one that follows; the last with None."""
+    """Yield each version with the one that follows; the last with None."""
     before: Version | None = None
     for version in versions:
         if before is not None:

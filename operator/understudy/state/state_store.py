@@ -1,9 +1,9 @@
-"""Kept state in files that outlast the monitor's container.
+"""Kept state in files that survive a restart of the monitor's container.
 
-One file has everything small, with a checksum over all of it; what is large has a file of its own, named by its
-checksum and written once. Each file is replaced atomically and the first is written last, so that whatever moment a
-process is killed at, what is found is a state that was once kept. Files aren't synced: this guards against a killed
-process; what a lost node tore is noticed by the checksums and left out.
+One file has everything small, with a checksum over all of it. A large message has a file of its own, which is named by its checksum and
+written once. Each file is replaced atomically and the first is written last, so that a process that is killed at any moment leaves a state
+that was once kept. Files are not synced: this guards against a killed process. Checksums detect files that a lost node damaged, and these
+are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from understudy.state.state_capture import Key, Version
 _logger = logging.getLogger(__name__)
 
 LARGE = 64 * 1024
-"""Bytes from which on a message has a file of its own."""
+"""Minimum size in bytes of a message that has a file of its own."""
 
 _MAGIC = b"USK1"
 _HEADER = struct.Struct(">4s32sI")
@@ -45,10 +45,10 @@ class StateStore:
         return self._directory / "kept"
 
     def save(self, kept: Mapping[Key, Sequence[Version]]) -> None:
-        """Replace what is on the shelf. Raises OSError."""
+        """Replace the stored state. Raises OSError."""
         if not self._made:
             self._directory.mkdir(parents=True, exist_ok=True)
-        self._made = False  # until all went well
+        self._made = False  # until everything is written
         parts: list[bytes] = []
         entries: list[list[object]] = []
         needed: set[str] = set()
@@ -72,7 +72,7 @@ class StateStore:
         self._blobs, self._made = needed, True
 
     def _place(self, data: bytes, parts: list[bytes], needed: set[str]) -> int | str:
-        """Where a message lies: its number among the small ones, or the name of its file."""
+        """Return where a message is stored: its index among the small ones, or the name of its file."""
         if len(data) < LARGE:
             parts.append(data)
             return len(parts) - 1
@@ -83,7 +83,7 @@ class StateStore:
         return name
 
     def load(self) -> dict[Key, list[Version]]:
-        """What is on the shelf, with its times moved where the clock was set since. What is damaged is left out."""
+        """Return the stored state, with its times adjusted if the clock was set since. Damaged state is left out."""
         self._tidy()
         try:
             raw = self._index.read_bytes()
@@ -135,7 +135,7 @@ class StateStore:
         return data
 
     def _tidy(self) -> None:
-        """Remove what a killed process had begun to write. Messages that nothing refers to go with the next save."""
+        """Remove files that a killed process began to write. The next save removes messages that nothing refers to."""
         try:
             for path in self._directory.glob("*.new"):
                 path.unlink(missing_ok=True)
