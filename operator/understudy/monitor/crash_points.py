@@ -1,7 +1,7 @@
-"""Crash points: lets a test kill the monitor at a chosen step of a recovery.
+"""Crash points: let a test kill the monitor at a chosen step of a recovery.
 
-A file ``crash-after`` in the state directory holds a number of steps; the monitor kills itself at the step after them
-and removes the file first, so that the next monitor runs on. Without the file a step costs one failed ``open``.
+A file ``crash-after`` in the state directory contains a number of steps. At the step after them, the monitor removes the
+file, so that the next monitor continues, and kills itself. Without the file, a step costs one failed ``open``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class CrashPoints:
         self._file = state / "crash-after"
 
     def step(self, name: str) -> None:
-        """A step of a recovery is about to be taken, or was just taken."""
+        """Count a step of a recovery that is about to be taken or was just taken, and exit if the test asked for it."""
         try:
             left = int(self._file.read_text() or 0)
         except (OSError, ValueError):
@@ -30,4 +30,4 @@ class CrashPoints:
             return
         self._file.unlink()
         _logger.critical("the test file %s makes this process kill itself at step %r", self._file, name)
-        os._exit(137)  # as SIGKILL would end it, which the first process of a container does not get from itself
+        os._exit(137)  # as after SIGKILL, which the first process of a container cannot send to itself

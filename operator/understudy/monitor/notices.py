@@ -1,7 +1,7 @@
 """What the stages of a monitor report: an append-only stream of notices, and the status that follows from them.
 
 The lowest layer of the monitor. Every stage may add notices and may read ``Notices.status``. The report stage subscribes to the
-stream and writes late: adding a notice never waits for anybody, so it costs a failover nothing.
+stream and writes later: adding a notice never waits, so it does not delay a failover.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class PublishedStatus:
     active: str = ""
     health: Health = "Unknown"
     failing_since: float | None = None
-    """The last healthy output before the failure that is not over (Unix seconds)."""
+    """When the last healthy output before the present failure was received (Unix seconds); None without a failure."""
     strategy: str = ""
     gate: GateStatus = field(default_factory=GateStatus)
     monitor: MonitorStatus | None = None
@@ -84,11 +84,11 @@ class PublishedStatus:
     kept: tuple[KeptStatus, ...] = ()
     task_statuses: tuple[TaskStatus, ...] = ()
     adopted: str = ""
-    """The pod that was in control when this monitor started, according to the monitor before it."""
+    """The pod that was active when this monitor started, according to the monitor before it."""
 
     @classmethod
     def adopt(cls, item: Mapping[str, Any] | None) -> Self:
-        """The part that a new monitor takes over from the status of the object; empty if there is no object."""
+        """Return the part that a new monitor takes over from the status of the object; empty if there is no object."""
         found = RobotWorkloadStatus.model_validate((item or {}).get("status") or {})
         since = found.failing_since
         return cls(
@@ -149,7 +149,7 @@ class PublishedStatus:
 
     @property
     def planned(self) -> float | None:
-        """When a degraded instance was handed over last (Unix seconds); None if no listed recovery is a hand-over."""
+        """When a degraded instance was last handed over (Unix seconds); None if no listed recovery is a hand-over."""
         handed = (r for r in self.recoveries if r.planned and r.switchover is None)
         found = (r.moments.detected for r in handed if r.moments.detected is not None)
         times = [datetime.fromisoformat(moment).timestamp() for moment in found]
@@ -231,7 +231,7 @@ class EventRaised(Notice):
 
 @dataclass(frozen=True)
 class RecoveryStarted(Notice):
-    """A recovery is under way: the status can wait for its end."""
+    """A recovery has started: the status can be written after it."""
 
 
 @dataclass(frozen=True)
@@ -359,7 +359,7 @@ class Notices:
             subscription.add(notice)
 
     def observe(self, generation: int | None) -> None:
-        """Set the generation of the object's spec that conditions are about from now on."""
+        """Set the generation of the object's spec that conditions refer to from now on."""
         self._generation = generation
 
     def set(
@@ -388,7 +388,7 @@ class Notices:
         old = self._status.by_type.get(type_)
         if old and (old.status, old.reason, old.message) == (status, reason, message):
             if self._generation is not None and old.observed_generation != self._generation:
-                # It holds for the present spec too. kubectl wait ignores conditions of an earlier generation.
+                # The condition applies to the present spec too. kubectl wait ignores conditions of an earlier generation.
                 self._put(old.model_copy(update={"observed_generation": self._generation}))
             return False
         fresh = condition(type_, status, reason, message, generation=self._generation)  # type: ignore[arg-type]

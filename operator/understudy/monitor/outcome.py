@@ -1,5 +1,4 @@
-"""The outcome of a recovery or a planned switchover: the value that the act stage returns, and that every stage may
-remember."""
+"""The outcome of a recovery or a planned switchover: the value that the act stage returns to all stages."""
 
 from __future__ import annotations
 
@@ -14,30 +13,30 @@ Kind = Literal["Recovered", "NothingVerified", "Superseded", "Stopped", "Switche
 
 @dataclass(frozen=True)
 class Outcome:
-    """One of these: an instance took over, no strategy was verified, another writer of the gate was first (Superseded), or the
-    API server refused something (Stopped). Of a planned switchover: the understudy took over, or the former instance was
-    let through again.
+    """How a recovery ended: an instance took over, no strategy was verified, another writer of the gate was first (Superseded), or
+    the API server refused something (Stopped). Or how a planned switchover ended: the understudy took over, or the gate was
+    opened for the former instance again.
     """
 
     kind: Kind
     progress: Progress
     policy: FailurePolicySpec | None = None
-    """The policy that it followed. None for switchovers, and if it ended before it began."""
+    """The policy of the recovery. None for switchovers, and for a recovery that ended before its first strategy."""
     error: Exception | None = None
-    """Why it was stopped or superseded."""
+    """Why the recovery was stopped or superseded."""
 
     @property
     def concluded(self) -> bool:
-        """Whether it came to its end, and is recorded in the status."""
+        """Whether the recovery was carried out to its end, so that the status lists it."""
         return self.kind not in ("Superseded", "Stopped")
 
     @property
     def driven(self) -> bool:
-        """Whether an instance is in control now."""
+        """Whether an instance is active now."""
         return self.kind not in ("NothingVerified", "Stopped")
 
     @property
     def committed(self) -> float | None:
-        """When the gate was opened for the instance that took over, in unix seconds; None if none did."""
+        """When the gate was opened for the instance that took over, in Unix seconds; None if none took over."""
         taken_over = self.kind in ("Recovered", "SwitchedOver")
         return self.progress.moments.get("committing") if taken_over else None

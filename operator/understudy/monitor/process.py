@@ -1,4 +1,4 @@
-"""The monitor's process: puts its parts together and ends them on SIGTERM."""
+"""The monitor's process: assembles its parts, runs them, and ends on SIGTERM."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ async def _protect(workload: str, namespace: str, state: Path) -> None:
         socket = Path(os.environ.get("UNDERSTUDY_TASKS_SOCKET", f"{names.TASKS_DIR}/{names.TASKS_SOCKET}"))
         group.create_task(ActionProxyLink(socket, view, fleet, gate, agents, notices).run())
         alive["ready"] = time.time()
-        # What is there now stays: looking through all of it for garbage took up to 10 ms, in the midst of a recovery too.
+        # The objects that exist now stay, and a garbage collection that visited them took up to 10 ms, also during a recovery.
         gc.collect()
         gc.freeze()
         _logger.info("watching %s in %s", workload, namespace)

@@ -1,1 +1,1 @@
-"""The first stage: what is true at this instant, from ROS, from Kubernetes and from the agents. It judges nothing."""
+"""The first stage: observes ROS, Kubernetes and the agents at one instant. It judges nothing."""

@@ -1,4 +1,4 @@
-"""The agents of the workload's instances: a connection to each, kept up, with the present policy's health tree."""
+"""Keeps a connection to the agent of each instance, and gives each agent the present policy's health tree."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ RETRY = 0.05
 """Seconds before an unanswered request is sent again; requests can be repeated."""
 
 ANSWER_LATE = 1.0
-"""Seconds after an operation's own deadline until its answer counts as lost: the answer needs time on the network."""
+"""Seconds after an operation's own deadline until its answer counts as lost: the network needs time too."""
 
 READ_AGAIN = 10.0
-"""Seconds between two checks of a Secret whose token an agent refuses: it may be another one since."""
+"""Minimum seconds between two reads of a Secret whose token an agent refuses: the Secret may have changed since."""
 
 SLOWEST = 2 * 1024 * 1024
-"""Bytes of kept messages that an agent takes in in a second, at least: it counts its time from when it has them."""
+"""Minimum rate at which an agent receives kept messages, in bytes per second. The agent's own deadline starts only when it has
+received them."""
 
 
 class AgentConnections:
@@ -52,7 +53,7 @@ class AgentConnections:
         roles: InstanceRoles,
         wakeups: Wakeups,
     ) -> None:
-        """``address`` is where the agents' probes go: this pod's IP."""
+        """``address`` is the IP of this pod, to which agents send gate probes."""
         self._client, self._view, self._address = client, view, address
         self._crash_points, self._roles, self._wakeups = crash_points, roles, wakeups
         self._links: dict[str, AgentLink] = {}
@@ -65,7 +66,7 @@ class AgentConnections:
         self._tasks: set[asyncio.Task[Any]] = set()
 
     def follow(self, instances: Sequence[Instance]) -> None:
-        """Have a connection to each instance that has an agent, and to no other."""
+        """Connect to each of these instances that has an agent, and close all other connections."""
         wanted = {i.uid: i for i in instances if i.has_agent and i.ip and not i.held and not i.leaving}
         self._instances = wanted
         self._driving = {uid: to for uid, to in self._driving.items() if uid in wanted}
@@ -79,7 +80,7 @@ class AgentConnections:
                 self._configure(uid)
 
     async def settle(self, instances: Sequence[Instance], within: float) -> None:
-        """Follow the instances and wait until each agent has reported its state, or until so many seconds have passed."""
+        """Follow the instances and wait until each agent has reported its state, for ``within`` seconds at most."""
         self.follow(instances)
         wanted = [i for i in instances if i.has_agent and i.running and not i.held and not i.terminating]
         end = asyncio.get_running_loop().time() + within
@@ -119,7 +120,7 @@ class AgentConnections:
         return self._links[instance.uid]
 
     async def token(self, instance: Instance) -> bytes | None:
-        """The secret shared with an instance's agent; None while it cannot be read."""
+        """Return the token that an instance's agent accepts; None while the Secret cannot be read."""
         return await self._token(self._secret(instance))
 
     def _secret(self, instance: Instance) -> str:
@@ -148,13 +149,13 @@ class AgentConnections:
         self._wakeups.agent_reported()
 
     async def _renew(self, instance: Instance, link: AgentLink) -> None:
-        """Try the present token of the Secret: the agent refuses the token or the claim, and the Secret may have been created again."""
+        """Read the Secret again after the agent refused the token or the claim: the Secret may have been recreated."""
         secret = self._secret(instance)
         again = time.monotonic() - self._read_at.get(secret, -READ_AGAIN) >= READ_AGAIN
         link.token = await self._token(secret, again=again) or link.token
 
     def _configure(self, uid: str) -> None:
-        """Give an agent the present policy's tree, once for each connection and each policy."""
+        """Send an agent its configuration in the background, if this connection has not sent the same one already."""
         link = self._links[uid]
         if not link.connected or (wanted := self._configuration(uid)) is None or self._configured.get(uid) == wanted:
             return
@@ -170,7 +171,7 @@ class AgentConnections:
         self._spawn(configure())
 
     def _configuration(self, uid: str) -> tuple[Any, ...] | None:
-        """Return what an agent judges its instance with; None while that is not known."""
+        """Return the configuration with which an agent judges its instance; None while policy or spec is not known."""
         policy, spec, instance = self._view.policy, self._view.spec, self._instances.get(uid)
         if policy is None or spec is None:
             return None
@@ -198,7 +199,7 @@ class AgentConnections:
         )
 
     async def _drives(self, instance: Instance, link: AgentLink) -> None:
-        """Have an instance judged by its health tree alone: it is about to drive. Raises AgentGone, AgentRefused."""
+        """Have the agent judge an instance that is about to drive by its health tree alone. Raises AgentGone, AgentRefused."""
         self._instances.setdefault(instance.uid, instance)
         self._driving[instance.uid] = instance.name
         wanted = self._configuration(instance.uid)
@@ -219,17 +220,18 @@ class AgentConnections:
             await asyncio.sleep(RETRY)
 
     def status(self, instance: Instance) -> AgentStatus | None:
-        """What its agent last reported; None while there is no connection."""
+        """Return what the instance's agent last reported; None while there is no connection."""
         link = self._links.get(instance.uid)
         return link.status if link else None
 
     async def probe(self, instance: Instance, duration: float) -> None:
-        """Have it send gate probes, a millisecond apart at first, for so many seconds; returns at once, and never fails."""
+        """Ask the instance's agent to send gate probes for ``duration`` seconds, at first 1 ms apart. Returns at once; never
+        fails."""
         body = {"host": self._address, "port": names.PROBE_PORT, "interval": PROBE_INTERVAL, "duration": duration}
         await self._request_soon(instance, "probe", body)
 
     async def give_way(self, instance: Instance) -> None:
-        """Have a restarted container of it not be heard by the robot; returns at once, and never fails."""
+        """Ask the instance's agent to keep a restarted container from reaching the robot. Returns at once; never fails."""
         await self._request_soon(instance, "give_way", {})
 
     async def _request_soon(self, instance: Instance, op: str, body: Mapping[str, Any]) -> None:
@@ -244,15 +246,15 @@ class AgentConnections:
                 _logger.info("%s: %s", instance.name, error)
 
         self._spawn(request())
-        await asyncio.sleep(0)  # lets the request leave before the commit does
+        await asyncio.sleep(0)  # so that the request is sent before the commit
 
     def session(self, instance: Instance) -> tuple[int, int]:
-        """Return a value that changes with every connection to its agent."""
+        """Return a value that changes with every new connection to the instance's agent."""
         link = self._links.get(instance.uid)
         return (id(link), link.sessions) if link else (0, 0)
 
     async def renew_permit(self, instance: Instance, body: Mapping[str, Any]) -> None:
-        """Send an agent the parties that may answer its instance, and the decision about it if it is held.
+        """Send an agent the addresses that may answer its instance, and the order for the instance if it is frozen.
 
         Raises AgentGone, AgentRefused.
         """
@@ -262,7 +264,7 @@ class AgentConnections:
         await link.request(RENEW_PERMIT, body, within=ANSWER_LATE)
 
     async def start(self, instance: Instance) -> None:
-        """Start the held processes of a claimed instance with this robot's settings. Harmless when repeated."""
+        """Start the held processes of a claimed instance with this robot's settings. May be repeated."""
         settings = self._view.settings
         assert settings is not None, "the cluster view has started, so there are settings"
         self._crash_points.step("before start")
@@ -279,14 +281,14 @@ class AgentConnections:
         self._crash_points.step("after start")
 
     async def up(self, instance: Instance) -> float:
-        """Wait until its processes are up; when they were, in unix seconds."""
+        """Wait until the instance's processes run. Returns since when they do, in Unix seconds."""
         link = await self._connected(instance)
         status = await link.wait_for(lambda status: status.process_up_at is not None)
         assert status.process_up_at is not None
         return status.process_up_at
 
     async def ready(self, instance: Instance) -> float:
-        """Wait until the health tree holds on its own outputs; when it first did, in unix seconds."""
+        """Wait until the health tree succeeds on the instance's own outputs. Returns since when it does, in Unix seconds."""
         while True:
             link = await self._connected(instance)
             try:
@@ -302,7 +304,7 @@ class AgentConnections:
     async def bring_up(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState
     ) -> RestoreReport:
-        """Run a procedure on an instance that is about to drive, in so many seconds. Raises NotVerified."""
+        """Run a procedure on an instance that is about to drive, for ``within`` seconds at most. Raises NotVerified."""
         self._crash_points.step("before bring up")
         self._driving[instance.uid] = instance.name
         brought = f"up:{procedure.digest}:{instance.restarts}"
@@ -313,9 +315,9 @@ class AgentConnections:
     async def run(
         self, instance: Instance, procedure: BringUp, *, within: float, state: KeptState, brought: str
     ) -> RestoreReport:
-        """Run a procedure on an instance, in so many seconds; its success is remembered by ``brought``.
+        """Run a procedure on an instance, for ``within`` seconds at most. The agent remembers its success as ``brought``.
 
-        Raises NotVerified, which says why not.
+        Raises NotVerified with the reason if the procedure does not succeed.
         """
         if procedure.problem:
             raise NotVerified(procedure.problem)
@@ -339,7 +341,7 @@ class AgentConnections:
         raise NotVerified(f"{procedure.name} of {instance.name}: not done within {within:.3g} s: {problem}")
 
     async def restore(self, instance: Instance, state: KeptState, within: float) -> RestoreReport:
-        """Give it the state of the last healthy instance, in so many seconds. What cannot be given is in the report."""
+        """Restore kept state on an instance, for ``within`` seconds at most. The report lists what could not be restored."""
         end = asyncio.get_running_loop().time() + within
         report = RestoreReport()
         for part in await asyncio.gather(*(self._give(instance, part, end) for part in state.batches(LARGEST))):
@@ -347,7 +349,7 @@ class AgentConnections:
         return report
 
     async def _give(self, instance: Instance, state: KeptState, end: float) -> RestoreReport:
-        """Give it what fits into one request, until then by the loop's clock."""
+        """Restore a part of the state that fits into one request, until ``end`` by the loop's clock."""
         loop = asyncio.get_running_loop()
         begun, problem = loop.time(), "its agent is not connected"
         wire = await asyncio.to_thread(state.to_wire)
@@ -367,14 +369,14 @@ class AgentConnections:
         return state.none_restored(f"{problem} within {end - begun:.3g} s")
 
     async def inspect(self, instance: Instance, body: Mapping[str, Any], within: float) -> dict[str, Any]:
-        """What an instance's nodes answer about their parameters and states. Raises AgentGone, AgentRefused."""
+        """Return parameters and lifecycle states of an instance's nodes, as its agent reads them. Raises AgentGone, AgentRefused."""
         link = self._links.get(instance.uid)
         if link is None:
             raise AgentGone("its agent is not connected")
         return await link.request("inspect", {**body, "within": within}, within=within + ANSWER_LATE)
 
     def is_ready(self, instance: Instance) -> tuple[bool, str]:
-        """Whether the health tree holds on its own outputs now, and else why not."""
+        """Return whether the health tree succeeds on the instance's own outputs now, and if not, why."""
         link = self._links.get(instance.uid)
         if link is None:
             return False, "its agent is not connected yet"

@@ -1,4 +1,4 @@
-"""The recovery in progress, if there is one. What runs beside it depends on that."""
+"""The recovery in progress, if there is one, for tasks that run at the same time."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from understudy.failover.progress import Progress
 
 
 class CurrentRecovery:
-    """At most one recovery of one workload."""
+    """The recovery in progress of one workload: at most one."""
 
     def __init__(self) -> None:
         self.progress: Progress | None = None
         self.held: Progress | None = None
-        """The same recovery while it is deferred: the failed pod is fenced, and nothing else is done about it yet."""
+        """The same recovery while it is deferred: the failed pod is fenced, and not replaced yet."""
 
     @contextlib.contextmanager
     def during(self, progress: Progress, *, held: bool = False) -> Iterator[None]:

@@ -1,4 +1,4 @@
-"""The state that each instance should reach, and when it counts as ready: the active one drives, standbys have their pool's readiness."""
+"""The readiness that each instance should reach: the active one drives, and standbys have their pool's readiness."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from understudy.trees.languages.procedure_notations import composed
 from understudy.trees.source.problems import TreeError
 
 DRIVING = "up:"
-"""Prefix of what an instance was brought to if it was brought up to drive."""
+"""Prefix of ``brought`` for an instance that was brought up to drive."""
 
 
 @dataclass(frozen=True)
 class Role:
-    """What an instance should be brought to, and when it counts as ready."""
+    """The readiness that an instance should reach, and when it counts as ready."""
 
     procedure: BringUp | None = None
     brought: str = ""
-    """The agent remembers the procedure's success by this; empty if there is none to run."""
+    """The token with which the agent remembers the procedure's success; empty without a procedure."""
     standby: Mapping[str, Any] | None = None
-    """For its agent (agent/readiness.py); None if its health tree alone counts."""
+    """The readiness check for the agent (agent/readiness.py); None if the health tree alone counts."""
     origin: str = ""
-    """The field that has the procedure, for messages."""
+    """The field that defines the procedure, for messages."""
     outdated: bool = False
-    """Whether an earlier version of the procedure brought it there."""
+    """Whether the instance reached its readiness with an earlier version of the procedure."""
 
 
 BRING_UP = "spec.bringUp of this RobotWorkload"
@@ -50,10 +50,10 @@ def role_of(
     ready: bool = False,
 ) -> Role:
     """Return the role of an instance. ``brought`` is the readiness that it reached, if known; ``ready`` is whether it
-    met its role until now.
+    has been ready.
 
-    A standby that an earlier procedure made ready keeps that role: the present procedure may fail, so it runs on the pod that
-    the operator creates as its replacement.
+    A standby that an earlier version of the procedure made ready keeps that role. The present version may fail, so it runs
+    only on a new pod.
     """
     bring_up = BringUp.of("bringUp", spec.bring_up)
     if instance.uid == active_uid:
@@ -65,7 +65,7 @@ def role_of(
     choice = pool_of(instance, settings)
     if choice is None or (instance.from_source and not active_uid):
         if bring_up is None or instance.claim:
-            return Role()  # nothing to do, or a strategy of the policy does it
+            return Role()  # no procedure, or a strategy of the policy runs it
         token = _token(DRIVING, bring_up, instance)
         return Role(bring_up, token, {"brought": token}, BRING_UP)
     initialization = BringUp.of("initialization", choice.initialization)
@@ -88,12 +88,12 @@ def _on_the_wire(check: Check) -> dict[str, Any]:
     try:
         found = composed(check, path="readinessCheck")
     except TreeError:
-        return {"check": check.tree}  # the agent refuses it
+        return {"check": check.tree}  # the agent refuses this tree and reports why
     return {"check": found.node, **({"places": found.places} if found.places else {})}
 
 
 def managed(spec: RobotWorkloadSpec, settings: WorkloadSettings, policy: FailurePolicySpec) -> bool:
-    """Return whether procedures bring instances up: then outputs may begin long after the processes."""
+    """Return whether procedures bring instances up. If so, outputs may begin long after the processes start."""
     return (
         spec.bring_up is not None
         or any(pool.initialization for pool in settings.pools)
@@ -102,7 +102,7 @@ def managed(spec: RobotWorkloadSpec, settings: WorkloadSettings, policy: Failure
 
 
 def pool_of(instance: Instance, settings: WorkloadSettings) -> PoolChoice | None:
-    """Return the pool whose standby an instance is. A pod of the workload's own controller counts as one of the first pool."""
+    """Return the pool of a standby; None if there is none. A pod of the workload's own controller belongs to the first pool."""
     waiting = [pool for pool in settings.pools if pool.level.has_standbys]
     if instance.from_source:
         return waiting[0] if waiting else None
@@ -110,12 +110,12 @@ def pool_of(instance: Instance, settings: WorkloadSettings) -> PoolChoice | None
 
 
 def _token(kind: str, procedure: BringUp, instance: Instance) -> str:
-    """Name a procedure's success. A restarted container must be brought up again, so the restarts are part of it."""
+    """Return the token for a procedure's success. It includes the restarts, because a restarted container needs the procedure again."""
     return f"{kind}{procedure.digest}:{instance.restarts}"
 
 
 def _alike(brought: str, token: str) -> bool:
-    """Return whether two tokens name the same kind of procedure on the same processes, perhaps by different trees."""
+    """Return whether two tokens are for the same kind of procedure and the same processes; the trees may differ."""
     one, other = brought.split(":"), token.split(":")
     return len(one) == len(other) == 3 and (one[0], one[2]) == (other[0], other[2])
 
@@ -129,12 +129,12 @@ class InstanceRoles:
 
     @property
     def driver(self) -> str:
-        """UID of the pod whose standbys the others are. While a recovery is deferred, nobody takes the failed pod's place."""
+        """UID of the active pod. While a recovery is deferred, this is the failed pod, so that no standby is prepared to replace it."""
         held = self.current.held
         return held.failed[0].uid if held is not None and held.failed else self._gate.state.active_uid
 
     def was_ready(self, instance: Instance) -> bool:
-        """Return whether it is a standby that was ready. If it no longer is, it is about to be replaced."""
+        """Return whether an instance is a standby that was ready before. If it is no longer ready, it will be replaced."""
         return instance.uid in self._were_ready
 
     def mark_ready(self, instance: Instance, *, ready: bool = True) -> None:
@@ -149,9 +149,9 @@ class InstanceRoles:
         self._were_ready &= set(uids)
 
     def readiness(self, instance: Instance, brought: str, *, ready: bool) -> tuple[Mapping[str, Any] | None, bool]:
-        """Return what the agent of an instance must check (see :attr:`Role.standby`), and whether procedures bring nodes up.
+        """Return what the agent of an instance must check (see :attr:`Role.standby`), and whether procedures bring instances up.
 
-        ``brought`` is what the instance was brought to; ``ready`` is whether its agent reports it ready now.
+        ``brought`` is the readiness that the instance reached; ``ready`` is whether its agent reports it as ready now.
         """
         policy, spec, settings = self._view.policy, self._view.spec, self._view.settings
         if policy is None or spec is None or settings is None:

@@ -1,4 +1,4 @@
-"""What the monitor observes of a robot beside its objects in the cluster, as one value."""
+"""The monitor's sources of observations besides the objects in the cluster, as one value."""
 
 from __future__ import annotations
 

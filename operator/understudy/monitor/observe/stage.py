@@ -1,4 +1,4 @@
-"""The observe stage of one workload: its parts, put together."""
+"""The observe stage of one workload, assembled from its parts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from understudy.monitor.observe.wakeups import EvaluationSchedule
 
 
 class ObserveStage:
-    """When the monitor evaluates, and what."""
+    """The schedule of evaluations, and the sources of observations."""
 
     def __init__(self, view: ClusterView, senses: Senses, notices: Notices) -> None:
         self.schedule = EvaluationSchedule(senses.wakeups, senses.observer.coming)

@@ -1,6 +1,6 @@
-"""When the monitor evaluates: at deadlines, when a message comes that may be a failure by itself, and else at ticks.
+"""Schedules the monitor's evaluations: at deadlines, when a message arrives that may be a failure by itself, and else at ticks.
 
-It is woken at deadlines, not at the next tick: a 500 ms gap is noticed 500 ms after the last sample was received.
+Deadlines do not wait for the next tick: a gap of 500 ms is noticed 500 ms after the last sample was received.
 """
 
 from __future__ import annotations
@@ -12,30 +12,30 @@ import time
 from understudy.ros.runtime.arrival_wakeups import ArrivalWakeups
 
 TICK = 0.1
-"""Longest time between two evaluations, in seconds; what arrives in between waits in the middleware's queue."""
+"""Maximum seconds between two evaluations. Messages that arrive in between wait in the middleware's queue."""
 
 APART = 0.01
-"""Least seconds between two evaluations for the sake of messages that come: a fast topic must not take the processor."""
+"""Minimum seconds between two evaluations because of messages: a fast topic must not take all CPU time."""
 
 WAKE_LATE = 0.0005
-"""Seconds after a deadline at which the evaluation starts, so that the clock has surely passed it."""
+"""Seconds after a deadline at which the evaluation starts, so that the clock has certainly passed it."""
 
 STALLED = 0.03
-"""Seconds late at which this process counts as having been stalled. Then what the middleware received meanwhile may not
-be in its queues yet either, and silence is judged only after as long again."""
+"""Minimum lateness of an evaluation, in seconds, that counts as a stall of this process. The middleware may have been stalled too, and
+its queues may lack messages, so silence counts only after the same time again."""
 
 STALL_MOST = 0.25
-"""Maximum seconds that a verdict waits because of a stall: a node that is starved for longer cannot be waited for."""
+"""Maximum seconds that a verdict waits because of a stall, also if the node is starved for longer."""
 
 
 class Wakeups:
-    """Ends the waits of the monitor's loops early. Anybody in the monitor may call these."""
+    """Ends the waits of the monitor's loops early. Every part of the monitor may call its methods."""
 
     def __init__(self) -> None:
         self.evaluation = asyncio.Event()
-        """Set to have the monitor's loop evaluate at once."""
+        """If set, the monitor's loop evaluates at once."""
         self.permits = asyncio.Event()
-        """Set to have the permits of instances checked again at once."""
+        """If set, the permits of instances are checked at once."""
 
     def pod_changed(self) -> None:
         """Report that a pod of the workload changed."""
@@ -52,29 +52,29 @@ class Wakeups:
 
 
 class EvaluationSchedule:
-    """Starts one evaluation after the other. Times are Unix seconds."""
+    """Determines when each evaluation starts, and how late it is. Times are Unix seconds."""
 
     def __init__(self, wakeups: Wakeups, arrivals: ArrivalWakeups | None) -> None:
         """``arrivals`` report messages that are evaluated when they arrive."""
         self._wake = wakeups.evaluation
         self.late = 0.0
-        """By how many seconds the present evaluation is late."""
+        """Lateness of the present evaluation, in seconds."""
         self.trusted_from = 0.0
-        """Silence counts from here on (Unix seconds)."""
+        """From when on silence counts (Unix seconds)."""
         self.count = 0
-        """Evaluations so far."""
+        """Number of evaluations so far."""
         self.overruns = 0
-        """Evaluations that were late by more than STALLED."""
+        """Number of evaluations that were late by more than STALLED."""
         self._arrivals = arrivals
         self._started = 0.0
         self._next: float | None = None
 
     def restart(self) -> None:
-        """Note that something else was done since the last evaluation: the next one is not late."""
+        """Note that other work was done since the last evaluation, so the next one does not count as late."""
         self._next = None
 
     def begin(self) -> float:
-        """Start an evaluation. Returns its time in Unix seconds; it covers everything that has arrived until then."""
+        """Start an evaluation. Returns its time in Unix seconds: the evaluation covers all messages up to that time."""
         self._wake.clear()
         if self._arrivals is not None and self._arrivals.asked:
             self._arrivals.clear()
@@ -84,7 +84,7 @@ class EvaluationSchedule:
         self.overruns += self.late > STALLED
         if self.late > STALLED:
             self.trusted_from = now + min(self.late, STALL_MOST)
-        self.trusted_from = min(self.trusted_from, now + STALL_MOST)  # later where the clock was set back since
+        self.trusted_from = min(self.trusted_from, now + STALL_MOST)  # a later time means that the clock was set back
         return now
 
     async def until(self, moment: float) -> None:
@@ -101,7 +101,7 @@ class EvaluationSchedule:
         loop = asyncio.get_running_loop()
 
         def arrived() -> None:
-            loop.remove_reader(descriptor)  # until the next evaluation, which clears it
+            loop.remove_reader(descriptor)  # the next evaluation clears the descriptor
             rest = self._started + APART - time.time()
             if rest <= 0:
                 self._wake.set()

@@ -1,7 +1,7 @@
-"""The black box: what the monitor received around a failure is kept as a file, for those who want to know why it failed.
+"""The black box: keeps the messages that the monitor received around a failure in a file, so that users can find its cause.
 
-Before a failure it is bytes in a ring. While one is dealt with, the ring only forgets nothing more. Once that is over and the next
-instance has driven for a moment, a thread writes what was kept. None of it waits in the monitor's loop, and nothing depends on it.
+Until a failure, messages are bytes in a ring. During a recovery, the ring drops nothing. Once the recovery is over and the next instance
+has driven for a moment, a thread writes the file. Nothing here delays the monitor's loop, and nothing depends on it.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ CHECK_PERIOD = 0.1
 """Seconds between two checks whether a node of the tree has changed."""
 
 AGAIN = 1.0
-"""Seconds after which the tree is noted though all its nodes are as they were."""
+"""Seconds after which the tree is recorded again although no node has changed."""
 
 AFTER = 2.0
-"""Seconds after the end of a recovery that are kept too: the next instance's first commands, and Events, which are written late."""
+"""Seconds after the end of a recovery that are recorded too: the next instance's first commands, and Events, which are written late."""
 
 NAMED = 8
-"""Pods of which the Events are asked for."""
+"""Maximum number of pods whose Events are recorded."""
 
 MCAP = "application/octet-stream"
 
@@ -52,12 +52,12 @@ class _Due(NamedTuple):
     """A recovery that is over."""
 
     at: float
-    """When it is written, Unix seconds."""
+    """When the recording is written (Unix seconds)."""
     progress: Progress
 
 
 class BlackBox:
-    """Of one workload; by the policy's ``blackBox``, and without that it does nothing."""
+    """The black box of one workload. Does nothing if the policy has no ``blackBox``."""
 
     def __init__(
         self, view: ClusterView, observer: HealthObserver, notices: Notices, archive: RecordingArchive
@@ -66,27 +66,27 @@ class BlackBox:
         self._settings: Settings | None = None
         self._ring: SampleRing | None = None
         self._present = ""
-        """Id of the recovery that is under way."""
+        """Id of the recovery that is under way; empty for none."""
         self._due: deque[_Due] = deque()
         self._states: Sequence[Shown] = ()
         self._next_trace = 0.0
         self._last = 0
-        """Number of the recovery that was recorded last."""
+        """Number of the last recorded recovery."""
         self._problem = ""
         self.pages: dict[str, Page] = {}
-        """The recordings, and what there is of them, by path."""
+        """HTTP pages by path: the list of recordings, and each recording."""
         self._offer()
 
-    # -- in the midst of a failover ---------------------------------------------------------------------------------
+    # -- during a failover ------------------------------------------------------------------------------------------
 
     def begin(self, progress: Progress) -> None:
-        """A failure is being dealt with: forget nothing more of what led to it."""
+        """Note that a recovery begins. From now on, the ring keeps the messages that led to the failure."""
         if progress.planned or progress.follows or progress.switchover is not None or progress.id == self._present:
             return
         self._follow()
         if (ring := self._ring) is None:
             return
-        if self._present and not self._due:  # that recovery did not happen
+        if self._present and not self._due:  # the last recovery was not carried out
             ring.release()
         self._present = progress.id
         ring.hold(progress.moments.get("detected", time.time()))
@@ -103,10 +103,10 @@ class BlackBox:
         elif not self._due and self._ring is not None:
             self._ring.release()
 
-    # -- when there is time -----------------------------------------------------------------------------------------
+    # -- in the background ------------------------------------------------------------------------------------------
 
     async def run(self) -> None:
-        """Note how the tree is, and write what is over, until cancelled. What goes wrong here must not end the monitor."""
+        """Record the health tree, and write recordings when they are due, until cancelled. An error must not end the monitor."""
         while True:
             try:
                 self._follow()
@@ -119,7 +119,7 @@ class BlackBox:
             await asyncio.sleep(CHECK_PERIOD)
 
     def _follow(self) -> None:
-        """Record what the policy's ``blackBox`` asks for."""
+        """Follow the policy's ``blackBox``."""
         policy = self._view.policy
         settings = policy.black_box if policy is not None else self._settings
         if settings is self._settings:
@@ -140,7 +140,7 @@ class BlackBox:
                 self._trace()
 
     def _trace(self) -> None:
-        """Note how the tree is."""
+        """Record the present health tree."""
         if (ring := self._ring) is None:
             return
         track, now, published = ring.track(mcap_writer.TREE, mcap_writer.TREE_TYPE), time.time(), self._notices.status
@@ -169,7 +169,7 @@ class BlackBox:
         if not self._present and not self._due:
             ring.release()
         if recovery.number == self._last:
-            return  # it failed again like before: how it began is kept
+            return  # the same failure continues: the recording of its start stays
         events, problem = await self._events(progress)
         if problem:
             notes["events"] = problem
@@ -229,7 +229,7 @@ class BlackBox:
             self._problem = text
             self._notices.event("Warning", "NotRecorded", text)
 
-    # -- for those who ask ------------------------------------------------------------------------------------------
+    # -- pages ------------------------------------------------------------------------------------------------------
 
     def _offer(self) -> None:
         self.pages.clear()

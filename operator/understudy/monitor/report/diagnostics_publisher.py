@@ -1,7 +1,7 @@
-"""Tells ROS tools how the workload is: on ``/diagnostics``, and as snapshots of its health tree (docs/ros-tools.md).
+"""Publishes the workload's health for ROS tools: on ``/diagnostics``, and as snapshots of its health tree (docs/ros-tools.md).
 
-Only where the workload asks for it, and beside the supervisor's loop: a change is noted when it happens and published a moment
-later, so that nothing is published in the midst of a switch. What nobody reads is not made.
+Only if the workload asks for it, and not in the monitor's loop: a change is noted when it happens and published a moment later, so that
+nothing is published during a switch. Messages without a reader are not made.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from understudy.trees.core.snapshot_behaviours import behaviours
 _logger = logging.getLogger(__name__)
 
 PERIOD = 1.0
-"""Seconds between two statuses: what diagnostic_updater takes, and well within the aggregator's 5 s."""
+"""Seconds between two statuses: the period of diagnostic_updater, and well within the 5 s of the aggregator."""
 
 QUIET = 0.02
 """Seconds from a change to its publication. By then, a switch to an executing standby and its reports are complete."""
@@ -37,7 +37,7 @@ LATEST = 16
 
 
 def namespace_of(workload: str) -> str:
-    """Where the topics of a workload are: names of ROS have letters, digits and underscores only."""
+    """Return the ROS namespace for the topics of a workload. Names in ROS have only letters, digits and underscores."""
     name = re.sub(r"[^A-Za-z0-9]", "_", workload)
     return f"/understudy/{name if name[0].isalpha() else f'_{name}'}"
 
@@ -63,10 +63,10 @@ class DiagnosticsPublisher:
         self._stream = notices.subscribe()
         self._next = 0.0
         self.problems: list[str] = []
-        """What is not published and why, with what to do."""
+        """Why something cannot be published, and how to correct it: one text per problem."""
 
     def _read(self) -> None:
-        """Remember how the status changed since the last call."""
+        """Note the changes of the status since the last call."""
         for notice in self._stream.take():
             if isinstance(notice, StatusChanged) and self._diagnostics is not None:
                 self._note(workload_state(notice.status, notice.at))
@@ -81,7 +81,7 @@ class DiagnosticsPublisher:
             self._pending[-1] = now._replace(at=self._pending[-1].at)
 
     async def run(self) -> None:
-        """Tell until cancelled. What goes wrong here must not end the monitor."""
+        """Publish until cancelled. An error here must not end the monitor."""
         try:
             while True:
                 try:
@@ -110,7 +110,7 @@ class DiagnosticsPublisher:
                 await asyncio.sleep(QUIET)
 
     def _follow(self, settings: MonitorSettings) -> None:
-        """Open what is asked for and was not, and close what no longer is."""
+        """Create the publishers that the settings ask for, and close the others."""
         self._settings, self.problems = settings, []
         try:
             if settings.diagnostics and self._diagnostics is None:
@@ -139,7 +139,7 @@ class DiagnosticsPublisher:
         self._notices.event("Warning", "TypeNotInstalled", text)
 
     def _diagnose(self) -> None:
-        """Tell what has changed since, in order; else how it is, in its period."""
+        """Publish the changes since the last status, in order; if there are none, the present status every PERIOD seconds."""
         self._changed = False
         if self._diagnostics is None:
             return

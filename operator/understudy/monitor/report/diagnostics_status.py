@@ -1,6 +1,6 @@
-"""How the workload is, as a status of ``/diagnostics`` (REP 107); pure.
+"""Converts the workload's state to a status of ``/diagnostics`` (REP 107); pure.
 
-One status a workload, with the leaves of its health tree as values: an alarm that counts statuses counts a failure once.
+Each workload has one status, with the leaves of its health tree as values: an alarm that counts statuses counts a failure once.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ LEVELS: Mapping[str, int] = {
 }
 
 LONGEST = 400
-"""Characters of a message, or of a value; a recovery that failed may have more to say than a line of a table holds."""
+"""Maximum length of a message or a value, in characters. The text about a failed recovery may be longer than a line of a table."""
 
 
 class WorkloadState(NamedTuple):
-    """The state of a workload at one moment. It is cheap to take, because it is taken during a failover."""
+    """The state of a workload at one moment. It is cheap to create, because it is created during a failover."""
 
     at: float
     """Unix seconds."""
@@ -39,7 +39,7 @@ class WorkloadState(NamedTuple):
     active: str
     epoch: int
     planned: bool
-    """Whether the control is switched without a failure."""
+    """Whether a degraded instance is being handed over, without a failure."""
 
     @property
     def level(self) -> int:
@@ -52,7 +52,7 @@ class Details(NamedTuple):
 
     policy: str
     standby: str
-    """As the operator puts it, such as ``Executing (1/1)``."""
+    """The operator's text, such as ``Executing (1/1)``."""
     kept: Mapping[str, float]
     """By the name of each part of the kept state, when it was captured (Unix seconds)."""
     tree: Snapshot | None
@@ -109,6 +109,6 @@ def _leaves(node: Snapshot) -> Iterator[tuple[str, str]]:
 
 
 def _short(text: str) -> str:
-    """In one line."""
+    """Return the text in one line, with at most LONGEST characters."""
     text = " ".join(text.split())
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."

@@ -16,7 +16,7 @@ from understudy.process.http_pages import HTML, JSON, Answer
 
 
 class LiveTreePages:
-    """What the monitor knows and thinks at this moment. Costs nothing while nobody asks."""
+    """Pages about the monitor's present state. They cost nothing while nobody asks for them."""
 
     def __init__(
         self, view: ClusterView, observer: HealthObserver, notices: Notices, notes: Callable[[], Sequence[str]] = tuple
@@ -25,7 +25,7 @@ class LiveTreePages:
         self._view, self._observer, self._notices, self._notes = view, observer, notices, notes
 
     def state(self) -> dict[str, Any]:
-        """All of it as plain values. Times are Unix seconds."""
+        """Return the present state as plain values. Times are Unix seconds."""
         published, spec = self._notices.status, self._view.spec
         return {
             "workload": self._view.workload,
@@ -50,7 +50,7 @@ class LiveTreePages:
         return 200, json.dumps(self.state()) + "\n", JSON
 
     def page(self) -> Answer:
-        """``/``: a page that draws ``tree`` again and again; its addresses are relative, so that it works through proxies."""
+        """``/``: a page that draws ``tree`` repeatedly. Its addresses are relative, so that it works through proxies."""
         return 200, _page(), HTML
 
 

@@ -1,7 +1,7 @@
-"""What is written of a failure: an MCAP file as rosbag2 writes it, which every ROS tool opens.
+"""Writes the recording of a failure: an MCAP file in the form of rosbag2, which every ROS tool opens.
 
-All its messages are CDR: rosbag2 plays no file in which some are written otherwise. So what Understudy itself has to tell is in ROS
-messages too: the health tree as text (JSON) in a std_msgs/msg/String, what happened as rcl_interfaces/msg/Log.
+All its messages are CDR, because rosbag2 does not play files with other encodings. So Understudy's own data are ROS messages too: the
+health tree is JSON in a std_msgs/msg/String, and the moments and Events are rcl_interfaces/msg/Log.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from understudy.ros.runtime.type_definitions import definition
 from understudy.trees.core.snapshots import Shown
 
 TREE, TREE_TYPE = "/understudy/tree", "std_msgs/msg/String"
-"""The health tree whenever a node of it was another, and once a second."""
+"""Topic and type of the health tree, which is recorded whenever a node changed, and once a second."""
 
 EVENTS, EVENTS_TYPE = "/understudy/events", "rcl_interfaces/msg/Log"
-"""The moments of the recovery, and the Events of the objects that it was about."""
+"""Topic and type of the moments of the recovery, and of the Events of the objects concerned."""
 
 _INFO, _WARN = 20, 30  # rcl_interfaces/msg/Log
 
 BATCH, REST = 20, 0.0005
-"""Messages that are written at a time, and seconds in between: the monitor's loop must not wait for this thread."""
+"""Messages that are written at a time, and pause after them in seconds: the monitor's loop must not wait for this thread."""
 
 
 class Node(Model):
@@ -69,25 +69,25 @@ class Trace(Model):
 
 @dataclass(frozen=True)
 class Content:
-    """What is written."""
+    """The content of a recording."""
 
     namespace: str
     workload: str
     recovery: Recovery
     tracks: Sequence[RecordedTopic]
     events: Sequence[Object]
-    """Of Kubernetes, of the objects concerned."""
+    """Kubernetes Events of the objects concerned."""
     offers: Mapping[str, str]
-    """What the publishers of the topics offer, by topic, as understudy.ros.observe.offered_qos has it."""
+    """The QoS that the publishers of each topic offer, by topic, in the format of understudy.ros.observe.offered_qos."""
     since: float
-    """Unix seconds."""
+    """Start of the recording (Unix seconds)."""
     notes: Mapping[str, str]
-    """What else should be known, such as what is missing."""
+    """Further metadata, such as what is missing."""
 
 
 def write(file: IO[bytes], content: Content) -> int:
-    """Write it; how many messages that were. Takes its time. Raises OSError."""
-    from mcap.writer import Writer  # a monitor in whose time nothing fails has no need of it
+    """Write a recording. Returns the number of messages. Slow: call it in a thread. Raises OSError."""
+    from mcap.writer import Writer  # imported only here, because a monitor needs it only after a failure
 
     writer = Writer(file)
     writer.start(profile="ros2", library=f"understudy {__version__}")
@@ -98,10 +98,10 @@ def write(file: IO[bytes], content: Content) -> int:
         if track.type not in schemas:
             try:
                 text = definition(track.type)
-            except TypeNotInstalled:  # it was, when it was received
+            except TypeNotInstalled:  # the type was installed when the message was received
                 text = ""
             schemas[track.type] = writer.register_schema(track.type, "ros2msg", text.encode())
-        # The profile requires it of every channel; of a topic of which it is not known, players offer what is usual.
+        # The ros2 profile requires this field. If the QoS is unknown, it is empty, and players offer the default.
         offered = {"offered_qos_profiles": content.offers.get(track.topic) or offers([])}
         channels[track.topic] = writer.register_channel(track.topic, "cdr", schemas[track.type], offered)
     count = 0
@@ -119,7 +119,7 @@ def write(file: IO[bytes], content: Content) -> int:
 
 
 def _in_order(tracks: Sequence[RecordedTopic], channels: Mapping[str, int]) -> Iterator[tuple[int, Message]]:
-    """All messages, the oldest first, each with its channel."""
+    """Yield all messages, oldest first, each with its channel."""
     streams = ([(channels[track.topic], message) for message in track.messages] for track in tracks)
     return heapq.merge(*streams, key=lambda found: found[1][0])
 
@@ -149,7 +149,7 @@ def _metadata(content: Content) -> dict[str, str]:
 
 
 def _event_log(content: Content) -> Iterator[Message]:
-    """What happened, as messages of EVENTS, the oldest first."""
+    """Yield moments and Events as messages of EVENTS, oldest first."""
     found = [*_moments(content.recovery), *_events(content)]
     for number, (at, level, name, text) in enumerate(sorted(found, key=lambda one: one[0]), 1):
         yield at, at, number, _log(at, level, name, text)
@@ -165,7 +165,7 @@ def _moments(recovery: Recovery) -> Iterator[tuple[float, int, str, str]]:
 def _events(content: Content) -> Iterator[tuple[float, int, str, str]]:
     for event in content.events:
         at = unix(event.get("lastTimestamp") or event.get("eventTime") or event["metadata"].get("creationTimestamp"))
-        if at is not None and at >= content.since - 1:  # to whole seconds
+        if at is not None and at >= content.since - 1:  # times of Events are in whole seconds
             about = event["involvedObject"]
             level = _WARN if event.get("type") == "Warning" else _INFO
             name = f"{about.get('kind', '')}/{about.get('name', '')}"
@@ -180,12 +180,12 @@ def _log(at: float, level: int, name: str, text: str) -> bytes:
 
 
 def text(value: str) -> bytes:
-    """A text as a message of TREE_TYPE, serialized."""
+    """Return a text as a serialized message of TREE_TYPE."""
     return serialized(message_class(TREE_TYPE)(data=value))
 
 
 def serialized(message: Any) -> bytes:
-    """A message as CDR with its header."""
+    """Return a message as CDR, with the encapsulation header."""
     from rclpy.serialization import serialize_message
 
     return bytes(serialize_message(message))

@@ -1,6 +1,6 @@
-"""Prometheus metrics of the monitor: counted from notices, or collected from what it observes when somebody asks.
+"""Prometheus metrics of the monitor: counted from notices, or read from its observations when Prometheus asks.
 
-A new metric needs this module alone, unless it measures something that no notice reports yet.
+A new metric needs only this module, unless it measures something that no notice reports yet.
 """
 
 from __future__ import annotations
@@ -175,15 +175,16 @@ class ObservationMetrics(Collector):
     def __init__(
         self, records: Callable[[], Mapping[str, TopicRecord]], evaluations: Callable[[], tuple[int, int]]
     ) -> None:
-        """``records`` returns what was received, by topic; ``evaluations`` how many evaluations and overruns there were."""
+        """``records`` returns the records of received messages, by topic; ``evaluations`` returns the numbers of evaluations and
+        overruns."""
         self._records, self._evaluations = records, evaluations
 
     def describe(self) -> Iterable[Metric]:
-        """The metrics without samples. prometheus_client calls this at registration."""
+        """Return the metrics without samples. prometheus_client calls this at registration."""
         return [*_of_topics({}, 0.0), *_of_evaluations(0, 0)]
 
     def collect(self) -> Iterable[Metric]:
-        """The metrics as of now."""
+        """Return the metrics as of now."""
         return [*_of_topics(self._records(), time.time()), *_of_evaluations(*self._evaluations())]
 
 

@@ -1,7 +1,8 @@
-"""Recordings of failures on the disk: a few of them, of a bounded size, each whole or not there at all.
+"""Recordings of failures on the disk. Their number and size are bounded, and none is incomplete.
 
-A recording is a file that is named after its recovery, with a description beside it. The description is written first, and both
-by a rename, so that a killed monitor leaves no partial file. Files are not synced: the checksum reveals what a lost node tore.
+A recording is a file that is named after its recovery, with a description next to it. The description is written first, and both
+files are renamed into place, so that a killed monitor leaves no partial file. Files are not synced: the checksum reveals a file that
+is incomplete because its node was lost.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ _NEW = ".new"
 
 
 class TooBig(Exception):
-    """A recording that is larger than all of them may be together."""
+    """A recording is larger than all recordings together may be."""
 
 
 class RecordingArchive:
@@ -36,19 +37,20 @@ class RecordingArchive:
 
     @property
     def recordings(self) -> Sequence[Recording]:
-        """What is kept, newest first."""
+        """The recordings, newest first."""
         if self._kept is None:
             self._kept = self._found()
         return self._kept
 
     def path(self, recording: Recording) -> Path:
-        """The file of a recording."""
+        """Return the path of a recording's file."""
         return self._folder / f"{Path(recording.id).name}.mcap"
 
     def keep(self, recording: Recording, write: Callable[[IO[bytes]], int], *, most: int, most_bytes: int) -> Recording:
-        """Write a recording, whose messages ``write`` counts, and remove the oldest beyond so many and so much. Takes its time.
+        """Write a recording with ``write``, which returns the number of messages, and remove the oldest recordings beyond ``most`` and
+        ``most_bytes``. Slow: call it in a thread.
 
-        Raises OSError, and TooBig where it is more than all may be; what was there before stays then.
+        Raises OSError, and TooBig if the recording alone is larger than ``most_bytes``. Earlier recordings then stay.
         """
         self._folder.mkdir(parents=True, exist_ok=True)
         path = self.path(recording)
@@ -84,7 +86,7 @@ class RecordingArchive:
             each.unlink(missing_ok=True)
 
     def _found(self) -> list[Recording]:
-        """What an earlier monitor has kept. What it had only begun is removed."""
+        """Return the recordings of earlier monitors, and remove incomplete ones."""
         kept: list[Recording] = []
         try:
             for path in self._folder.glob(f"*{_NEW}"):
@@ -107,7 +109,7 @@ class RecordingArchive:
 
 
 class _Hashing:
-    """A file that is only appended to, with a checksum of all that was."""
+    """A file that is only appended to, with a checksum of its content."""
 
     def __init__(self, file: IO[bytes]) -> None:
         self._file, self._hash, self._place = file, hashlib.sha256(), 0

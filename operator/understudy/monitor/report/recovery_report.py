@@ -47,7 +47,7 @@ class RecoveryReport:
         self._notices.event("Warning", event, f"{progress.reason}: {error}")
 
     def concluded(self, outcome: Outcome, recovery: Recovery) -> str:
-        """Report a recovery that was recorded; its description."""
+        """Report a recorded recovery. Returns its description."""
         state = self._gate.state
         self._notices.set(active=state.active, gate=GateStatus(epoch=state.epoch, active=state.active))
         if outcome.kind in ("SwitchedOver", "NotSwitchedOver"):

@@ -1,4 +1,4 @@
-"""The report stage of one workload: its parts, put together."""
+"""The report stage of one workload, assembled from its parts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from understudy.monitor.report.status_conditions import StatusConditions
 
 
 class ReportStage:
-    """What the status, Events and recordings say of the other stages."""
+    """Reports the results of the other stages in the status and in Events."""
 
     def __init__(
         self,
@@ -30,5 +30,5 @@ class ReportStage:
         self.status_conditions = StatusConditions(view, gate, observer, act.safety, decide.options, notices)
 
     def judged(self, judgement: Judgement) -> None:
-        """Report how the active instance is."""
+        """Report the health of the active instance."""
         self.status_conditions.judged(judgement)

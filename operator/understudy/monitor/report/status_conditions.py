@@ -1,4 +1,4 @@
-"""Reports a watched workload in its status: its health, whether its topics are received, and the strategy that a failure would use."""
+"""Reports in the status: the workload's health, whether its topics are received, and the strategy that a recovery would use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from understudy.monitor.observe.robot.health_observer import HealthObserver
 
 
 class StatusConditions:
-    """Says it of one workload."""
+    """Reports on one workload."""
 
     def __init__(
         self,
@@ -29,7 +29,7 @@ class StatusConditions:
         self._safety, self._options, self._notices = safety, options, notices
 
     def judged(self, judgement: Judgement) -> None:
-        """Report how the active instance is."""
+        """Report the health of the active instance."""
         state, verdict = self._gate.state, judgement.verdict
         if verdict is None:
             return
@@ -49,7 +49,7 @@ class StatusConditions:
         self._notices.set(active="", health=health, gate=GateStatus(epoch=self._gate.state.epoch))
 
     def housekeeping(self) -> None:
-        """What changes seldom, once the policy and the settings are known."""
+        """Report what changes seldom. Policy and settings must be known."""
         usable = self._options.usable()
         item = self._view.object
         self._notices.observe(item["metadata"].get("generation") if item else None)

@@ -1,4 +1,4 @@
-"""Writes what the stages report: the status of the RobotWorkload, Events and metrics. Never on the path of a failover."""
+"""Writes the reports of all stages: the status of the RobotWorkload, Events and metrics. Never on the path of a failover."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ QUIET = 0.25
 """Seconds that a change waits for other changes, so that a failover of milliseconds costs one write instead of three."""
 
 UNDER_WAY = 3.0
-"""Most seconds that a change during a recovery waits for its end, so that both take one write. The record beside the gate shows at
-once that a recovery is under way: the operator's storm guard and dependent workloads read that.
+"""Maximum seconds that a change during a recovery waits for its end, so that both take one write. The record at the gate shows at once
+that a recovery is under way: the operator's storm guard and dependent workloads read that record.
 """
 
 RETRY = 2.0  # seconds
 
 WATCH = 1.0
-"""Seconds between two checks whether somebody overwrote the status."""
+"""Seconds between two checks whether the status was overwritten."""
 
 AGAIN = 10.0
-"""Least seconds between two repairs of an overwritten status, so that two monitors of one workload do not keep each other writing."""
+"""Minimum seconds between two repairs of an overwritten status, so that two monitors of one workload do not write all the time."""
 
 
 class StatusWriter:
@@ -58,20 +58,20 @@ class StatusWriter:
         self._changed = asyncio.Event()
         self._urgent = asyncio.Event()
         self._free = asyncio.Event()
-        """No recovery is under way."""
+        """Set while no recovery is under way."""
         self._free.set()
         self._applied = ""
         self._written: Object = {}
         """The status that was applied last."""
         self._answer: Object | None = None
-        """The object after that; None if it is not known."""
+        """The object after that write; None if it is not known."""
         self._unknown: Sequence[str] = ()
-        """Fields that the installed definition does not have."""
+        """Fields that the installed CRD lacks."""
         self._again_from = 0.0
         self._background: set[asyncio.Future[None]] = set()
 
     async def run(self) -> None:
-        """Write what is reported, until cancelled."""
+        """Write reports until cancelled."""
         async with asyncio.TaskGroup() as group:
             group.create_task(self._write())
             group.create_task(self._watch())
@@ -103,9 +103,10 @@ class StatusWriter:
             task.add_done_callback(self._background.discard)
 
     def check(self, item: Object | None) -> None:
-        """Write the status again if the object, as the watch has it now, has another one.
+        """Write the status again if the watched object now has another one.
 
-        A write may be carried out after its sender gave up: an earlier one of this monitor, or the last one of a monitor that died.
+        The API server may carry out a write after its sender gave up: an earlier write of this monitor, or the last one of a monitor
+        that died.
         """
         if item is None or self._answer is None or version_of(item) <= version_of(self._answer):
             return
@@ -138,7 +139,7 @@ class StatusWriter:
                 await asyncio.sleep(RETRY)
 
     async def _settled(self) -> None:
-        """Wait for changes that will follow soon."""
+        """Wait for further changes: for QUIET seconds, and during a recovery for its end."""
         latest = time.monotonic() + UNDER_WAY
         while True:
             with contextlib.suppress(TimeoutError):
@@ -151,7 +152,7 @@ class StatusWriter:
                     await self._free.wait()
 
     async def flush(self) -> None:
-        """Apply the status now, unless it was applied last."""
+        """Apply the status now, unless it is the one that was applied last."""
         place = {"name": self._view.workload, "namespace": self._view.namespace}
         status = self._notices.status.to_wire()
         body: Object = {"apiVersion": API_VERSION, "kind": "RobotWorkload", "metadata": place, "status": status}
@@ -170,7 +171,7 @@ class StatusWriter:
 
 
 def _share(item: Object, written: Object) -> Object:
-    """The part of an object's status that the monitor applied: the rest is the operator's."""
+    """Return the part of an object's status that the monitor applied. The rest belongs to the operator."""
     status = item.get("status") or {}
     types = {c["type"] for c in written["conditions"]}
     found = {key: status[key] for key in written if key in status}

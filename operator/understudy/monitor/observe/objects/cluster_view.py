@@ -1,4 +1,4 @@
-"""What the monitor knows of the cluster: its workload, policy, settings, gate and pods, kept by watches."""
+"""The monitor's local copies of objects in the cluster, from watches: its workload, policy, settings, gate and pods."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from understudy.trees.source.problems import TreeError
 _logger = logging.getLogger(__name__)
 
 POLICY_WITHIN = 10.0
-"""Seconds that a monitor waits for its policy when it begins. It may be refused for as long as the operator is away, or does not follow a
-spec, which names another policy than before: the gate is looked after meanwhile.
+"""Maximum seconds that a new monitor waits for its policy. The monitor may have no right to read it as long as the operator is away, or if
+the operator does not accept a spec that names another policy. The monitor must look after the gate nevertheless.
 """
 
 
 def unloadable(*procedures: tuple[str, Procedure | None]) -> str | None:
-    """What is wrong with the trees of procedures, each with what messages call it; None where they load."""
+    """Return the first error in the trees of procedures, each given with its name for messages; None if all trees load."""
     for name, procedure in procedures:
         if procedure is not None:
             try:
@@ -46,7 +46,7 @@ def _only(name: str) -> str:
 
 
 class ClusterView:
-    """Local copies of everything the monitor decides by."""
+    """Local copies of all objects that the monitor's decisions depend on."""
 
     def __init__(
         self,
@@ -56,14 +56,14 @@ class ClusterView:
         wakeups: Wakeups,
         gate: GateKind = registry.DEFAULT,
     ) -> None:
-        """``gate`` is the kind of its gate."""
+        """``gate`` is the kind of the workload's gate."""
         self.client, self.namespace, self.workload = client, namespace, workload
         self._wakeups = wakeups
         self.gate_kind = gate
 
         self.workloads = Reflector(client, WORKLOADS, namespace, fields=_only(workload), on_change=self._refer)
         self.policies = self._watching_policy("")
-        """The policy that the workload refers to, and no other."""
+        """The policy that the workload refers to; no others are watched."""
         self.settings_maps = Reflector(
             client, CONFIG_MAPS, namespace, fields=_only(names.settings(workload)), on_change=self._queue
         )
@@ -75,7 +75,7 @@ class ClusterView:
         self.waiting_gates = [
             Reflector(client, resource, namespace, labels=names.WAITS_FOR) for resource in registry.GATE_RESOURCES
         ]
-        """The gates whose workloads wait for a pod of a shared pool: mostly none. Watched if this one could wait for one too."""
+        """The gates of workloads that wait for a pod of a shared pool: usually none. Watched only if this workload may use such a pool."""
         self.source_pods: Reflector | None = None
         self._group: asyncio.TaskGroup | None = None
         self._referred = ""
@@ -88,7 +88,7 @@ class ClusterView:
         self._settings: tuple[int, WorkloadSettings | None] = (-1, None)
 
     async def run(self, group: asyncio.TaskGroup) -> None:
-        """Start the watches and wait until the first copies are there."""
+        """Start the watches and wait for the first copies."""
         self._group = group
         watches = [self.workloads, self.settings_maps, self.gates, self.pods]
         for watch in watches:
@@ -116,11 +116,11 @@ class ClusterView:
             await self.source_pods.synced.wait()
 
     def _watching_policy(self, name: str) -> Reflector:
-        """A watch of a policy. By its name: the right to read all of a namespace is more than a monitor has."""
+        """Return a watch of one policy by its name. The monitor has no right to read all policies of the namespace."""
         return Reflector(self.client, POLICIES, self.namespace, fields=_only(name))
 
     def _refer(self) -> None:
-        """Watch the policy that the workload refers to now. Until it is there, the one before stays in force."""
+        """Watch the policy that the workload refers to now. Until it has been read, the last one stays in force."""
         spec = self.spec
         if self._group is None or spec is None or spec.failure_policy_ref.name == self._referred:
             return
@@ -132,9 +132,9 @@ class ClusterView:
         self._policy_watch = self._group.create_task(self.policies.run())
 
     def _queue(self) -> None:
-        """Watch who waits for pods of shared pools as long as there is one that this workload may claim from.
+        """Watch which workloads wait for pods of shared pools, as long as this workload may claim from such a pool.
 
-        It is not waited for: without it nothing is wrong, but two that wait may take turns less well.
+        Nothing waits for the first copies: without them, the order in which workloads get pods may be less fair.
         """
         settings = self.settings
         if self._group is None or settings is None:
@@ -149,23 +149,23 @@ class ClusterView:
 
     @property
     def pods_revision(self) -> tuple[int, int]:
-        """Changes whenever one of the workload's pods does."""
+        """A value that changes whenever one of the workload's pods changes."""
         return self.pods.revision, self.source_pods.revision if self.source_pods else 0
 
     @property
     def object(self) -> Object | None:
-        """The RobotWorkload itself, or None when it is gone."""
+        """The RobotWorkload itself; None if it is gone."""
         return self.workloads.items.get(self.workload)
 
     @property
     def retired(self) -> bool:
-        """Whether the workload is being deleted: then nothing is recovered."""
+        """Whether the workload is deleted or being deleted, so that the monitor recovers nothing."""
         item = self.object
         return item is None or bool(item["metadata"].get("deletionTimestamp"))
 
     @property
     def spec(self) -> RobotWorkloadSpec | None:
-        """The workload's spec in force: the last valid one while the present one is invalid. None if the workload is gone."""
+        """The workload's spec in force: the last valid one if the present one is invalid. None if the workload is gone."""
         if self._spec[0] != self.workloads.revision:
             item, spec = self.object, None
             if item is not None:
@@ -176,7 +176,7 @@ class ClusterView:
                     if spec is None or (problem := unloadable(("bringUp", given.bring_up), *trees)) is None:
                         spec = given
                     else:
-                        # The pause does not depend on the rest of the spec.
+                        # A pause applies even if the rest of the spec is invalid.
                         spec = spec.model_copy(update={"pause": given.pause})
                         _logger.error(
                             "RobotWorkload %s cannot be followed, keeping its last spec: %s", self.workload, problem
@@ -188,7 +188,7 @@ class ClusterView:
 
     @property
     def settings(self) -> WorkloadSettings | None:
-        """What the operator resolved for this monitor; while somebody has deleted it, as it was last."""
+        """The settings that the operator resolved for this monitor; the last ones if their ConfigMap was deleted."""
         if self._settings[0] != self.settings_maps.revision:
             item = self.settings_maps.items.get(names.settings(self.workload))
             found = self._settings[1]
@@ -199,11 +199,11 @@ class ClusterView:
 
     @property
     def policy(self) -> FailurePolicySpec | None:
-        """The policy in force: the one referred to, or, while that is missing or cannot be followed, the last good one.
+        """The policy in force: the one that the workload refers to, or the last valid one if that is missing or invalid.
 
-        If it leaves its strategies to the operator, or has situations, it has those that the operator put in force for this workload.
-        If there is no earlier policy, one with a recovery that does not load is better than none: then that strategy fails, and
-        the workload is watched nevertheless.
+        If the policy leaves its strategies to the operator, or has situations, it contains the strategies that the operator put in
+        force for this workload. If there is no earlier policy, a policy with a recovery that does not load is used nevertheless: that
+        strategy fails, but the workload is monitored.
         """
         given, settings = self._written_policy(), self.settings
         if given is None or not given.varies:
@@ -216,12 +216,12 @@ class ClusterView:
                     "the operator has not chosen strategies for this policy yet, so the earlier ones stay in use: see the condition "
                     "StrategiesChosen"
                 )
-            # The same object as long as its content is equal, so that readers can compare by identity.
+            # The object stays the same as long as its content is equal, so that readers can compare by identity.
             self._followed = (given, settings, before if found is None or found == before else found)
         return self._followed[2]
 
     def _written_policy(self) -> FailurePolicySpec | None:
-        """The last good policy, as it was written."""
+        """Return the last valid policy, as the user wrote it."""
         spec = self.spec
         self._read_policy(self.policies.items.get(spec.failure_policy_ref.name) if spec else None)
         return self._policy
@@ -252,7 +252,7 @@ class ClusterView:
                 )
 
     def unclaimed(self, pool: str) -> Unclaimed:
-        """The unclaimed pods of a shared pool."""
+        """Return the unclaimed pods of a shared pool."""
         return self._unclaimed.setdefault(pool, Unclaimed(self.client, self.namespace, pool))
 
     @property
@@ -262,6 +262,6 @@ class ClusterView:
         return found
 
     def all_pods(self) -> list[Object]:
-        """The pods of this workload, those that its referred controller just made included."""
+        """Return the pods of this workload, including pods of the controller in ``workloadRef`` that have no label yet."""
         pods = dict(self.source_pods.items) if self.source_pods else {}
         return list((pods | self.pods.items).values())

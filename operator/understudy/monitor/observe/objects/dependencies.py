@@ -1,7 +1,7 @@
-"""What the monitor sees of the workloads that its own depends on, and what that means for a failure here.
+"""The workloads that the monitor's own workload depends on, and their effect on a failure of this workload.
 
-It reads their status and their gates, each by name: the operator says which, and gives the right to. Where it names none nothing is
-watched and nothing is put off.
+The monitor reads the status and the gate of each by name. The operator lists these workloads in the settings, and grants the right to
+read them. If it lists none, nothing is watched and no failure is held.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ CONDITION = "DependencyFailed"
 """The condition for a failure that is held because the failure of another workload may have caused it."""
 
 VERIFIED_WITHIN = 10.0
-"""Seconds that an instance which is brought up again has besides its procedures, until it is seen to drive."""
+"""Seconds, in addition to its procedures, within which an instance that is initialized again must be seen to drive."""
 
 RESTARTED_WITHIN = 60.0
-"""Seconds that a restart has where the policy has none."""
+"""Time limit of a restart in seconds, if the policy has no strategy Restart."""
 
 
 class _Watched:
@@ -64,13 +64,13 @@ class _Watched:
         self._tasks = [asyncio.create_task(one.run()) for one in (self.statuses, *self.gates)]
 
     def end(self) -> None:
-        """Stop them."""
+        """Stop the watches."""
         for task in self._tasks:
             task.cancel()
 
     @property
     def synced(self) -> bool:
-        """Whether anything is known."""
+        """Whether the status has been read."""
         return self.statuses.synced.is_set()
 
     @property
@@ -105,16 +105,17 @@ class Dependencies:
         self._watched: dict[str, _Watched] = {}
         self._outages: dict[str, Outage] = {}
         self._followed: dict[str, str] | None = None
-        """By name, the recoveries after which was done what is done then. None until an earlier monitor's word was taken over."""
+        """By name of the dependency, its last recovery that this workload has reacted to. None until read from the status of an
+        earlier monitor."""
         self._noticed: float | None = None
-        """Since when it has failed without a break."""
+        """Since when the health tree has failed without interruption; None if it does not fail."""
         self._reason = ""
-        """The reason as it was first reported: a figure in it may change with every evaluation, and the message should not."""
+        """The reason as first reported. Its figures may change with every evaluation, and the message should not."""
 
-    # -- watching them --------------------------------------------------------------------------------------------------
+    # -- watches --------------------------------------------------------------------------------------------------------
 
     def follow(self, settings: WorkloadSettings | None) -> None:
-        """Watch those that the operator names, and no others."""
+        """Watch the workloads that the operator's settings name, and no others."""
         if settings is None or settings is self._given:
             return
         self._given, followed = settings, self._known()
@@ -132,7 +133,7 @@ class Dependencies:
             self._notices.withdraw(CONDITION)
 
     def update(self, now: float) -> None:
-        """Note how they are now."""
+        """Note the present state of the dependencies. ``now`` is in Unix seconds."""
         if not self._watched:
             return
         for name, watched in self._watched.items():
@@ -141,7 +142,8 @@ class Dependencies:
         self._skip_earlier_recoveries()
 
     def _skip_earlier_recoveries(self) -> None:
-        """What was recovered before it was first seen asks for nothing: the instance in control began after it, or without it."""
+        """Skip the recovery of a dependency from before this monitor first read its status: the active instance needs no reaction to
+        it."""
         followed = self._known()
         before = dict(followed)
         direct = {one.name for one in self._direct}
@@ -155,7 +157,7 @@ class Dependencies:
             self._report()
 
     def _known(self) -> dict[str, str]:
-        """Return by name the recoveries that this workload has reacted to. At first they are those that an earlier monitor recorded."""
+        """Return, by name of the dependency, the recoveries that this workload has reacted to. First read from the status."""
         if self._followed is None:
             self._followed = {one.name: one.recovery for one in self._notices.status.followed}
         return self._followed
@@ -165,23 +167,24 @@ class Dependencies:
         spec = self._view.spec
         return [one for one in spec.depends_on if one.name in self._watched] if spec is not None else []
 
-    # -- a failure here -------------------------------------------------------------------------------------------------
+    # -- a failure of this workload -------------------------------------------------------------------------------------
 
     def notice(self, onset: float, detected: float) -> None:
-        """Note that the health tree fails. Workloads that depend on this one learn it at once, since this one may wait for others."""
+        """Note that the health tree fails, and report it at once: this workload may wait for its dependencies, and workloads that depend
+        on this one must know."""
         if self._watched and self._noticed is None:
             self._noticed = detected
             self._notices.set(failing_since=onset)
             self._notices.request_write()
 
     def well(self, pod: str) -> None:
-        """The health tree holds, or cannot tell."""
+        """Note that the health tree does not fail."""
         self._noticed, self._reason = None, ""
         if self._holds:
             self._notices.condition(CONDITION, "False", "HealthyAgain", f"{pod} no longer fails.")
 
     def hold(self, reason: str, onset: float, now: float) -> float | None:
-        """Return when to check again a failure that is held; None if it is not held."""
+        """Return when to check a held failure again; None if the failure is not held."""
         if not self._watched:
             return None
         noticed = min(self._noticed, now) if self._noticed is not None else now
@@ -223,7 +226,7 @@ class Dependencies:
             _logger.warning("%s: %s", reason, text)
             self._notices.event("Warning", CONDITION, f"{reason}; {text}")
 
-    # -- after a recovery there -----------------------------------------------------------------------------------------
+    # -- after the recovery of a dependency -----------------------------------------------------------------------------
 
     def due(self, active: Instance, now: float) -> DueReaction | None:
         """Return the recoveries of dependencies that the active instance must react to now; None if there are none."""
@@ -254,7 +257,7 @@ class Dependencies:
         return found
 
     def note(self, found: Sequence[DependencyRecovery]) -> None:
-        """What is done after these recoveries was done."""
+        """Note that this workload has reacted to these recoveries."""
         if found:
             self._known().update({one.name: one.recovery for one in found})
             self._report()
@@ -274,7 +277,7 @@ def begin(
     onset: float,
     detected: float,
 ) -> Progress:
-    """Return the record of what is done to the instance in control after these recoveries. Times are unix seconds."""
+    """Return the record of the reaction of the active instance to these recoveries. Times are Unix seconds."""
     progress = Progress.begin(describe(found), last_healthy=onset, detected=detected)
     progress.follows = list(found)
     if spec is not None and restarts(found, spec):
@@ -285,19 +288,19 @@ def begin(
 
 
 def describe(found: Sequence[DependencyRecovery]) -> str:
-    """After which recoveries something is done."""
+    """Say which dependencies were recovered."""
     listed = ", ".join(one.name for one in found)
     return f"{listed}, on which this workload depends, {'was' if len(found) == 1 else 'were'} recovered"
 
 
 def restarts(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec) -> bool:
-    """Whether the pod in control is replaced after these recoveries."""
+    """Return whether the active pod is replaced after these recoveries."""
     followed = {one.name for one in found}
     return any(one.on_recovery == "Restart" for one in spec.depends_on if one.name in followed)
 
 
 def procedures(found: Sequence[DependencyRecovery], spec: RobotWorkloadSpec) -> list[BringUp]:
-    """What is run on the instance in control after these recoveries, each once."""
+    """Return the procedures that run on the active instance after these recoveries, each only once."""
     followed = {one.name for one in found}
     listed: dict[str, BringUp] = {}
     for index, one in enumerate(spec.depends_on):

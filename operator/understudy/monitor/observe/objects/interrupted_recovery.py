@@ -1,6 +1,6 @@
-"""Recoveries that an earlier monitor has left: one to continue, or one that has ended.
+"""Finds the last recovery of an earlier monitor: one to continue, or one that has ended.
 
-It is in three places, which were written one after the other: the journal, the gate and the workload's status.
+A recovery is recorded in three places, one after the other: the journal, the gate and the workload's status.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from understudy.monitor.notices import PublishedStatus
 def interrupted(
     journal: Journal, gate: Gate, published: PublishedStatus, given_up: Collection[str] = ()
 ) -> Progress | None:
-    """The recovery that an earlier monitor had begun and not recorded, if there is one.
+    """Return the recovery that an earlier monitor began and did not record in the status; None if there is none.
 
-    ``given_up`` are the ids of those that it had given up: whoever failed may be well again since, or somebody else drive.
+    ``given_up`` has the ids of abandoned recoveries, which are not continued: the failed instance may be healthy again, or
+    another one may be active.
     """
     committed = gate.state.recovery
     kept = [p for p in (journal.load(), committed) if p is not None]
     over = {*published.recorded, *given_up}
     open_ones = [p for p in kept if p.id not in over and p.result != "Failed"]
     if committed is not None and committed not in open_ones:
-        # What came to its end by the gate had begun before what is still to be done: else another monitor has done it since.
+        # If the recovery at the gate has ended, only a later one is still open. An earlier one was replaced by another monitor's.
         open_ones = [p for p in open_ones if p.id != committed.id and p.began > committed.began]
     if not open_ones:
         return None
     progress = open_ones[0]
     if committed is not None and committed.id != progress.id and committed in open_ones:
-        progress = committed  # the journal is of an older one: the gate knows better
+        progress = committed  # the journal has an older recovery than the gate
     return progress.model_copy(update={"resumed": True}, deep=True)
 
 
@@ -42,7 +43,7 @@ def concluded(gate: Gate, published: PublishedStatus) -> Progress | None:
     if left is None or last is None or (last.id, last.result) != (left.id, "Recovered"):
         return None
     if left.switchover is not None:
-        return None  # nothing had failed
+        return None  # a planned switchover: no instance failed
     done = left.model_copy(update={"result": "Recovered"}, deep=True)
     if last.moments.verified is not None:
         done.moments["verified"] = datetime.fromisoformat(last.moments.verified).timestamp()

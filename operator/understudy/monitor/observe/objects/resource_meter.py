@@ -1,8 +1,8 @@
-"""What the pod in control takes of its node, by the cluster's metrics API (metrics.k8s.io, as metrics-server serves it).
+"""Measures CPU and memory of the active pod with the cluster's metrics API (metrics.k8s.io, as served by metrics-server).
 
-Its figures are the kubelets' own. The monitor does not ask a kubelet itself: that needs a right to nodes, with which it could run
-anything in any pod there (``nodes/proxy``) or read figures of everybody's (``nodes/metrics``). This one only lets it read those
-of pods of its own namespace.
+The figures come from the kubelets. The monitor does not ask a kubelet itself: that needs a right to nodes, which would allow it to
+run commands in every pod of the node (``nodes/proxy``) or to read the figures of all pods (``nodes/metrics``). The metrics API needs
+only a right to the pods of the monitor's own namespace.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ PERIOD = 5.0
 """Seconds between requests. The metrics API usually updates its figures every 15 s."""
 
 STALE = 90.0
-"""Seconds without new figures after which the old ones say nothing any more."""
+"""Seconds without new figures after which the old ones are no longer used."""
 
 _ABSENT = (
     "CPU and memory of pods are unknown: the cluster has no metrics API (metrics.k8s.io); install metrics-server, or leave "
@@ -31,7 +31,7 @@ _ABSENT = (
 
 
 class ResourceMeter:
-    """Asks for the figures of one pod, while somebody wants them."""
+    """Requests the figures of one pod while a leaf of the health tree needs them."""
 
     def __init__(self, client: Client, namespace: str, workload: str) -> None:
         self._client, self._namespace, self._workload = client, namespace, workload
@@ -43,7 +43,7 @@ class ResourceMeter:
         self._problem = ""
 
     def want(self, pod: str) -> None:
-        """Measure this pod from now on; none if the name is empty."""
+        """Measure this pod from now on; measure none if the name is empty."""
         if pod == self._pod:
             return
         self._pod, self._usage, self._stamp, self._problem = pod, None, "", ""
@@ -72,7 +72,7 @@ class ResourceMeter:
         return [f"{lacking} Look at metrics-server."] if late else []
 
     async def run(self) -> None:
-        """Ask until cancelled."""
+        """Request figures until cancelled."""
         while True:
             await self._asked.wait()
             await self._ask()

@@ -1,4 +1,4 @@
-"""Reads from the policy's status whether a storm is on (limits.stormGuard). It is read only when something has failed."""
+"""Reads from the policy's status whether there is a storm (limits.stormGuard). The status is read only after a failure."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class StormCondition:
         self._view = view
 
     def on(self, now: float) -> ActiveLimit | None:
-        """Return the storm that is on at this time (unix seconds); None if there is none, or if it has lasted for too long."""
+        """Return the storm at this time (Unix seconds); None if there is none, or if it has lasted for too long."""
         policy, spec = self._view.policy, self._view.spec
         if policy is None or spec is None or (guard := policy.limits.storm_guard) is None:
             return None

@@ -1,7 +1,7 @@
-"""The unclaimed pods of a shared pool, of the labels that this monitor listed.
+"""The unclaimed pods of a shared pool.
 
-Nobody watches them all the time: each claim, and each step of the pod that takes its place, would be sent to every monitor of a
-fleet, though hardly any of them ever needs one. Who does asks then, and watches only while it waits.
+Monitors do not watch them all the time: each claim, and each change of the replacement pod, would be sent to every monitor of a
+fleet, though hardly any of them ever needs such a pod. A monitor that needs one lists them, and watches only while it waits.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ RUNNING = "status.phase=Running"
 
 
 class Unclaimed:
-    """Pods by name."""
+    """The unclaimed pods of one pool, by name."""
 
     def __init__(self, client: Client, namespace: str, pool: str) -> None:
         self._client, self._namespace = client, namespace
@@ -35,8 +35,8 @@ class Unclaimed:
         return self._watched.items if self._watched.synced.is_set() else self._found
 
     async def refresh(self, part: str = "", template_hash: str = "") -> None:
-        """Ask which there are, of all or of one part of them (claims.part), of any template or one. Waits while the API server is
-        away. Raises ApiError.
+        """List the pods: all or one part of them (claims.part), of any template or one. Waits while the API server does not
+        answer. Raises ApiError.
         """
         labels = self._labels | ({names.PART: part} if part else {})
         labels |= {names.TEMPLATE_HASH: template_hash} if template_hash else {}
@@ -48,7 +48,7 @@ class Unclaimed:
 
     @contextlib.asynccontextmanager
     async def followed(self) -> AsyncIterator[None]:
-        """Watch all of them meanwhile."""
+        """Watch all unclaimed pods of the pool while the context is open."""
         watching = asyncio.create_task(self._watched.run())
         try:
             yield

@@ -1,4 +1,4 @@
-"""What the monitor receives in the robot's ROS graph: health, situations, and who reads the outputs.
+"""Observes the robot's ROS graph: health, situations, and the readers of the outputs.
 
 It reads nothing from Kubernetes.
 """

@@ -20,34 +20,34 @@ _logger = logging.getLogger(__name__)
 
 
 class SituationState(NamedTuple):
-    """Whether the robot is seen in a situation."""
+    """Whether the robot is in a situation."""
 
     so: bool | None
-    """None if it is unknown."""
+    """Whether it is; None if that is unknown."""
     reason: str
-    """By what it is known, without figures: they would differ at every evaluation."""
+    """Why it is, without figures, which would differ at every evaluation."""
 
 
 @dataclass
 class _Criterion:
-    """By what one situation is known."""
+    """How one situation is recognized: by a task or by a tree."""
 
     task: TaskActive | None = None
     tree: HealthTree | None = None
 
 
 class ContextDetection:
-    """The situations of the policy in force. Where it has none, nothing is loaded, watched or judged."""
+    """The situations of the policy in force. If it has none, nothing is loaded, watched or judged."""
 
     def __init__(self) -> None:
         self._given: list[Situation] = []
         self._signs: dict[str, _Criterion] = {}
         self._blind: Collection[str] = ()
         self.problems: list[str] = []
-        """What does not load and why."""
+        """The trees that do not load, and why."""
 
     def follow(self, policy: FailurePolicySpec) -> bool:
-        """Judge by this policy; whether that changed anything. A tree that does not load leaves the last one in force."""
+        """Use the situations of this policy. Returns whether they changed. If a tree does not load, the last one stays in force."""
         if self._given == policy.situations:
             return False
         self._given, self.problems = policy.situations, []
@@ -59,7 +59,7 @@ class ContextDetection:
         if when.task is not None:
             return _Criterion(task=TaskActive(when.task.action))
         try:
-            # Without a grace: what is not seen to hold does not, also of an instance that has just taken control.
+            # Without a grace period: a condition that is not seen to hold is false, even if the instance has just become active.
             tree = load_inline(when, path=f"spec.situations[{index}].when", grace=0.0, fields=message_fields)
         except TreeError as error:
             _logger.error("a tree of spec.situations does not load; the last valid one stays in use: %s", error)
@@ -73,7 +73,7 @@ class ContextDetection:
 
     @property
     def topics(self) -> list[WatchedTopic]:
-        """What must be watched for it; some perhaps more than once."""
+        """The topics to watch; some may be listed more than once."""
         found: list[WatchedTopic] = []
         for sign in self._signs.values():
             if sign.task is not None:
@@ -90,7 +90,7 @@ class ContextDetection:
     def seen(
         self, observations: Observations, goals: Collection[str], *, now: float, since: float
     ) -> dict[str, SituationState]:
-        """Return the observation of each situation, by name. ``goals`` are the actions that have goals according to the action proxy."""
+        """Return the state of each situation, by name. ``goals`` are the actions that have goals according to the action proxy."""
         return {name: self._seen(sign, observations, goals, now=now, since=since) for name, sign in self._signs.items()}
 
     def _seen(

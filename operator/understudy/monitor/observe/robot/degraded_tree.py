@@ -1,4 +1,4 @@
-"""The trees of ``spec.degraded``, judged from what the health tree's subscriptions receive: a topic of both is received once."""
+"""The trees of ``spec.degraded``. They share the health tree's subscriptions, so that each topic is received only once."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ class BusyReason(NamedTuple):
     """Why the robot does not count as idle."""
 
     kind: str
-    """One word, which stays the same while figures in the words change."""
+    """One word for the kind of reason, which stays the same while figures in ``words`` change."""
     words: str
 
 
 class DegradedTrees:
-    """What well and idle mean in the policy in force. If the policy does not define them, nothing is loaded, watched or
-    judged."""
+    """The policy's trees that define when an instance is not degraded and when the robot is idle. If there are none,
+    nothing is loaded, watched or judged."""
 
     def __init__(self) -> None:
         self._given: tuple[Degraded | None, str, tuple[str, ...]] = (None, "", ())
@@ -44,7 +44,7 @@ class DegradedTrees:
         """The trees that do not load, and why."""
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> bool:
-        """Judge by this policy. Returns whether that changed anything. If a tree does not load, the last one stays in
+        """Use the trees of this policy. Returns whether they changed. If a tree does not load, the last one stays in
         force."""
         degraded = policy.degraded
         reschedule = degraded.reschedule if degraded is not None else None
@@ -91,14 +91,14 @@ class DegradedTrees:
             self._well.leave_out(topics)
 
     def verdict(self, observations: Observations, *, now: float, since: float) -> Verdict:
-        """Whether the instance that is active since then is well; Starting if that is unknown. Times are Unix
-        seconds."""
+        """Return the verdict on the instance that has been active since ``since``: Failed if it is degraded, Starting if
+        that is unknown. Times are Unix seconds."""
         if self._well is None:
             return Verdict("Starting", "no tree of spec.degraded is loaded", "", None)
         return self._well.evaluate(observations, now=now, since=since)
 
     def busy(self, observations: Observations, *, now: float, since: float) -> BusyReason | None:
-        """Why the robot does not count as idle; None if it does. What cannot be seen does not count as idle."""
+        """Return why the robot does not count as idle; None if it does. Missing data means that it is not idle."""
         for task in self._tasks:
             if observations.task(task.topic) is not None:
                 return BusyReason("task", f"a goal of {task.action} is active")

@@ -1,4 +1,4 @@
-"""What the monitor sees of the robot's ROS graph, and what the policy's health tree makes of it."""
+"""Watches the topics in the robot's ROS graph, and evaluates the policy's health tree with them."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ from understudy.trees.source.problems import TreeError
 _logger = logging.getLogger(__name__)
 
 REMEMBERED = 60.0
-"""Seconds for which samples are still attributed to a pod whose object is gone: its process may outlive it."""
+"""Seconds for which samples are still attributed to a pod whose object is gone: the process may outlive the object."""
 
 CHECK_PERIOD = 0.002
 """Seconds between checks while a switch is being verified."""
 
 POD_CHECK_PERIOD = 0.1
-"""Seconds after which the state of the active pod is passed on again: another pod may have become active."""
+"""Seconds after which the state of the active pod is passed to the trees again."""
 
 
 class HealthObserver:
     """The health tree over drained subscriptions."""
 
     def __init__(self, meter: ResourceMeter | None = None) -> None:
-        """``meter`` measures what the pod in control uses of its node; without one, no leaf can judge that."""
+        """``meter`` measures CPU and memory of the active pod; without it, no leaf can judge them."""
         self.graph = Graph("understudy_monitor")
         self.coming = ArrivalWakeups()
         """Reports messages that must be evaluated when they arrive."""
@@ -54,17 +54,17 @@ class HealthObserver:
         self._degraded_trees = DegradedTrees()
         self._context_detection = ContextDetection()
         self._aside: set[str] = set()
-        """Topics that are received for these two alone."""
+        """Topics that only degraded trees and situations need."""
         self._addresses: dict[str, tuple[str, float]] = {}
         self._pod: Instance | None = None
         self._asked: WatchedTopic | None = None
-        """What is asked of the pod in control."""
+        """What trees need to know about the object of the active pod; None for nothing."""
         self._meter = meter
         self.addresses: dict[str, str] = {}
-        """IP by pod name, of the instances that exist or existed a moment ago."""
+        """IPs by pod name, of instances that exist or existed up to REMEMBERED seconds ago."""
 
     def follow(self, policy: FailurePolicySpec, spec: RobotWorkloadSpec | None) -> None:
-        """Watch what this policy's tree and this workload need; one that does not load leaves the last in force."""
+        """Watch the topics that this policy and this workload need. If a tree does not load, the last one stays in force."""
         outputs = spec.outputs if spec else self._outputs
         again = self._degraded_trees.follow(policy, spec) | self._context_detection.follow(policy)
         if self._loaded == (policy.monitoring, outputs):
@@ -90,7 +90,7 @@ class HealthObserver:
         self._watch(spec)
 
     def _watch(self, spec: RobotWorkloadSpec | None) -> None:
-        """Watch what the trees need, and a reflex: each topic once."""
+        """Watch the topics that the trees and a reflex need, each once."""
         types = {output.topic: output.type for output in self._outputs if output.topic}
         wanted = {topic.name: topic for topic in (self._tree.topics if self._tree is not None else [])}
         self._aside = set()
@@ -99,11 +99,11 @@ class HealthObserver:
             if need.subscribed and (known is None or not known.subscribed):
                 self._aside.add(need.name)
             elif known is not None and known.subscribed:
-                need = replace(need, type=known.type)  # as the health tree has it, which must not go blind by this
+                need = replace(need, type=known.type)  # the health tree's type: its subscription must not change
             wanted[need.name] = known.joined(need) if known is not None else need
         self._asked = next((topic for topic in wanted.values() if topic.pod), None)
         if spec is not None and spec.gate.reflex is not None:
-            # Which instance they come from is watched, whether the tree judges them or not.
+            # The reflex needs to know which instance publishes each output, even if no tree judges the output.
             for name, type_ in types.items():
                 need = WatchedTopic(name, type_, 0.0, None)
                 wanted[name] = wanted[name].joined(need) if name in wanted else need
@@ -113,19 +113,19 @@ class HealthObserver:
 
     @property
     def observations(self) -> Observations:
-        """What was received, for health trees."""
+        """The received messages, for health trees."""
         return self._watching
 
     @property
     def records(self) -> dict[str, TopicRecord]:
-        """What was received of each topic that the health tree judges, of what counts for the instance in control."""
+        """For each topic that the health tree judges, the record of the messages that count for the active instance."""
         judged = self._tree.judged if self._tree is not None else []
         found = {topic.name: self._watching.topic(topic.name) for topic in judged if topic.subscribed}
         return {name: record for name, record in found.items() if record is not None}
 
     @property
     def problems(self) -> list[str]:
-        """What is not watched and why, with what to do."""
+        """Why something cannot be watched, and how to correct it: one text per problem."""
         unmetered = self._meter.problems if self._meter is not None else []
         watched = [*self._watching.problems, *self._watching.sources.problems()]
         blind = [f"{one}." for one in self._tree.blind] if self._tree is not None else []
@@ -140,42 +140,42 @@ class HealthObserver:
 
     @property
     def waiting(self) -> list[str]:
-        """Topics that cannot be watched before somebody publishes them."""
+        """Topics that can be watched only once somebody publishes them, each with the reason."""
         return self._watching.waiting
 
     @property
     def summary(self) -> str:
-        """What is watched."""
+        """A sentence that lists the watched topics."""
         topics = [topic.name for topic in self._tree.judged] if self._tree else []
         return f"Watching {', '.join(topics) or 'nothing'}."
 
     def snapshot(self) -> Snapshot | None:
-        """The health tree as it was at its last evaluation."""
+        """Return the health tree as of its last evaluation; None if none is loaded."""
         return snapshot(self._tree, self._watching, time.time()) if self._tree is not None else None
 
     @property
     def states(self) -> Sequence[Shown]:
-        """How each node of the health tree was then."""
+        """The state of each node of the health tree at its last evaluation."""
         return states(self._tree) if self._tree is not None else ()
 
     def record(self, ring: SampleRing | None) -> None:
-        """Keep the messages themselves in a ring from now on, or no longer."""
+        """Also keep the messages in a ring from now on; None stops this."""
         self._watching.record(ring)
 
     def offered(self, topic: str) -> str:
-        """What the publishers of a topic offer now, as a recording has it."""
+        """Return the QoS that the publishers of a topic offer now, in the format of recordings."""
         return offers(self.graph.offered(topic))
 
     @property
     def gated(self) -> list[str]:
-        """Gated topics whose messages the tree watches, and can."""
+        """Gated topics that the health tree watches."""
         outputs = {output.topic for output in self._outputs if output.topic}
         judged = self._tree.judged if self._tree else []
         return [topic.name for topic in judged if topic.subscribed and topic.name in outputs]
 
     @property
     def expected(self) -> list[str]:
-        """Of those, the ones that an instance in control must be sending now: a robot without a goal may stand still."""
+        """The gated topics that the active instance must publish now. A robot without a goal may stand still."""
         if self._tree is None:
             return []
         now = time.time()
@@ -183,7 +183,7 @@ class HealthObserver:
         return [topic for topic in self.gated if topic in counting]
 
     def drain(self, instances: Sequence[Instance], active: str) -> None:
-        """Take in what has arrived, attributed to the instances there are (and were a moment ago)."""
+        """Read the messages that have arrived, and attribute them to the instances that exist or existed until recently."""
         now = time.time()
         for instance in instances:
             if instance.ip:
@@ -215,7 +215,7 @@ class HealthObserver:
             watching.pod_state = PodState(now, self._pod.conditions, self._pod.restarts, usage)
 
     def verdict(self, *, now: float, since: float) -> Verdict:
-        """The health tree's verdict on the instance in control. Times are unix seconds."""
+        """Return the health tree's verdict on the active instance. Times are Unix seconds."""
         if self._tree is None:
             return Verdict("Starting", "the policy has no health tree that loads", "", None)
         return self._tree.evaluate(self._watching, now=now, since=since)
@@ -225,19 +225,19 @@ class HealthObserver:
         return self._degraded_trees.verdict(self._watching, now=now, since=since)
 
     def busy(self, *, now: float, since: float) -> BusyReason | None:
-        """Why the robot does not count as idle, to the policy's reschedule; None while it does. Times are unix seconds."""
+        """Return why the robot does not count as idle for the policy's reschedule; None if it does. Times are Unix seconds."""
         return self._degraded_trees.busy(self._watching, now=now, since=since)
 
     def situations(self, goals: Collection[str], *, now: float, since: float) -> dict[str, SituationState]:
-        """What is seen of each situation of the policy; ``goals`` are the actions that have some. Times are unix seconds."""
+        """Return the state of each situation of the policy, by name. ``goals`` are the actions that have goals. Times are Unix seconds."""
         return self._context_detection.seen(self._watching, goals, now=now, since=since)
 
     def deadline(self, *, now: float, since: float) -> float | None:
-        """When the verdict could get worse with no further message."""
+        """Return when the verdict could get worse if no further message arrives; None if it cannot."""
         return self._tree.deadline(self._watching, now=now, since=since) if self._tree else None
 
     def last_from(self, pod: str) -> float | None:
-        """When a gated topic was last received from a pod; None for never."""
+        """Return when a gated topic was last received from a pod; None if never."""
         times = [last for topic in self.gated if (last := self._watching.last_from(topic, pod)) is not None]
         return max(times, default=None)
 
@@ -247,15 +247,15 @@ class HealthObserver:
         return max(times, default=None)
 
     def arrivals(self, topic: str, pod: str) -> Sequence[float]:
-        """When a topic was received from a pod, of late; unix seconds."""
+        """Return when a topic was recently received from a pod, in Unix seconds."""
         return self._watching.arrivals(topic, pod)
 
     def ambiguous(self, pod: str) -> bool:
-        """Whether a pod's samples cannot be distinguished from those of another instance."""
+        """Return whether a pod's samples cannot be distinguished from those of another instance."""
         return any(pod in names for names in self._watching.sources.ambiguous)
 
     def outputs(self, fleet: Instances, gate: Gate) -> Outputs:
-        """The gated readers as the failover protocol sees them."""
+        """Return the gated readers in the form that the failover protocol uses."""
         return GatedReaders(self, self._watching, fleet, gate)
 
 
@@ -267,19 +267,19 @@ class GatedReaders:
 
     @property
     def expected(self) -> Sequence[str]:
-        """Gated topics that the health tree watches, and that count now."""
+        """The gated topics that the active instance must publish now."""
         return self._observer.expected
 
     async def first_from(self, instance: Instance, *, since: float) -> float | None:
-        """Wait for a sample of each expected topic from the instance, received after a time; when the first came.
+        """Wait for a sample of each expected topic from the instance, received after ``since``. Returns when the first arrived.
 
-        None where nothing is expected, or no longer is: a task may end, and with it what only it needs.
+        Returns None if no topic is expected, or none any more: a task may end, and with it the need for its topics.
         """
         while True:
             self._drain()
             if not self.expected:
                 return None
-            # Two pods that cannot be distinguished: what comes through the gate is from the one it names.
+            # If two pods cannot be distinguished, a sample that passes the gate is from the pod that the gate names.
             ambiguous = any(instance.name in names for names in self._watching.sources.ambiguous)
             found = [self._first(topic, instance.name, since, ambiguous) for topic in self.expected]
             if all(time is not None for time in found):
@@ -293,7 +293,7 @@ class GatedReaders:
         return record.last if record is not None and record.last is not None and record.last >= since else None
 
     def last_from_others(self, instance: Instance) -> tuple[float, str]:
-        """When a sample of any other instance last got through, in unix seconds (0 if never), and from which pod."""
+        """Return when a sample of another instance last passed the gate, in Unix seconds (0 if never), and from which pod."""
         self._drain()
         found = [
             last

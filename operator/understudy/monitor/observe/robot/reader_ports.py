@@ -1,4 +1,4 @@
-"""Whether the robot reads the outputs where the gate can close, judged from who reads them and at which ports."""
+"""Judges whether the robot reads the outputs at ports that the gate controls, from the readers and their ports."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from understudy.monitor.notices import ConditionReport
 from understudy.ros.middleware import Locator
 
 TOOLS = ("_", "rosbag2_recorder", "understudy_watch_")
-"""How the names of nodes begin that only look: hidden ones, as those of ROS's command line, rosbag2's, and those of understudy watch."""
+"""Prefixes of the names of nodes that only observe: hidden nodes such as those of the ROS command line, rosbag2, and understudy watch."""
 
 
 UNGATED = "ReaderWithoutProfile"
-"""Reason if a reader of the robot listens at a port that no gate closes."""
+"""Reason if a reader of the robot listens at a port that no gate controls."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A subscription of an output, besides those of the monitor and of instances."""
+    """A subscription of an output that belongs neither to the monitor nor to an instance."""
 
     topic: str
     node: str
-    """Fully qualified; empty if unknown."""
+    """Fully qualified name; empty if unknown."""
     places: tuple[Locator, ...]
-    """Where it listens."""
+    """The addresses and ports at which it listens."""
 
     @property
     def gated(self) -> bool:
-        """Whether it listens at no port that the gate does not close."""
+        """Whether it listens only at ports that the gate controls."""
         first, last = names.GATE_RANGE
         return all(first <= place.port <= last for place in self.places)
 
     @property
     def is_tool(self) -> bool:
-        """Whether it only looks, by its node's name."""
+        """Whether it only observes, according to its node's name."""
         return self.node.rpartition("/")[2].startswith(TOOLS)
 
     def __str__(self) -> str:
@@ -51,13 +51,13 @@ def judge(
     unreported: Collection[str],
     robots: Sequence[str],
 ) -> ConditionReport:
-    """Status, reason and message of the condition OutputsRead.
+    """Return status, reason and message of the condition OutputsRead.
 
-    ``unreported`` are the topics with readers whose locators DDS has not reported; ``robots`` the addresses of robots outside the
-    cluster, as CIDRs.
+    ``unreported`` are the topics with readers whose locators DDS has not reported; ``robots`` are the addresses of robots outside
+    the cluster, as CIDRs.
 
-    A reader outside the gate counts as the robot, unless it is a tool, or the robot also reads that output at a gated port: then the
-    reader may be a recorder or a display, and is reported without an alarm.
+    A reader outside the gate counts as the robot, unless it is a tool, or the robot also reads that output at a gated port. In that
+    case the reader may be a recorder or a display, and is reported without an alarm.
     """
     ungated: list[Reading] = []
     harmless: list[Reading] = []
@@ -88,7 +88,7 @@ def judge(
 
 
 def _is_read(gated: Sequence[Reading], besides: Reading, robots: Sequence[str]) -> bool:
-    """Whether the robot reads the output at a gated port too: a robot outside the cluster on the same host."""
+    """Return whether the robot also reads the output at a gated port. A robot outside the cluster must do so on the same host."""
     hosts = {place.address for place in besides.places}
     if any(_within(host, robots) for host in hosts):
         return any(place.address in hosts for one in gated for place in one.places)

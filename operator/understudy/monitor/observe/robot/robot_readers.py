@@ -1,7 +1,8 @@
-"""Who reads the outputs besides the monitor and the instances, and whether the gate can keep standbys from them.
+"""Finds the readers of the outputs besides the monitor and the instances, and judges whether the gate can block standbys there.
 
-The gate closes ports. A process of the robot that was started without its profile listens at others, where every instance that
-executes is heard: nothing else would report that. ROS's graph says who reads, the middleware's discovery says where.
+The gate controls a range of ports. A process of the robot that was started without its DDS profile listens at other ports, where it
+receives every executing instance: nothing else would report that. The ROS graph has the readers, and the middleware's discovery has
+their ports.
 """
 
 from __future__ import annotations
@@ -21,27 +22,27 @@ from understudy.ros.rmw import MIDDLEWARE
 _logger = logging.getLogger(__name__)
 
 PERIOD = 2.0
-"""Seconds between checks of who reads. DDS is asked for those only that were not there at the last one."""
+"""Seconds between two checks of the readers. Each asks DDS only for readers that are new since the last one."""
 
 WITHIN = 5.0
-"""Most seconds that an answer is waited for."""
+"""Maximum seconds to wait for an answer of DDS."""
 
 AGAIN = 30.0
-"""Seconds before it is asked again for readers that it has not reported."""
+"""Seconds until DDS is asked again for readers that it has not reported."""
 
 SETTLE = 10.0
-"""Seconds for which a finding must last before it is reported: the address of an instance arrives a moment after its readers, and
-a reading process may restart.
+"""Seconds for which a result must last before it is reported: the address of an instance arrives a moment after its readers, and
+a process that reads may restart.
 """
 
 CONDITION = "OutputsRead"
 
 
 class RobotReaders:
-    """Looks who reads the outputs of one workload."""
+    """Checks the readers of one workload's outputs."""
 
     def __init__(self, view: ClusterView, observer: HealthObserver, notices: Notices, address: str) -> None:
-        """``address`` is that of this pod."""
+        """``address`` is the IP of this pod."""
         self._view, self._observer, self._notices, self._address = view, observer, notices, address
         self._places: dict[bytes, tuple[Locator, ...]] = {}
         self._asked: set[bytes] = set()
@@ -49,10 +50,10 @@ class RobotReaders:
         self._judged: tuple[ConditionReport | None, float] = (None, 0.0)
         published = notices.status.find(CONDITION)
         self.ungated = published.message if published is not None and published.reason == UNGATED else ""
-        """What is wrong with the readers that the gate does not reach; empty for nothing."""
+        """The readers that the gate does not control, as a sentence; empty if there are none."""
 
     async def run(self) -> None:
-        """Check until cancelled. What goes wrong here must not end the monitor."""
+        """Check until cancelled. An error here must not end the monitor."""
         while True:
             try:
                 await self.check()
@@ -65,7 +66,7 @@ class RobotReaders:
             await asyncio.sleep(PERIOD)
 
     async def check(self) -> None:
-        """Check once, and report what has lasted for long enough."""
+        """Check once, and report the result if it has lasted for SETTLE seconds."""
         spec = self._view.spec
         if spec is None or self._view.retired:
             return
@@ -90,7 +91,7 @@ class RobotReaders:
         self._settle(judged, time.monotonic())
 
     async def _ask(self, there: set[bytes]) -> None:
-        """Ask DDS for the readers that are new, and now and then for those that it has not reported."""
+        """Ask DDS for new readers, and every AGAIN seconds for those that it has not reported."""
         self._places = {gid: places for gid, places in self._places.items() if gid in there}
         self._asked &= there
         unknown, now = there - self._places.keys(), time.monotonic()
