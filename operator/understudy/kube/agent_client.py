@@ -245,7 +245,7 @@ class AgentLink:
             retry, patience = min(2 * retry, RETRY_MOST), min(2 * patience, CONNECT_MOST)
 
     async def _greet(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Prove the token and return the first message after that, which is a status or a refusal."""
+        """Prove the token, and read the first message after that: a status or a refusal. Raises AgentRefused and ProtocolError."""
         greeting = wire.decode(await _line(reader))
         if greeting.get("version") != wire.PROTOCOL or not isinstance(greeting.get("nonce"), str):
             raise ProtocolError(

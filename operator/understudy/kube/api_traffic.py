@@ -39,7 +39,7 @@ class Traffic:
 
 
 def plural(path: str) -> str:
-    """Return the plural name of the resource of an API path; empty if the path is of no resource."""
+    """Return the plural name of the resource of an API path; empty if the path names no resource."""
     parts = path.strip("/").split("/")
     parts = parts[3:] if parts[0] == "apis" else parts[2:]
     if parts[:1] == ["namespaces"] and len(parts) > 2:

@@ -44,7 +44,7 @@ def controller_of(item: Object) -> Object | None:
 
 
 def owned_by(item: Object, uid: str) -> bool:
-    """Whether an object's controller is the one with that UID."""
+    """Return whether an object's controller has this UID."""
     owner = controller_of(item)
     return owner is not None and owner.get("uid") == uid
 
@@ -82,7 +82,7 @@ def differences(live: Any, desired: Any, path: str = "") -> list[str]:
 async def establish(client: Client, resource: Resource, namespace: str, body: Object, *, manager: str) -> Object:
     """Create by server-side apply an object that should not exist yet, or update one that already has our owner.
 
-    Raises Taken if the object exists with another controller, and ApiError.
+    Raises OwnedByOther if the object exists with another controller, and ApiError.
     """
     name = body["metadata"]["name"]
     live = await client.find(resource, namespace, name)
@@ -97,7 +97,7 @@ async def establish(client: Client, resource: Resource, namespace: str, body: Ob
 async def overwrite(
     client: Client, resource: Resource, namespace: str, body: Object, *, live: Object, manager: str
 ) -> Object:
-    """Apply over exactly this live object, which is ours, and not over a later one of the same name.
+    """Apply over exactly this live object of ours, and not over a later one of the same name.
 
     Raises ApiError.
     """
@@ -108,7 +108,7 @@ async def overwrite(
 async def create(client: Client, resource: Resource, namespace: str, body: Object) -> Object:
     """Create an object, or return the one that an earlier attempt of ours created.
 
-    Raises Taken if it exists with another controller, and ApiError.
+    Raises OwnedByOther if it exists with another controller, and ApiError.
     """
     try:
         return await client.create(resource, namespace, body)
@@ -156,7 +156,7 @@ def _of_nobody(live: Object, body: Object) -> bool:
 
 
 def refuse_foreign(live: Object, body: Object) -> None:
-    """Raise Taken if the live object belongs to another owner.
+    """Raise OwnedByOther if the live object belongs to another owner.
 
     It is ours if both objects have the same controller, or if neither has one and the live object has our labels.
     """

@@ -25,7 +25,7 @@ Object = dict[str, Any]
 
 SERVICE_ACCOUNT = Path("/var/run/secrets/kubernetes.io/serviceaccount")
 PAGE = 250
-"""Number of objects in a part of a list. A pod has some 10 kB, of which not all is kept."""
+"""Number of objects in a part of a list. A pod is about 10 kB, and only a part of it is kept."""
 LIFETIME = (200, 300)
 """Bounds of the seconds after which a watch ends and starts again. A connection that ended without notice is detected
 then."""
@@ -72,7 +72,7 @@ class ApiError(Exception):
 
     @property
     def webhook(self) -> str:
-        """The admission webhook that had to be asked and did not answer; empty if that is not the error.
+        """The admission webhook that had to be asked and did not answer; empty for other errors.
 
         The API server answers 500 in this case if the webhook's failurePolicy is Fail, until the webhook answers again.
         """
@@ -81,10 +81,10 @@ class ApiError(Exception):
 
 
 NO_ANSWER = (aiohttp.ClientError, TimeoutError, OSError)
-"""What a request raises if the API server does not answer. It may have carried the request out."""
+"""The errors of a request that the API server did not answer. It may have carried the request out."""
 
 FAILURES = (ApiError, *NO_ANSWER)
-"""What a request raises."""
+"""All errors that a request raises."""
 
 
 class Expired(Exception):

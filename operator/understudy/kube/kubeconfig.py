@@ -1,4 +1,4 @@
-"""Access by a kubeconfig, read with the official `kubernetes` package: contexts, certificates, tokens and credential plugins.
+"""Reads a kubeconfig with the official `kubernetes` package: contexts, certificates, tokens and credential plugins.
 
 The package runs in a process of its own. It loads 45 MB of models that nothing here uses, and a credential plugin may take seconds, during
 which the event loop must continue. Pods have no kubeconfig and do not need the package (extra `kubeconfig`).
@@ -64,7 +64,7 @@ class PluginCredentials:
         self._lock = asyncio.Lock()
 
     async def token(self) -> str | None:
-        """The present token; None if the plugin gives client certificates. Raises KubeconfigError."""
+        """Return the present token; None if the plugin gives client certificates. Raises KubeconfigError."""
         async with self._lock:
             expires = self._present.expires
             if self._rejected or (expires is not None and time.time() >= expires - RENEW_EARLY):
@@ -79,7 +79,7 @@ class PluginCredentials:
 
 
 def load_access(path: str | None = None) -> Access:
-    """Access as a kubeconfig's current context; the files that kubectl would read if there is no path. Raises KubeconfigError."""
+    """Return the access of a kubeconfig's current context; without a path, of the files that kubectl would read. Raises KubeconfigError."""
     found = read(path)
     context = ssl.create_default_context(cadata=found.authority)
     if not found.verify:
@@ -90,7 +90,7 @@ def load_access(path: str | None = None) -> Access:
 
 
 def default_access() -> Access:
-    """In the cluster as the pod's ServiceAccount, outside by the kubeconfig. Raises KubeconfigError."""
+    """Return the access of the pod's ServiceAccount in a cluster, and that of the kubeconfig outside. Raises KubeconfigError."""
     return Access.in_cluster() if (SERVICE_ACCOUNT / "token").exists() else load_access()
 
 

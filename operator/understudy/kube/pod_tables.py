@@ -17,8 +17,7 @@ NONE = "<none>"
 def pods(answer: Object, *, namespace: str, labels: Mapping[str, str]) -> list[Object]:
     """Return the pods in a table of running ones that have these labels: name, node and whether each is ready.
 
-    The table has no UIDs, so the pod's name stands in the place of its UID. If the server answered with a list, the
-    pods are returned as they are.
+    The table has no UIDs, so the pod's name is used as its UID. If the server answered with a list, the pods are returned as they are.
     """
     if answer.get("kind") != "Table":
         return answer.get("items") or []
@@ -37,6 +36,6 @@ def _pod(cells: Mapping[str, object], namespace: str, labels: Mapping[str, str])
 
 
 def _all(cell: object) -> bool:
-    """Whether a cell such as 2/2 says that all are ready, or there is nothing to count."""
+    """Return whether a cell such as 2/2 shows that all are ready, or there is nothing to count."""
     done, _, of = str(cell).partition("/")
     return cell == NONE or done == of

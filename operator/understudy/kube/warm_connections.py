@@ -11,8 +11,9 @@ import asyncio
 from understudy.kube.client import FAILURES, Client
 
 EVERY = 60.0
-"""Seconds between two uses. Load balancers before an API server often wait for minutes, and hardly any for less than
-one."""
+"""Seconds between two uses. Load balancers in front of an API server often close idle connections after minutes, and hardly any after less
+than one.
+"""
 
 COUNT = 2
 """Connections that a recovery uses at the same time: it closes the gate while it claims a pod."""

@@ -1,5 +1,5 @@
-"""Gates: what decides which instance's outputs reach a robot, and the policy of unclaimed pods, which may not reach it.
+"""Gates, which decide which instance's outputs reach a robot, and the policy that isolates unclaimed pods.
 
-base.py says what a gate is, and kinds/ has one module for each kind. The failover protocol, the monitor, the operator and the command
-ask through the registry and know no kind.
+base.py defines what a gate is, and kinds/ has one module for each kind. The failover protocol, the monitor, the operator and the commands
+use the registry and know no specific kind.
 """

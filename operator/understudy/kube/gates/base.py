@@ -1,15 +1,15 @@
-"""What a gate is: the interface that every kind of gate implements.
+"""The interface that every kind of gate implements.
 
 A gate decides which instance's outputs reach a robot. Each workload has one. Its commit point is one object of the Kubernetes API, the gate
 object, and the annotations of that object hold the record: who is in control, the epoch, and the recovery that made the last commit. The
-record is the same for every kind, so reading it takes no kind. Every change is one merge patch with the resourceVersion of the record on
-which it was decided, so of two writers one is refused.
+record is the same for every kind, so it can be read without knowing the kind. Every change is one merge patch with the resourceVersion of
+the record on which it was decided, so that the API server refuses one of two writers.
 
-A kind (:class:`GateKind`) says what the gate object does with the instances that the record names, which further objects the gate needs,
-and how it is proven that it works (:class:`Proof`). A kind that routes at the robot does so by orders that carry the epoch of the record.
+A kind (:class:`GateKind`) defines what the gate object does with the instances that the record names, which further objects the gate needs,
+and how to prove that it works (:class:`Proof`). A kind that routes at the robot does so by orders that carry the epoch of the record.
 
-To add a kind, name it in ``Gate.kind`` (api/kinds/robot_workload.py), and add a module of that name in snake case to the folder
-kinds/, with the kind as its ``GATE``.
+To add a kind, name it in ``Gate.kind`` (api/kinds/robot_workload.py), and add a module of that name in snake case to the folder kinds/,
+with the kind as its ``GATE``.
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ class GateRecord:
 
 
 class Proof(Protocol):
-    """Evidence of whose packets get through the gate, seen at its far side and not read from the API."""
+    """Evidence of whose packets pass the gate, observed at its far side and not read from the API."""
 
     leak_hint: str = ""
-    """A sentence: the likely cause if packets of an instance get through that the gate does not name, and what to do."""
+    """A sentence: the likely cause if packets of an instance pass that the gate does not name, and what to do."""
     block_hint: str = ""
     """A sentence: what to look for if packets of an instance do not pass the gate, although it names that pod."""
 
     def last(self, uid: str) -> float | None:
-        """When a packet of a pod last got through, in Unix seconds; None if none did."""
+        """Return when a packet of a pod last passed the gate, in Unix seconds; None if none did."""
 
     async def wait(self, uid: str, after: float) -> float:
-        """Wait for a packet of a pod; when the first one at or after a time got through, in Unix seconds."""
+        """Wait for a packet of a pod, and return when the first one at or after a time passed the gate, in Unix seconds."""
 
 
 class GateKind(ABC):
@@ -79,55 +79,55 @@ class GateKind(ABC):
     object_kind: ClassVar[str]
     """Kind of the gate object."""
     resource: ClassVar[Resource]
-    """Of the gate object. The operator watches the objects of this resource that it has made."""
+    """The resource of the gate object. The operator watches the objects of this resource that it has created."""
 
     # -- What the gate object does ------------------------------------------------------------------------------------
 
     @abstractmethod
     def routing(self, workload: str, active: str, admitted: str = "") -> Object:
-        """Merge patch fields that let these instances through and nobody else. Without ``active`` the gate is closed."""
+        """Return merge patch fields that let these instances through and nobody else. Without ``active`` the gate is closed."""
 
     @abstractmethod
     def let_through(self, gate: Object) -> tuple[str, ...]:
-        """Names of the instances that a gate object lets through, whatever its record says."""
+        """Return the names of the instances that a gate object lets through, whatever its record says."""
 
     @abstractmethod
     def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
-        """Why this kind cannot gate the outputs of pods with this spec, beginning with the field; empty if it can."""
+        """Return why this kind cannot gate the outputs of pods with this spec, beginning with the field; empty if it can."""
 
     # -- What the operator creates ------------------------------------------------------------------------------------
 
     @abstractmethod
     def closed(self, workload: str, *, epoch: int) -> Object:
-        """A gate object that lets nobody through. From its creation on, only the monitor commits to it.
+        """Return a gate object that lets nobody through. After it is created, only the monitor commits to it.
 
         ``epoch`` is the last one known, so that the commits of a gate that somebody deleted do not become valid again.
         """
 
     @abstractmethod
     def spec_repair(self, gate: Object) -> Object:
-        """Merge patch fields that restore what a gate object says besides routing and record; empty if nothing differs."""
+        """Return merge patch fields that restore the gate object except routing and record; empty if nothing differs."""
 
     @abstractmethod
     def companions(
         self, workload: str, robots: Sequence[str], reference: Mapping[str, Any] | None
     ) -> list[tuple[Resource, Object]]:
-        """The other objects that the gate of a workload needs, each with its resource.
+        """Return the other objects that the gate of a workload needs, each with its resource.
 
-        ``robots`` are the addresses of robots outside the cluster, as CIDRs. ``reference`` is the pod selector of a referenced
-        controller, whose pods are instances before they have the operator's labels.
+        ``robots`` are the addresses of robots outside the cluster, as CIDRs. ``reference`` is the pod selector of a referenced controller,
+        whose pods are instances before they have the operator's labels.
         """
 
     # -- How it is proven -----------------------------------------------------------------------------------------------
 
     @abstractmethod
     async def proof(self) -> Proof:
-        """Start to collect evidence of whose packets get through, in the monitor's pod. Raises OSError."""
+        """Start to collect evidence of whose packets pass the gate, in the monitor's pod. Raises OSError."""
 
     # -- The same for every kind ----------------------------------------------------------------------------------------
 
     def repair(self, gate: Object, *, owner: Object, labels: Mapping[str, str]) -> Object | None:
-        """A merge patch that restores a gate object except routing and record, which are the monitor's; None if nothing differs."""
+        """Return a merge patch that restores a gate object; None if nothing differs. Routing and record belong to the monitor."""
         metadata, patch = gate["metadata"], self.spec_repair(gate)
         fields: Object = {}
         present = metadata.get("labels") or {}
@@ -159,10 +159,10 @@ class GateKind(ABC):
         recovery: str = "",
         waits_for: str = "",
     ) -> Object:
-        """The merge patch that names the one pod that may reach the robot (none if ``active`` is empty) over exactly this record.
+        """Return the merge patch that names the one pod that may reach the robot (none if ``active`` is empty).
 
-        One atomic write fences the old pod, and an admitted standby with it, and routes the new one. ``waits_for`` is the shared pool
-        of which the workload waits for a pod.
+        It applies to exactly the record ``over``. One atomic write fences the old pod and an admitted standby, and routes the new pod.
+        ``waits_for`` is the shared pool for whose pod the workload waits.
         """
         return {
             "metadata": {
@@ -181,10 +181,10 @@ class GateKind(ABC):
         }
 
     def ending(self, *, over: GateRecord, recovery: str) -> Object:
-        """The merge patch that records over exactly this record that the recovery of the last commit has ended.
+        """Return the merge patch that records that the recovery of the last commit has ended.
 
-        ``recovery`` is its JSON from then on. Control does not change, so the epoch stays. The workload no longer waits for a pod of a
-        shared pool.
+        It applies to exactly the record ``over``. ``recovery`` is the JSON of the recovery from then on. Control does not change, so the
+        epoch stays. The workload no longer waits for a pod of a shared pool.
         """
         return {
             "metadata": {
@@ -195,9 +195,10 @@ class GateKind(ABC):
         }
 
     def admission(self, workload: str, *, over: GateRecord, admitted: str, admitted_uid: str) -> Object:
-        """The merge patch that lets a standby through beside the pod in control (none if ``admitted`` is empty) over exactly this record.
+        """Return the merge patch that lets a standby through in addition to the pod in control (none if ``admitted`` is empty).
 
-        Control does not change, so the epoch stays. Raises ValueError if the gate is closed, because then nobody may reach the robot.
+        It applies to exactly the record ``over``. Control does not change, so the epoch stays. Raises ValueError if the gate is closed,
+        because then nobody may reach the robot.
         """
         if not over.active:
             raise ValueError(f"{self.object_kind} {names.gate(workload)} is closed: no standby can be let through")
@@ -208,5 +209,5 @@ class GateKind(ABC):
         return {"metadata": metadata, **self.routing(workload, over.active, admitted)}
 
     async def write(self, client: Client, namespace: str, workload: str, patch: Object) -> Object:
-        """Write one of these patches; the gate object then. Raises ApiError, with status 409 if another write came first."""
+        """Write one of these patches and return the new gate object. Raises ApiError, with status 409 if another write came first."""
         return await client.patch(self.resource, namespace, names.gate(workload), patch)

@@ -39,6 +39,6 @@ OBJECT_KINDS: dict[str, Resource] = {gate.object_kind: gate.resource for gate in
 
 
 def of(workload: Object) -> GateKind:
-    """The gate kind of a RobotWorkload. The default if its spec cannot be read."""
+    """Return the gate kind of a RobotWorkload; the default if its spec cannot be read."""
     spec = workload.get("spec") or {}
     return KINDS.get((spec.get("gate") or {}).get("kind", ""), DEFAULT)

@@ -15,7 +15,7 @@ KIND = "NetworkPolicy"
 
 
 def held_pods(pool: str, claimable: str) -> Object:
-    """The policy of a pool's unclaimed pods: their agents can be reached, and nothing else can be received or sent.
+    """Return the policy of a pool's unclaimed pods: only their agents can be reached, and the pods can send nothing else.
 
     Its annotation holds the hash of the template whose pods may be claimed.
     """
@@ -30,7 +30,7 @@ def held_pods(pool: str, claimable: str) -> Object:
 
 
 def network_policy(name: str, selector: Mapping[str, Any], rules: Object) -> Object:
-    """A NetworkPolicy with these rules for the pods that a selector matches."""
+    """Return a NetworkPolicy with these rules for the pods that a selector matches."""
     return {
         "apiVersion": "networking.k8s.io/v1",
         "kind": "NetworkPolicy",

@@ -1,10 +1,10 @@
 """The gate kind ``NetworkPolicy``: the gate object is a policy that lets the pod it selects send to the robot's gated ports.
 
-Two policies make this gate, both on a workload's instances and never on the robot's pods. Policies add up, so patching the selector of the
-gate object is the whole switch:
+Two policies make this gate, both on a workload's instances and never on the robot's pods. Policies add up, so the switch only patches the
+selector of the gate object:
 
-- ``W-standby`` selects every instance, and allows all traffic with pods of other workloads except UDP to the gated ports.
-- ``W-gate``, the gate object, selects the one instance in control, and allows all that it sends.
+- ``W-standby`` selects every instance, and allows all traffic with pods of other workloads except UDP to the gated ports. - ``W-gate``, the
+gate object, selects the one instance in control, and allows all that it sends.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _OPEN: Object = {"policyTypes": ["Egress"], "egress": [{}]}
 
 
 class NetworkPolicyGate(GateKind):
-    """Fences packets where they leave their pod. The cluster's network must enforce NetworkPolicies."""
+    """Fences packets when they leave their pod. The cluster's network must enforce NetworkPolicies."""
 
     kind = object_kind = "NetworkPolicy"
     resource = NETWORK_POLICIES
 
     def routing(self, workload: str, active: str, admitted: str = "") -> Object:
-        """Merge patch fields of the pod selector. Each of its two forms removes the other."""
+        """Return merge patch fields of the pod selector. Each of its two forms removes the other."""
         if admitted:
             among = {"key": names.INSTANCE, "operator": "In", "values": [active, admitted]}
             labels = {names.WORKLOAD: workload, names.INSTANCE: None}
@@ -40,7 +40,7 @@ class NetworkPolicyGate(GateKind):
         return {"spec": {"podSelector": {"matchLabels": labels, "matchExpressions": None}}}
 
     def let_through(self, gate: Object) -> tuple[str, ...]:
-        """Names of the instances that the policy selects."""
+        """Return the names of the instances that the policy selects."""
         selector = gate["spec"].get("podSelector") or {}
         values = [(selector.get("matchLabels") or {}).get(names.INSTANCE)]
         for expression in selector.get("matchExpressions") or []:
@@ -49,7 +49,7 @@ class NetworkPolicyGate(GateKind):
         return tuple(value for value in values if value and value != names.GATE_CLOSED)
 
     def ungateable(self, pod_spec: Mapping[str, Any]) -> str:
-        """Why no policy applies to such pods."""
+        """Return why no policy applies to such pods; empty if policies do."""
         if pod_spec.get("hostNetwork"):
             return (
                 "hostNetwork is true: NetworkPolicies do not apply to a pod in its node's network, so its outputs cannot be gated. "
@@ -58,7 +58,7 @@ class NetworkPolicyGate(GateKind):
         return ""
 
     def closed(self, workload: str, *, epoch: int) -> Object:
-        """A policy that selects no pod."""
+        """Return a policy that selects no pod."""
         selector = {"matchLabels": {names.WORKLOAD: workload, names.INSTANCE: names.GATE_CLOSED}}
         policy = network_policy(names.gate(workload), selector, _OPEN)
         record = {names.EPOCH: str(epoch), names.ACTIVE: "", names.ACTIVE_UID: "", names.RECOVERY: ""}
@@ -66,7 +66,7 @@ class NetworkPolicyGate(GateKind):
         return policy
 
     def spec_repair(self, gate: Object) -> Object:
-        """Merge patch fields that restore the rules of the policy."""
+        """Return merge patch fields that restore the rules of the policy."""
         spec = gate.get("spec") or {}
         if all(spec.get(key) == value for key, value in _OPEN.items()) and not spec.get("ingress"):
             return {}
@@ -75,7 +75,7 @@ class NetworkPolicyGate(GateKind):
     def companions(
         self, workload: str, robots: Sequence[str], reference: Mapping[str, Any] | None
     ) -> list[tuple[Resource, Object]]:
-        """The policies under which every instance lives: all traffic, except with each other and to the robot's gated ports.
+        """Return the policies of every instance: they allow all traffic except with each other and to the robot's gated ports.
 
         "Not of this workload" means to lack its label and not to match the selector of a referenced controller.
         """
