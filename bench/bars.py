@@ -1,4 +1,4 @@
-"""Stacked bars, as the paper's figures show recovery times and CPU per strategy."""
+"""Stacked bars of recovery times and CPU per strategy, like the paper's figures."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _GROUPS = ("#1b3a57", "#b45309", "#0f766e", "#7b2d8b", "#9d174d", "#4d4d4d", "#9
 def recovery_times(
     parts: Mapping[str, Mapping[str, Sequence[float]]], path: Path, *, title: str, references: Mapping[str, float]
 ) -> None:
-    """Mean of each part of the recovery time per configuration, with every single recovery as a dot.
+    """Draw the mean of each part of the recovery time per configuration, with a dot for every recovery.
 
     Args:
         parts: by configuration and part (detection, cluster, startup, reinitialization) the times in seconds.
-        path: the picture to write; its ending says the format.
-        references: horizontal lines to compare with, by what they are, in seconds.
+        path: the file of the picture; its ending selects the format.
+        references: horizontal lines for comparison in seconds, by label.
     """
     means = {
         configuration: {NAMES[part]: fmean(found[part]) for part in PARTS} for configuration, found in parts.items()
@@ -36,11 +36,11 @@ def recovery_times(
 
 
 def cpu(groups: Mapping[str, Mapping[str, float]], path: Path, *, title: str) -> None:
-    """Mean CPU per configuration, stacked by pod.
+    """Draw the mean CPU per configuration, stacked by pod.
 
     Args:
         groups: by configuration and pod (or group of pods) the milli-CPU.
-        path: the picture to write; its ending says the format.
+        path: the file of the picture; its ending selects the format.
     """
     names = list(dict.fromkeys(name for found in groups.values() for name in found))
     colours = {name: _GROUPS[n % len(_GROUPS)] for n, name in enumerate(names)}

@@ -39,13 +39,13 @@ ALL = (*STREAMS, IMAGES)
 OUTPUTS = ({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},)
 
 WATCHED = {"first": STREAMS, "second": STREAMS, "first_images": ALL, "second_images": ALL}
-"""What each monitor judges."""
+"""The topics that each monitor judges."""
 
 PAIRS = {"without images": ("first", "second"), "with images": ("first_images", "second_images")}
-"""The monitors that have the black box first, and those that have it then."""
+"""By case, the monitor that has the black box first, and the one that has it afterwards."""
 
 BOUNDS = {"CPU": 5.0, "memory": BlackBox().memory_bytes / 1e6}
-"""The most that the black box may take more: milli-CPU, MB."""
+"""The most that the black box may add: milli-CPU, MB."""
 
 
 def main() -> None:
@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def _measured(watchers: Sequence[Role], recording: Collection[str], rounds: int, length: float) -> cost.Found:
-    """Measure all of them while these have the black box, once it is full."""
+    """Measure all monitors while those in ``recording`` have the black box, once it is full."""
     for watcher in watchers:
         watcher.ask("record", black_box={} if watcher.name in recording else None)
     time.sleep(seconds(BlackBox().window))
@@ -87,7 +87,7 @@ def _measured(watchers: Sequence[Role], recording: Collection[str], rounds: int,
 
 
 def _told(report: Report, called: str, before: cost.Found, after: cost.Found, first: str, second: str) -> None:
-    """Put a pair into the report."""
+    """Add a pair of monitors to the report."""
     with_it = [*before["CPU", first], *after["CPU", second]]
     without = [*after["CPU", first], *before["CPU", second]]
     memory = before["memory", first], before["memory", second]

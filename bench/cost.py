@@ -1,4 +1,5 @@
-"""What watching costs: CPU time over all threads by the kernel's account, and resident memory, of several ways in the same run."""
+"""The cost of several ways of watching in the same run: CPU time over all threads by the kernel's account, and resident
+memory."""
 
 from __future__ import annotations
 
@@ -12,11 +13,11 @@ from bench.roles import Role
 UNITS = {"CPU": "milli-CPU", "memory": "MB", "received": "messages/s"}
 
 Found = Mapping[tuple[str, str], Sequence[float]]
-"""What was found in each round, by quantity and watcher."""
+"""The result of each round, by quantity and watcher."""
 
 
 def measured(watched: Callable[[], AbstractContextManager[Sequence[Role]]], rounds: int, length: float) -> Found:
-    """Measure watchers for ``length`` seconds a round; they are started again for each."""
+    """Measure watchers for ``length`` seconds per round. They are started again for each round."""
     found: dict[tuple[str, str], list[float]] = {}
     for number in range(rounds):
         with watched() as watchers:
@@ -38,7 +39,8 @@ def measured(watched: Callable[[], AbstractContextManager[Sequence[Role]]], roun
 
 
 def told(report: Report, found: Found, *, cpu: float, memory: float, baseline: str) -> None:
-    """Put it into a report, with the most milli-CPU and MB that ours, with and without kept state, may take."""
+    """Add the results to a report, with the most milli-CPU and MB that our monitor may use, with and without kept
+    state."""
     bounds = {"CPU": {"max": cpu}, "memory": {"max": memory}, "received": {}}
     for name, must in bounds.items():
         report.figure(name, found[name, "ours"], unit=UNITS[name], must=must)
@@ -47,7 +49,7 @@ def told(report: Report, found: Found, *, cpu: float, memory: float, baseline: s
 
 
 def more(report: Report, found: Found, watcher: str, called: str, *, cpu: float, memory: float) -> None:
-    """Put the CPU and memory of one more watcher into a report."""
+    """Add the CPU and memory of one more watcher to a report."""
     for name, most in (("CPU", cpu), ("memory", memory)):
         report.figure(f"{name}, {called}", found[name, watcher], unit=UNITS[name], must={"max": most})
 

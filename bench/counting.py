@@ -1,4 +1,4 @@
-"""What times of receipt, or of sending, say of gaps and rates. All times are in seconds and in order."""
+"""Gaps and rates of times of receipt or of sending. All times are in seconds and in order."""
 
 from __future__ import annotations
 
@@ -8,33 +8,33 @@ from itertools import pairwise
 
 
 def worst_gap(times: Sequence[float], since: float) -> float:
-    """The longest time between two that follow each other, of which the later is after ``since``; 0 if there are none."""
+    """Return the longest time between two successive times of which the later is after ``since``; 0 if there are none."""
     return max((b - a for a, b in pairwise(times) if b > since), default=0.0)
 
 
 def least_count(times: Sequence[float], window: float, since: float) -> int | None:
-    """The least number of them in any window that ends after ``since``, and not after the last of them.
+    """Return the least count in any window that ends after ``since`` and not after the last time.
 
-    None where they don't reach back far enough for one such window.
+    None if the times do not reach back far enough for one such window.
     """
     if not times or times[-1] <= since:
         return None
-    # A count is least just before another one comes.
+    # A count is least just before the next time.
     ends = [end for end in times if end > since and end - window >= times[0]]
     return min((bisect_left(times, end) - bisect_right(times, end - window) for end in ends), default=None)
 
 
 def most_count(times: Sequence[float], window: float, since: float) -> int | None:
-    """The greatest number of them in any window that ends after ``since``; None where none of them is."""
+    """Return the greatest count in any window that ends after ``since``; None if no time is after it."""
     ends = [end for end in times if end > since]
     return max((bisect_right(times, end) - bisect_right(times, end - window) for end in ends), default=None)
 
 
 def falls_below(times: Sequence[float], least: int, window: float, since: float) -> float | None:
-    """When a window after ``since`` first has fewer than ``least`` of them, where it had as many before; None for never.
+    """Return when a window that ends after ``since`` first has fewer than ``least`` times, after it had that many; None
+    for never.
 
-    Nothing follows the last of them.
-    A window of this length that ends at a time has those after its beginning, and those at its end.
+    No time follows the last one. A window contains its end, but not its beginning.
     """
     for index in range(least - 1, len(times)):
         moment = times[index - least + 1] + window
@@ -45,6 +45,6 @@ def falls_below(times: Sequence[float], least: int, window: float, since: float)
 
 
 def first_from(times: Sequence[float], moment: float) -> float | None:
-    """The first of them that isn't before a moment; None if there is none."""
+    """Return the first time that is not before a moment; None if there is none."""
     place = bisect_left(times, moment)
     return times[place] if place < len(times) else None

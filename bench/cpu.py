@@ -1,7 +1,7 @@
 """Mean CPU of each pod over a run, from the kubelets' own counters.
 
-The paper's second metric, sigma(CPU): the mean CPU of each container over the whole run, summed. It is taken from the
-kubelet's resource metrics (``/metrics/resource``, KEP-727), which have cAdvisor's counters as the paper's do.
+This is the paper's second metric, sigma(CPU): the mean CPU of each container over the whole run, summed. It comes from
+the kubelet's resource metrics (``/metrics/resource``, KEP-727), which contain cAdvisor's counters, as the paper's do.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ class Container:
 
 @dataclass(frozen=True)
 class Counter:
-    """CPU seconds that a container has used, and when that was read (Unix seconds, the node's clock)."""
+    """The CPU seconds that a container has used, and when they were read (Unix seconds, the node's clock)."""
 
     seconds: float
     at: float
 
 
 def counters(text: str) -> dict[Container, Counter]:
-    """The containers' CPU counters of one node's resource metrics."""
+    """Return the containers' CPU counters in one node's resource metrics."""
     found = {}
     for line in text.splitlines():
         if match := _LINE.match(line):
@@ -47,16 +47,17 @@ def counters(text: str) -> dict[Container, Counter]:
 
 @dataclass
 class Usage:
-    """CPU used over a run, container by container."""
+    """The CPU that each container used over a run."""
 
     used: dict[Container, float] = field(default_factory=lambda: defaultdict(float))
-    """CPU seconds since the first reading; what a container used before the run doesn't count, one that began in it does."""
+    """CPU seconds since the first reading. Use before the run does not count. All use of a container that started in
+    the run does."""
     _last: dict[Container, Counter] = field(default_factory=dict)
     _begun: float | None = None
     _ended: float = 0.0
 
     def read(self, text: str, *, first: bool = False) -> None:
-        """Take in one node's metrics; ``first`` for the readings at the start of the run."""
+        """Add one node's metrics; ``first`` for the readings at the start of the run."""
         for container, counter in counters(text).items():
             former = self._last.get(container)
             if former is None:
@@ -64,18 +65,19 @@ class Usage:
             elif counter.seconds >= former.seconds:
                 self.used[container] += counter.seconds - former.seconds
             else:
-                self.used[container] += counter.seconds  # restarted: the counter began again
+                self.used[container] += counter.seconds  # the container restarted, and its counter began at 0
             self._last[container] = counter
             self._begun = counter.at if self._begun is None else min(self._begun, counter.at)
             self._ended = max(self._ended, counter.at)
 
     @property
     def seconds(self) -> float:
-        """How long the run was, between the first and the last reading."""
+        """The length of the run, from the first to the last reading."""
         return self._ended - self._begun if self._begun is not None else 0.0
 
     def milli(self, select: Callable[[Container], str | None]) -> dict[str, float]:
-        """Mean milli-CPU over the run by group; ``select`` names a container's group, None leaves it out."""
+        """Return the mean milli-CPU over the run by group. ``select`` returns a container's group, None to leave it
+        out."""
         found: dict[str, float] = defaultdict(float)
         if self.seconds <= 0:
             return found
@@ -86,13 +88,14 @@ class Usage:
 
 
 class Sampler:
-    """Reads the counters of all nodes now and then, in a thread, between ``with`` and its end.
+    """Reads the counters of all nodes at intervals, in a thread, for the duration of the context.
 
-    ``fetch`` gives a node's metrics and may raise OSError or RuntimeError while a node is away, which leaves it out.
+    ``fetch`` returns a node's metrics. It may raise OSError or RuntimeError while a node is away; the node is then left
+    out.
     """
 
     def __init__(self, nodes: Iterable[str], fetch: Callable[[str], str], *, period: float = 5.0) -> None:
-        """``period`` in seconds: containers that come and go between two readings are missed."""
+        """``period`` is in seconds. Containers that exist only between two readings are missed."""
         self.usage = Usage()
         self._nodes, self._fetch, self._period = list(nodes), fetch, period
         self._ended = threading.Event()

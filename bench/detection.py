@@ -41,11 +41,11 @@ class Failure:
 
     kind: str
     leaf: str
-    """The one that finds it."""
+    """The leaf that detects it."""
     change: Mapping[str, Any] = field(default_factory=dict)
-    """What is changed in the leaf's stream; its process is frozen where there is nothing else."""
+    """The change of the leaf's stream. Its process is frozen if there is neither a change nor an action."""
     do: str = ""
-    """What the process is asked to do instead."""
+    """The action that the process carries out instead."""
     undo: str = ""
 
 
@@ -72,10 +72,10 @@ FAILURES = (
 
 
 def due(leaf: Leaf, failure: Failure, begun: float, seen: Mapping[str, Any]) -> float | None:
-    """When a failure was one by what is configured, of what was received; None where that doesn't say so.
+    """Return when a failure met the configured condition, according to what was received; None if it did not.
 
-    ``begun`` is when it was made, or the first message that has it was about to be sent; ``seen`` is what was reported of the
-    verdict. All are Unix seconds.
+    ``begun`` is when the failure was made, or when its first message was about to be sent. ``seen`` is the reported
+    verdict. All times are Unix seconds.
     """
     arrivals: Sequence[float] = seen["arrivals"]
     if failure.kind == GRAPH:
@@ -84,7 +84,7 @@ def due(leaf: Leaf, failure: Failure, begun: float, seen: Mapping[str, Any]) -> 
         return falls_below(arrivals, leaf.window.least, leaf.window.length, begun)
     if not failure.change and not failure.do:
         assert leaf.gap is not None, "what is frozen fails by a rate or a gap"
-        # Other transforms are on the same topic: only the tree knows which message was the last.
+        # Other transforms are on the same topic, so only the tree knows which message was the last.
         last = seen["onset"] if leaf.kind == "transform" else arrivals[-1]
         return float(last) + leaf.gap
     received = first_from(arrivals, begun)
@@ -92,7 +92,7 @@ def due(leaf: Leaf, failure: Failure, begun: float, seen: Mapping[str, Any]) -> 
 
 
 def plan(count: int, chance: random.Random) -> Iterator[Failure]:
-    """So many failures in random order, each as often as the others."""
+    """Yield ``count`` failures in random order, each kind as often as the others."""
     left: list[Failure] = []
     for _ in range(count):
         if not left:
@@ -102,14 +102,14 @@ def plan(count: int, chance: random.Random) -> Iterator[Failure]:
 
 @dataclass
 class Bench:
-    """The run: what was found by kind, in ms, and what nothing called for."""
+    """The run: the lateness by kind of failure, in ms, and the verdicts without a cause."""
 
     roles: Mapping[str, Role]
     late: dict[str, list[float]] = field(default_factory=dict)
     uncalled: list[str] = field(default_factory=list)
 
     def fail(self, failure: Failure) -> None:
-        """Make one failure, wait for the verdict, and put all in order again."""
+        """Make one failure, wait for the verdict, and restore the robot."""
         leaf = next(leaf for leaf in LEAVES if leaf.path == failure.leaf)
         process, judge = self.roles[leaf.process], self.roles["ours"]
         for told in judge.told_so_far():
@@ -126,14 +126,14 @@ class Bench:
         self._mend(failure, leaf, process)
         self._next("healthy", judge)
         if leaf.window is not None:
-            # On its way back a rate wavers about its bound.
+            # While it recovers, a rate may cross its bound several times.
             time.sleep(leaf.window.length)
             self._note(
                 [one for one in judge.told_so_far() if one.get("leaf") != leaf.path], f"after {leaf.path} was well"
             )
 
     def _make(self, failure: Failure, leaf: Leaf, process: Role) -> Callable[[], float]:
-        """Make it; what says since when it is, once the verdict has come."""
+        """Make the failure. Returns a function that returns its start, once the verdict is known."""
         process.told_so_far()
         if failure.do:
             at = process.ask(failure.do)["at"]
@@ -154,7 +154,7 @@ class Bench:
             process.signal(signal.SIGCONT)
 
     def _next(self, state: str, judge: Role) -> dict[str, Any]:
-        """What is reported when the tree enters a state."""
+        """Return the next report that the tree has entered a state."""
         while (told := judge.told(30))["told"] != state:
             self._note([told], f"before it was {state}")
         return told

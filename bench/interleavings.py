@@ -24,21 +24,21 @@ from tests.unit.interleavings import reflexes, simulation
 from tests.unit.interleavings.scenes import Outcome
 
 CHUNK = 100
-"""Runs of which the figures are taken together."""
+"""Runs whose figures are added together."""
 
 SHOWN = 10
-"""Failed runs that are named."""
+"""Number of failed runs that are listed."""
 
 SHARE = 3
-"""Runs without a reflex to each one with it."""
+"""Number of runs without a reflex per run with one."""
 
 UNANSWERED = ("lost", "unanswered", "unheard", "late", "gateway")
-"""What happens to requests whose sender does not know whether they were carried out."""
+"""The fates of requests after which the sender does not know whether they were carried out."""
 
 
 @dataclass
 class Chunk:
-    """So many runs."""
+    """The figures of some runs."""
 
     runs: int = 0
     faults: dict[int, str] = field(default_factory=dict)
@@ -49,7 +49,7 @@ class Chunk:
 
 
 def run(seed: int, *, tracing: bool = False) -> Outcome:
-    """The run of a seed."""
+    """Make the run of a seed."""
     return (reflexes if seed >= reflexes.FIRST else simulation).run(seed, tracing=tracing)
 
 
@@ -73,7 +73,7 @@ def chunk(seeds: range) -> Chunk:
 
 
 def told(chunks: Sequence[Chunk]) -> Report:
-    """The figures of all runs."""
+    """Return the report on all runs."""
     report = Report("interleavings")
     reflexive = [c for c in chunks if c.reflex]
 

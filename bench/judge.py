@@ -1,6 +1,6 @@
 """Watches a robot as the monitor does, in a process with everything that the monitor imports, without an API server.
 
-It has the monitor's health observer (understudy.monitor.observe.robot.health_observer), which is woken in the same way
+It has the monitor's health observer (understudy.monitor.observe.robot.health_observer) with the same wake-ups
 (understudy.monitor.observe.wakeups), kept state (understudy.monitor.act.instances.state_manager) and the black box
 (understudy.monitor.report.black_box).
 """
@@ -22,7 +22,7 @@ from bench.counting import least_count, most_count, worst_gap
 from bench.roles import answer, end_with_parent, tell
 
 EVIDENCE = 4.0
-"""Seconds of a topic's receipts that are reported with a failure."""
+"""Seconds of a topic's times of receipt that are reported with a failure."""
 
 
 def judge(
@@ -35,16 +35,17 @@ def judge(
     ip: str = "192.0.2.10",
     leaves: Mapping[str, str] | None = None,
 ) -> None:
-    """Judge until killed, report failures, and answer ``received`` and ``seen``; ``record`` turns the black box on and off.
+    """Judge until killed, report failures, and answer ``received`` and ``seen``; ``record`` turns the black box on and
+    off.
 
     Args:
         monitoring: as of a FailurePolicy.
-        topics: those that it receives, of which it is asked.
+        topics: the received topics about which it answers.
         outputs: the workload's gated outputs.
         kept: topics whose state is kept.
         black_box: as of a FailurePolicy.
-        ip: of the instance in control; empty where all processes are to count as its own.
-        leaves: the topic of each leaf by its path, whose receipts are reported with a failure.
+        ip: that of the active instance; empty if all processes count as its own.
+        leaves: by path of a leaf, the topic whose times of receipt are reported with its failure.
     """
     _Judge(monitoring, topics, outputs, kept, black_box, ip, leaves or {}).run()
 
@@ -102,7 +103,7 @@ class _Judge:
         asyncio.run(self._watch())
 
     async def _watch(self) -> None:
-        """As understudy.monitor.loop does, of which this leaves out all that isn't for noticing."""
+        """Watch as understudy.monitor.loop does, with only those parts that detect failures."""
         from understudy.api.base import seconds
         from understudy.monitor.loop import SLOW
         from understudy.monitor.observe.wakeups import TICK, WAKE_LATE, EvaluationSchedule, Wakeups
@@ -149,7 +150,7 @@ class _Judge:
             await schedule.until(next_evaluation if due is None else min(next_evaluation, due + WAKE_LATE))
 
     def _note_waiting(self, now: float) -> None:
-        """Note for how long messages have waited that are to be looked at as they come."""
+        """Note how long messages have waited that must be evaluated on arrival."""
         for topic, seen in self._prompt.items():
             record = self.sight.observations.topic(topic)
             if record is None or record.last is None or record.last == seen:
@@ -183,7 +184,8 @@ class _Judge:
         return {}
 
     def _seen(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """What there was since the last such question: the worst gap of each topic, the fewest and most messages in a window.
+        """Return the results since the last such question: the worst gap of each topic, and the fewest and most
+        messages in a window.
 
         ``windows`` has the length of each topic's window in seconds.
         """
@@ -203,4 +205,4 @@ class _Judge:
 
 
 class _Nobody:
-    """Whom there is nothing to tell or to ask."""
+    """Stands for a receiver that does nothing."""

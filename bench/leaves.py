@@ -1,7 +1,7 @@
-"""A robot at work and a health tree of 20 leaves that judges it: for benches of what a whole tree notices, and when.
+"""A robot at work and a health tree of 20 leaves that judges it, for benches of detection by a whole tree.
 
-The robot drives to a goal. Each of its parts is a process of its own, so that one can be frozen or starved and the others
-go on.
+The robot drives to a goal. Each of its parts is a process of its own, so that one can be frozen or slowed while the
+others continue.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ TASK = {"task_active": {"action": GOAL}}
 SETTLE = "1s"
 OUTPUTS = ({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"},)
 GRACE = 15.0
-"""Seconds that the robot has to become healthy for the first time."""
+"""Seconds within which the robot must become healthy for the first time."""
 AT_REST = 3.0
-"""Seconds for which all has been well before anything is measured."""
+"""Seconds without a failure before anything is measured."""
 
 BEFORE = 2.5
-"""Seconds before an alarm in which its reason lies: more than the longest gap and window."""
+"""Seconds before an alarm that contain its reason: more than the longest gap and window."""
 
 STREAMS: Mapping[str, Sequence[Stream]] = {
     "base": (
@@ -59,7 +59,7 @@ STREAMS: Mapping[str, Sequence[Stream]] = {
         Stream("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", 5),
     ),
 }
-"""What the robot's processes publish. The planner is a managed node too, and logs."""
+"""The streams of the robot's processes. The planner is also a managed node, and logs."""
 
 
 @dataclass(frozen=True)
@@ -68,11 +68,11 @@ class Leaf:
 
     path: str
     process: str
-    """Whose process it is about."""
+    """The process that it judges."""
     body: Mapping[str, Any]
-    """As in the short form."""
+    """The leaf in the short form."""
     stream: str = ""
-    """Which of its streams, where the topic doesn't say."""
+    """The stream that it judges, if the topic does not identify it."""
 
     @property
     def kind(self) -> str:
@@ -80,12 +80,12 @@ class Leaf:
 
     @property
     def key(self) -> str:
-        """What the stream is called that it is about."""
+        """The key of the stream that it judges."""
         return self.stream or self.topic
 
     @property
     def topic(self) -> str:
-        """The topic whose messages it judges by; empty where it's none."""
+        """The topic whose messages it judges; empty if it judges none."""
         value = self.body[self.kind]
         found = {
             "topic": value.get("name"),
@@ -111,7 +111,7 @@ class Leaf:
 
     @property
     def hold_off(self) -> float:
-        """For how long it must not hold to be a failure, in seconds."""
+        """Seconds for which the condition must not hold before that is a failure."""
         return self._duration("for") or 0.0
 
     @property
@@ -134,7 +134,7 @@ def _topic(name: str, type_: str, **limits: str) -> Mapping[str, Any]:
 
 
 LEAVES: Sequence[Leaf] = (
-    # While there is a goal.
+    # Judged while there is a goal.
     Leaf("driving/cmd_vel", "base", _topic("/cmd_vel", "geometry_msgs/msg/Twist", gap="300ms")),
     Leaf(
         "driving/tracking_error",
@@ -142,7 +142,7 @@ LEAVES: Sequence[Leaf] = (
         {"value": {"topic": "/tracking_error", "type": "std_msgs/msg/Float32", "holds": "data < 0.5"}},
     ),
     Leaf("driving/progress", "base", {"progress": {"action": GOAL, "type": NAVIGATE, "gap": "2s"}}),
-    # Always.
+    # Always judged.
     Leaf("sensors/lidar", "lidar", _topic("/scan", "sensor_msgs/msg/LaserScan", rate="> 10 Hz", window="1s")),
     Leaf(
         "sensors/lidar_age",
@@ -190,7 +190,7 @@ ONLY_WITH_A_GOAL = "driving"
 
 
 def tree() -> dict[str, Any]:
-    """The health tree in the short form."""
+    """Return the health tree in the short form."""
     groups: dict[str, list[dict[str, Any]]] = {}
     for leaf in LEAVES:
         group, name = leaf.path.split("/")
@@ -206,12 +206,12 @@ def tree() -> dict[str, Any]:
 
 
 def topics() -> list[str]:
-    """The topics that are received, each once."""
+    """Return the topics that are received, each once."""
     return list(dict.fromkeys(leaf.topic for leaf in LEAVES if leaf.topic))
 
 
 def traffic() -> str:
-    """What the robot publishes, for a report."""
+    """Describe what the robot publishes, for a report."""
     streams = [stream for streams in STREAMS.values() for stream in streams]
     rates = ", ".join(f"{stream.key} {stream.hertz:g}" for stream in streams)
     return (
@@ -221,7 +221,7 @@ def traffic() -> str:
 
 
 def kinds() -> str:
-    """How many leaves of which kind there are, for a report."""
+    """Describe the number of leaves of each kind, for a report."""
     found: dict[str, int] = {}
     for leaf in LEAVES:
         kind = "rate" if leaf.window is not None else "gap" if leaf.kind == "topic" else leaf.kind
@@ -231,7 +231,7 @@ def kinds() -> str:
 
 @contextlib.contextmanager
 def at_work() -> Iterator[dict[str, Role]]:
-    """The robot's processes and the one that judges it, ``ours``, by name."""
+    """Yield the robot's processes and the process that judges it, ``ours``, by name."""
     environment()
     with tempfile.TemporaryDirectory() as folder:
         gated = gate_ports(Path(folder) / "profiles.xml", OUTPUTS)
@@ -240,7 +240,7 @@ def at_work() -> Iterator[dict[str, Role]]:
 
 
 def await_grace(judge: Role) -> None:
-    """Wait until the grace is over, in which some failures aren't any, and all has been well for a while."""
+    """Wait until the grace, in which some failures do not count, is over and nothing has failed for a while."""
     print(f"waiting for the robot, and until its grace of {GRACE:g} s is over", flush=True)
     begun, state, reason, well = time.monotonic(), "", "it says nothing", 0.0
     while state != "healthy" or time.monotonic() < max(begun + GRACE, well) + AT_REST:
@@ -252,9 +252,10 @@ def await_grace(judge: Role) -> None:
 
 
 def own_fault(leaf: Leaf, sends: Sequence[Sequence[float]], at: float) -> str:
-    """Why an alarm of a leaf is true by when its sender stamped and sent its messages; empty where it isn't.
+    """Return why an alarm of a leaf is true, by the times at which its sender stamped and sent its messages; empty if
+    it is false.
 
-    ``sends`` has both times of each message, ``at`` is when the alarm was raised; Unix seconds.
+    ``sends`` has both times of each message; ``at`` is the time of the alarm. All times are Unix seconds.
     """
     before = [(stamped, sent) for stamped, sent in sends if sent <= at]
     times = [sent for _, sent in before]
@@ -264,7 +265,7 @@ def own_fault(leaf: Leaf, sends: Sequence[Sequence[float]], at: float) -> str:
     if leaf.gap is not None and (gap := max(worst_gap(times, since), at - times[-1])) >= leaf.gap:
         return f"nothing was sent for {gap * 1000:.0f} ms"
     if (window := leaf.window) is not None:
-        # What was counted at the alarm, and at each message before it.
+        # The counts at the alarm, and at each message before it.
         least = min(
             sum(time > at - window.length for time in times), least_count(times, window.length, since) or math.inf
         )
@@ -281,7 +282,7 @@ def own_fault(leaf: Leaf, sends: Sequence[Sequence[float]], at: float) -> str:
 
 
 def senders_fault(told: Mapping[str, Any], roles: Mapping[str, Role]) -> str:
-    """Why a reported alarm is true, according to the sender's own record; empty if it is not."""
+    """Return why a reported alarm is true, according to the sender's own record; empty if it is false."""
     leaf = next(leaf for leaf in LEAVES if leaf.path == told["leaf"])
     if leaf.gap is None and leaf.window is None and leaf.most is None:
         return ""
@@ -357,7 +358,7 @@ def _planner() -> None:
 
 
 def main() -> None:
-    """Be the process that is named."""
+    """Run the process with the given name."""
     _, option, name = sys.argv
     assert option == "--role", f"this is run by benches, with --role and one of ours, {', '.join(STREAMS)}"
     if name == "ours":

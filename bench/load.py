@@ -1,4 +1,5 @@
-"""Keeps all cores busy: one process for each, of the bench's own priority, which end with it however it ends."""
+"""Keeps all cores busy with one process for each, at the bench's own priority. They end with the bench, however it
+ends."""
 
 from __future__ import annotations
 
@@ -28,10 +29,10 @@ _POLICIES = {
 
 
 class Load:
-    """Busy processes between ``with`` and its end."""
+    """Busy processes for the duration of the context."""
 
     def __init__(self, count: int | None = None) -> None:
-        """As many as there are cores, where ``count`` isn't given."""
+        """``count`` is the number of processes; the default is the number of cores."""
         self.count = count if count is not None else os.cpu_count() or 1
         self._running: list[subprocess.Popen[bytes]] = []
         self._begun = self._used = 0.0
@@ -39,7 +40,7 @@ class Load:
     def __enter__(self) -> Load:
         for _ in range(self.count):
             self._running.append(subprocess.Popen([sys.executable, "-c", _BUSY % os.getpid()]))
-        time.sleep(1.0)  # until they are at it
+        time.sleep(1.0)  # until they compute
         self._begun, self._used = time.monotonic(), processor_seconds()[0]
         return self
 
@@ -50,12 +51,12 @@ class Load:
             process.wait()
 
     def busy(self) -> float:
-        """Percent of the available processor time that was used since its start."""
+        """Return the percentage of the available processor time that was used since the start."""
         passed = time.monotonic() - self._begun
         return 100 * (processor_seconds()[0] - self._used) / (passed * (os.cpu_count() or 1))
 
     def note(self) -> str:
-        """What it is, for the report."""
+        """Describe the load, for the report."""
         return (
             f"{self.count} processes that compute SHA-256 without a pause on {os.cpu_count()} cores, which were "
             f"{self.busy():.0f} % busy; all processes {priority()}"
@@ -63,7 +64,7 @@ class Load:
 
 
 def priority() -> str:
-    """How this process, and so those that it starts, is scheduled; what that means where it isn't as in a pod."""
+    """Describe how this process and its children are scheduled, and how that differs from a pod, if it does."""
     policy, nice = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
     said = f"{_POLICIES.get(policy, f'policy {policy}')}, nice {nice}"
     normal = policy == os.SCHED_OTHER and nice == 0

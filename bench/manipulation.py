@@ -22,10 +22,10 @@ from tests.e2e.manipulation import CONFIGURATIONS, Manipulator
 from tests.e2e.navigation import Navigator
 
 FAR = 0.2
-"""Metres from the gripper to the pose at which the planner is lost, at least: a second of moving."""
+"""Minimum metres from the gripper to the pose at which the planner is lost: a second of moving."""
 
 AROUND = 2.0
-"""Seconds before a failure, and after a hand-over, in which steps are looked at."""
+"""Seconds before a failure and after a hand-over in which steps are evaluated."""
 
 STEPS = "largest joint step at the hand-over"
 RATIO = "the same by that of undisturbed motion"

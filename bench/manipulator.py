@@ -51,7 +51,7 @@ STREAMS = (
     Stream("/motor_temperature", "sensor_msgs/msg/Temperature", 50),
 )
 BESIDE = STREAMS[6:]
-"""What the policy doesn't name."""
+"""Streams that the policy does not name."""
 
 KEPT = ("/odom", "/joint_states")
 BLACK_BOX = {"window": "30s", "memory": "16Mi"}
@@ -61,14 +61,14 @@ WINDOW = 1.0
 BASELINE = "`ros2 topic hz`-style rclpy callbacks, same run"
 
 PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {}, "keeping": {}, "recording": {}, "callbacks": {}}
-"""The processes of a run, with what each has in its environment beside what all share."""
+"""The processes of a run, with their own environment variables in addition to the shared ones."""
 
 DISTURBED: list[str] = []
-"""What a tree had to say while it was measured: at rest it says nothing."""
+"""Verdicts of a tree while it was measured. There are none if nothing fails."""
 
 
 def monitoring() -> dict[str, Any]:
-    """The policy's, and a leaf for each topic that it doesn't name."""
+    """Return the policy's monitoring, with a leaf for each topic that it does not name."""
     import yaml
 
     found: dict[str, Any] = yaml.safe_load(POLICY.read_text())["spec"]["monitoring"]
@@ -115,7 +115,7 @@ def main() -> None:
 
 @contextlib.contextmanager
 def _watchers() -> Iterator[Sequence[Role]]:
-    """All ways of watching, once each receives all topics and the tree is healthy with both tasks."""
+    """Yield all watchers, once each receives all topics and the tree is healthy with both tasks."""
     with running("bench.manipulator", PROCESSES) as roles:
         watchers = [role for name, role in roles.items() if name != "publishers"]
         await_messages(watchers, sum(stream.hertz for stream in STREAMS))

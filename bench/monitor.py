@@ -40,11 +40,11 @@ TYPE = "std_msgs/msg/String"
 HERTZ = 50.0
 SIZE = 200
 GAP = 0.5
-LEAST_RATE, WINDOW = 10.0, 2.0  # low enough that a frozen publisher is noticed by the gap first
+LEAST_RATE, WINDOW = 10.0, 2.0  # low enough that a frozen publisher is detected by the gap first
 OUTPUTS = [{"topic": topic, "type": TYPE} for topic in GATED]
 
 PROCESSES: dict[str, dict[str, str]] = {"publishers": {}, "ours": {}, "keeping": {}, "callbacks": {}}
-"""The processes of a run, with what each has in its environment beside what all share."""
+"""The processes of a run, with their own environment variables in addition to the shared ones."""
 
 
 def main() -> None:
@@ -77,7 +77,7 @@ def main() -> None:
 
 @contextlib.contextmanager
 def _watched() -> Iterator[tuple[Role, list[Role]]]:
-    """The publishers, and all ways of watching once each receives all topics."""
+    """Yield the publisher and all watchers, once each watcher receives all topics."""
     with running("bench.monitor", PROCESSES) as roles:
         publishers, *watchers = roles.values()
         await_messages(watchers, len(TOPICS) * HERTZ)
@@ -131,7 +131,7 @@ def _publish() -> None:
             publisher.publish(message)
         due += 1 / HERTZ
         wait = due - time.monotonic()
-        if wait < -0.1:  # after a stop it goes on from now, rather than catch up in a burst
+        if wait < -0.1:  # after a stop it continues from now, instead of sending a burst
             due, wait = due - wait, 0.0
         time.sleep(max(0.0, wait))
 

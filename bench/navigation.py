@@ -22,7 +22,7 @@ from bench.results import Report
 from tests.e2e.navigation import CONFIGURATIONS, Navigator
 
 FAR = 1.5
-"""Metres to the goal at which the stack is lost, at least: some seconds of driving."""
+"""Minimum metres to the goal at which the stack is lost: some seconds of driving."""
 
 
 class Navigation(tours.Experiment):

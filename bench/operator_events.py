@@ -34,15 +34,15 @@ from understudy.kube.client import CRDS, NAMESPACES, PAGE, Access, Client, Objec
 
 ALL = (*kopf_handlers.WATCHED, *(resource for resource, _ in watches.WATCHED))
 SERVED = (*ALL, CRDS, NAMESPACES)
-"""kopf reads the latter two for itself."""
+"""kopf itself reads the last two."""
 
 OF_A_ROBOT = {"robotworkloads": 1, "pods": 3, "replicasets": 2, "deployments": 1, "networkpolicies": 2}
 BURST = 300
-"""Pods that change at once."""
+"""Number of pods that change at once."""
 
 
 def made(plural: str, robot: int, number: int, version: int) -> Object:
-    """An object as large as a real one (a pod has about 10 kB)."""
+    """Return an object as large as a real one (a pod has about 10 kB)."""
     name = f"robot-{robot:04d}-{number}"
     metadata: Object = {
         "name": name,
@@ -70,7 +70,7 @@ def made(plural: str, robot: int, number: int, version: int) -> Object:
 
 
 class Server:
-    """Lists and watches of a fleet's objects."""
+    """Serves lists and watches of a fleet's objects."""
 
     def __init__(self, robots: int) -> None:
         self.version = 1000
@@ -80,7 +80,7 @@ class Server:
         self._watches: dict[str, list[asyncio.Queue[Object]]] = defaultdict(list)
 
     async def discovery(self, request: web.Request) -> web.Response:
-        """The resources of the API, as kopf reads them at its start."""
+        """Return the resources of the API, which kopf reads at its start."""
         groups = sorted({(r.group, r.version) for r in SERVED if r.group})
         if request.path == "/api":
             return web.json_response({"versions": ["v1"]})
@@ -101,7 +101,7 @@ class Server:
         return web.json_response({"resources": known})
 
     async def collection(self, request: web.Request) -> web.StreamResponse:
-        """A list in parts, or a watch."""
+        """Return a list in parts, or a watch."""
         plural = request.path.rpartition("/")[2]
         if "watch" not in request.query:
             begin, limit = int(request.query.get("continue") or 0), int(request.query.get("limit") or PAGE)
@@ -149,7 +149,7 @@ class Server:
 
 
 async def measure(way: str, port: int, expected: int) -> dict[str, float]:
-    """The figures of one way."""
+    """Return the figures of one way."""
     kopf_handlers.quiet()
     access = Access(f"http://127.0.0.1:{port}", ssl.create_default_context())
     store, delays, seen = Store(), list[float](), set[str]()
@@ -177,7 +177,7 @@ async def measure(way: str, port: int, expected: int) -> dict[str, float]:
             tasks.append(asyncio.create_task(watches.watch(client, see, ())))
         await everything.wait()
         listing, elapsed = time.process_time() - before, time.monotonic() - begun
-        await asyncio.sleep(8)  # until kopf's workers have ended
+        await asyncio.sleep(8)  # wait until kopf's workers have ended
         memory = _memory()
         idle, begun = time.process_time(), time.monotonic()
         await asyncio.sleep(10)
@@ -204,7 +204,7 @@ async def measure(way: str, port: int, expected: int) -> dict[str, float]:
 
 
 def _memory() -> float:
-    """Resident memory of this process, in MB."""
+    """Return the resident memory of this process, in MB."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * usage.getpagesize() / 1e6
 
 
@@ -217,7 +217,7 @@ def _measure(way: str, port: int, expected: int, answer: Any) -> None:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Measure both ways and print them beside each other; the exit status."""
+    """Measure both ways, print their figures side by side, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", type=int, default=1000)
     options = parser.parse_args(argv)

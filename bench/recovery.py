@@ -26,13 +26,14 @@ from tests.e2e.kubectl import Kubectl
 from tests.e2e.scenario import Robot, manifest
 
 TIMEOUT = 0.5
-"""Seconds of silence after which the quickstart's policies call it a failure, as in the paper's experiment."""
+"""Seconds of silence that the quickstart's policies treat as a failure, as in the paper's experiment."""
 
 PERIOD = 0.05
 """Seconds between the quickstart's commands."""
 
 REST = 3.0
-"""Seconds between the last recovery's end and a failure: its pods are cleaned up first, on processors that the nodes share."""
+"""Seconds from the end of a recovery to the next failure. Its pods are cleaned up first, because the nodes share
+processors."""
 
 EXPECTED = {"executing": "Fallback/Executing", "uninitialized": "Fallback/Uninitialized", "restart": "Restart"}
 
@@ -43,7 +44,7 @@ PAPER = {
     ("executing", "t_startup"): "paper: 0",
     ("restart", "t_cluster"): "paper: 2900 ms",
 }
-"""What the paper found with a TurtleBot 4 and Nav2 (its section IV-B)."""
+"""The paper's results with a TurtleBot 4 and Nav2 (its section IV-B)."""
 
 
 def main() -> int:
@@ -73,7 +74,7 @@ def main() -> int:
 
 
 def _strategy(report: Report, kubeconfig: Path, strategy: str, failures: int, how: str) -> list[float]:
-    """So many failures of one strategy in a namespace of its own; its t_cluster values in seconds."""
+    """Run the failures of one strategy in a namespace of its own, and return the t_cluster values in seconds."""
     kubectl = Kubectl(kubeconfig, f"bench-{uuid.uuid4().hex[:6]}")
     kubectl("create", "namespace", kubectl.namespace)
     values: dict[str, list[float]] = {}
@@ -125,9 +126,9 @@ def _strategy(report: Report, kubeconfig: Path, strategy: str, failures: int, ho
 
 
 def _rested(robot: Robot) -> tuple[str, int, int]:
-    """The pod in control after a time in which nothing happened, how many recoveries there were, and how many of them just now.
+    """Return the active pod after a quiet time, the number of recoveries, and how many of them were just now.
 
-    On a machine that is busy with other things an application may pause for longer than its timeout.
+    On a busy machine an application may pause for longer than its timeout.
     """
     first = robot.status().get("recoveryCount", 0)
     while True:
@@ -139,7 +140,7 @@ def _rested(robot: Robot) -> tuple[str, int, int]:
 
 
 def enforcer() -> str:
-    """Which engine enforced the policies."""
+    """Return the engine that enforced the policies."""
     root = Path(__file__).parents[1]
     told = subprocess.run([str(root / "scripts" / "cluster"), "status"], capture_output=True, text=True, check=False)
     return told.stdout.splitlines()[0] if told.returncode == 0 and told.stdout else "the cluster of KUBECONFIG"

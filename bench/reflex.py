@@ -30,22 +30,22 @@ PERIOD = 0.05
 """Seconds between the quickstart's commands."""
 
 SLACK = 0.025
-"""Seconds that the robot's gap may be longer than deadline and period together, at p95."""
+"""The most seconds that the robot's gap may add to deadline and period, at p95."""
 
 ROBOTS_NODE = "node1"
-"""Where the robot, its discovery server and the monitor run: not on a node whose cable is pulled."""
+"""The node of the robot, its discovery server and the monitor. Its cable is never pulled."""
 
 BACK = "commands of the old pod when its node was back"
-"""Of those after the commit."""
+"""A subset of the commands of the old pod after the commit."""
 
 STRATEGY = "Fallback/Executing (reflex)"
 
 AWAY = 5.0
-"""Seconds for which a node that was cut off stays away after the commit."""
+"""Seconds for which a disconnected node stays away after the commit."""
 
 STANDBY = 600.0
-"""Most seconds until a standby is let through again. After the API server was away some times, the scheduler's own watch
-of the nodes backs off; then a standby was seen to wait for its node for more than a minute."""
+"""Maximum seconds until the gate lets a standby through again. After several failures of the API server, the
+scheduler's own watch of the nodes backs off. A standby was then seen to wait for its node for more than a minute."""
 
 SETTLE = 4.0
 """Seconds without an API server after the failure: longer than the kubelet takes to restart a container."""
@@ -61,7 +61,7 @@ def main() -> int:
     install(kubeconfig)
     kubectl = Kubectl(kubeconfig, f"bench-{uuid.uuid4().hex[:6]}")
     others = [n["metadata"]["name"] for n in kubectl.list("nodes") if n["metadata"]["name"] != ROBOTS_NODE]
-    provider = cluster("status").splitlines()[0]  # not later: with cordoned nodes it isn't ready, nor with lost ones
+    provider = cluster("status").splitlines()[0]  # not later: the cluster is not ready with cordoned or lost nodes
     kubectl("create", "namespace", kubectl.namespace)
     kubectl("cordon", *others)
     bench, ended = Bench(kubectl, options.deadline / 1000, provider), ""
@@ -74,7 +74,7 @@ def main() -> int:
     except KeyboardInterrupt:
         print("ended early: these are the figures so far", flush=True)
     except (Failed, Late) as error:
-        # What was measured until then counts, and the present state shows why it went no further.
+        # The earlier measurements count, and the present state shows why the bench ended.
         print(f"ended early: {error}", flush=True)
         ended = str(error).partition(". ")[0]
     finally:
@@ -93,7 +93,7 @@ def main() -> int:
 
 
 class Bench:
-    """One robot whose application fails again and again."""
+    """One robot whose application fails repeatedly."""
 
     def __init__(self, kubectl: Kubectl, deadline: float, provider: str) -> None:
         self._kubectl, self._deadline, self._cluster = kubectl, deadline, provider
@@ -105,7 +105,7 @@ class Bench:
         self._early = 0
 
     def begin(self) -> None:
-        """Have the robot driven, with a standby that is let through."""
+        """Start the robot, its application, and a standby that the gate lets through."""
         self._kubectl.apply(manifest("strategies/executing.yaml"))
         self._kubectl.apply(staying(self._robot.objects(policy="quickstart-executing", edit=self._edit)))
         self._armed()
@@ -117,11 +117,11 @@ class Bench:
         terms = {"nodeSelectorTerms": [{"matchExpressions": [away]}]}
         pod = spec["template"]["spec"]
         pod["affinity"] = {"nodeAffinity": {"requiredDuringSchedulingIgnoredDuringExecution": terms}}
-        # The nodes of the instances are cordoned, so that nothing else is there.
+        # The nodes of the instances are cordoned, so that they run nothing else.
         pod["tolerations"] = [{"key": "node.kubernetes.io/unschedulable", "operator": "Exists"}]
 
     def _armed(self, *, apart: bool = False) -> Object:
-        """Wait until a standby is let through, if asked for on another node; the pod in control."""
+        """Wait until the gate lets a standby through, with ``apart`` on another node, and return the active pod."""
 
         def armed() -> Object | None:
             if self._robot.condition("Reflex").get("status") != "True":
@@ -140,7 +140,7 @@ class Bench:
         return found
 
     def fail(self, how: str, without_api: bool) -> None:
-        """One failure, and what the robot saw of it."""
+        """Make one failure, and record what the robot received."""
         pod = self._armed(apart=how == "cut")
         name, uid, node = pod["metadata"]["name"], pod["metadata"]["uid"], pod["spec"]["nodeName"]
         before = self._robot.status().get("recoveryCount") or 0
@@ -168,7 +168,8 @@ class Bench:
             self.api.start()
         time.sleep(3.0)
         if recovery.old != name or recovery.strategy != STRATEGY:
-            # It was late before it was made to fail, or its standby was: that counts neither for nor against.
+            # The application or its standby was late before the failure, so this one counts neither for nor against the
+            # bound.
             self._early += 1
             self.told.append(f"{name} was to be {how}; it came to {recovery.strategy} of {recovery.old}: left out")
             return
@@ -182,7 +183,7 @@ class Bench:
         fenced = recovery.moments["fenced"]
         after = [c for c in log.of(recovery.old) if c.received > fenced]
         if connected is not None:
-            # The policies of a node that was away are as old as its last contact: its agent has to hold the pod.
+            # The policies of a disconnected node are as old as its last contact, so its agent has to stop the pod.
             stale = [c for c in after if c.received >= connected]
             self._values.setdefault(BACK, []).append(float(len(stale)))
         between = [c for c in log.of(recovery.old) if handover.first_new and handover.first_new < c.received <= fenced]
@@ -202,7 +203,7 @@ class Bench:
         )
 
     def report(self) -> Report:
-        """The figures."""
+        """Return the report."""
         report = Report("reflex")
         most = (self._deadline + PERIOD + SLACK) * 1000
         for name, values in sorted(self._values.items()):

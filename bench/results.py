@@ -1,4 +1,4 @@
-"""What a bench found: a table for people, and ``bench/results/NAME.json`` with every raw value beside each figure.
+"""The results of a bench: a table for people, and ``bench/results/NAME.json`` with all raw values of each figure.
 
     report = Report("monitor")
     report.figure("detection", values, unit="ms", must={"p95": 15})
@@ -6,8 +6,8 @@
     print(report.table())
     print(report.write())
 
-A baseline is what another way of doing the same gave in the same run, or what a paper says. ``held`` tells whether
-every figure is within its bounds.
+A baseline is the result of another way to do the same in the same run, or of a paper. ``held`` is whether every figure
+is within its bounds.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class Figure:
     values: list[float]
     unit: str
     must: dict[str, float] = field(default_factory=dict)
-    """Greatest allowed values, by n, p50, p95, max or mean."""
+    """Maximum values, by n, p50, p95, max or mean."""
     limit: str = ""
-    """What it is to be compared with, in words."""
+    """What the figure is compared with, in words."""
     of: str = ""
-    """What was measured, where it isn't ours."""
+    """What was measured, if it is not ours."""
 
     @property
     def summary(self) -> dict[str, float]:
@@ -59,18 +59,18 @@ class Figure:
 
     @property
     def held(self) -> bool:
-        """Whether every bound is kept."""
+        """Whether the figure is within every bound."""
         return all(self.summary[key] <= most for key, most in self.must.items())
 
     def remark(self) -> str:
-        """Its bounds and whether they are kept, for the table."""
+        """Return the bounds and whether they are kept, for the table."""
         bounds = [
             f"{key} <= {most:g}: {'ok' if self.summary[key] <= most else 'MISSED'}" for key, most in self.must.items()
         ]
         return ", ".join([*bounds, *([self.limit] if self.limit else [])])
 
     def json(self) -> dict[str, Any]:
-        """The figure with its raw values."""
+        """Return the figure with its raw values."""
         extra = {key: value for key, value in {"must": self.must, "limit": self.limit, "of": self.of}.items() if value}
         return {
             **self.summary,
@@ -85,7 +85,7 @@ class Report:
     """The figures of one run of a bench."""
 
     def __init__(self, name: str) -> None:
-        """``name`` is the bench's, and of its file of results."""
+        """``name`` is that of the bench and of its file of results."""
         self.name = name
         self._date = datetime.now(UTC)
         self._begun = processor_seconds()
@@ -96,17 +96,18 @@ class Report:
     def figure(
         self, name: str, values: Sequence[float], *, unit: str, must: Mapping[str, float] | None = None, limit: str = ""
     ) -> Report:
-        """Add a figure of ours; ``must`` bounds it, such as ``{"p95": 15}``, ``limit`` is what it stands beside."""
+        """Add a figure of ours. ``must`` bounds it, such as ``{"p95": 15}``; ``limit`` is what it is compared with, in
+        words."""
         self._figures.append(_figure(name, values, unit, dict(must or {}), limit, ""))
         return self
 
     def baseline(self, name: str, values: Sequence[float], *, unit: str, of: str) -> Report:
-        """Add a figure of something else, for comparison; ``of`` says of what, and from where."""
+        """Add a figure of something else, for comparison; ``of`` names its subject and source."""
         self._baselines.append(_figure(name, values, unit, {}, "", of))
         return self
 
     def note(self, name: str, text: str) -> Report:
-        """Add what one must know to read the figures, such as how the load was made."""
+        """Add a fact that is needed to interpret the figures, such as how the load was made."""
         self._notes[name] = text
         return self
 
@@ -116,7 +117,7 @@ class Report:
         return all(figure.held for figure in self._figures)
 
     def table(self) -> str:
-        """The figures and baselines as a table, with the notes below."""
+        """Return the figures and baselines as a table, with the notes below."""
         head = ["figure", "n", "p50", "p95", "max", "unit", ""]
         rows = [head]
         for figure in [*self._figures, *self._baselines]:
@@ -140,7 +141,7 @@ class Report:
         return "\n".join([f"bench {self.name}", *lines, "", *notes])
 
     def json(self) -> dict[str, Any]:
-        """Everything, as it is written."""
+        """Return the whole report, as it is written."""
         return {
             "bench": self.name,
             "date": self._date.isoformat(timespec="seconds"),
@@ -152,12 +153,12 @@ class Report:
         }
 
     def _stolen(self) -> float:
-        """Percent of the processor time needed since the start that the host gave to other machines."""
+        """Return the percentage of the requested processor time since the start that the host gave to other machines."""
         used, stolen = (now - then for now, then in zip(processor_seconds(), self._begun, strict=True))
         return 100 * stolen / (used + stolen) if stolen else 0.0
 
     def write(self, folder: Path = HERE / "results") -> Path:
-        """Write ``NAME.json``; where it is, relative to where one is if it's below."""
+        """Write ``NAME.json``, and return its path, relative to the current folder if it is below that."""
         folder.mkdir(parents=True, exist_ok=True)
         file = folder / f"{self.name}.json"
         file.write_text(json.dumps(self.json(), indent=1) + "\n")
@@ -173,7 +174,7 @@ def _figure(name: str, values: Sequence[float], unit: str, must: dict[str, float
 
 
 def machine() -> dict[str, Any]:
-    """What the bench ran on: processor, cores, memory, kernel, system, Python."""
+    """Return the properties of this machine: processor, cores, memory, kernel, system, Python."""
     return {
         "processor": _line("/proc/cpuinfo", "model name") or platform.processor() or platform.machine(),
         "cores": os.cpu_count(),
@@ -194,7 +195,8 @@ def _machine_note() -> str:
 
 
 def processor_seconds() -> tuple[float, float]:
-    """Processor time used and stolen since the machine's start, in seconds of one core (proc_stat(5)); 0 where unknown."""
+    """Return the processor time used and stolen since the machine's start, in seconds of one core (proc_stat(5)); 0 if
+    unknown."""
     fields = [int(word) for word in (_line("/proc/stat", "cpu ", separator=" ") or "").split()]
     if len(fields) < 8:
         return 0.0, 0.0
@@ -204,7 +206,7 @@ def processor_seconds() -> tuple[float, float]:
 
 
 def _line(file: str, key: str, *, separator: str = ":") -> str | None:
-    """What a ``key : value`` file of /proc says of a key."""
+    """Return the value of a key in a ``key : value`` file of /proc."""
     try:
         with open(file) as lines:
             return next((line.split(separator, 1)[1].strip() for line in lines if line.startswith(key)), None)
@@ -213,7 +215,7 @@ def _line(file: str, key: str, *, separator: str = ":") -> str | None:
 
 
 def commit() -> str:
-    """The commit that was run, with ``-dirty`` where files differ from it; ``unknown`` outside a clone."""
+    """Return the present commit, with ``-dirty`` if files differ from it; ``unknown`` outside a clone."""
     found = subprocess.run(
         ["git", "describe", "--always", "--abbrev=12", "--dirty", "--exclude=*"],
         cwd=HERE,

@@ -1,7 +1,7 @@
-"""The traffic of a robot: streams of real messages with the jitter that nodes have, whose sender can be made to misbehave.
+"""The traffic of a robot: streams of real messages with the jitter of nodes, whose sender can be made to misbehave.
 
-A process publishes some streams in one loop, and remembers when it stamped and sent each message: so that it is known
-later whether a message was late because its sender was.
+A process publishes some streams in one loop, and records when it stamped and sent each message. The record shows later
+whether a message was late because its sender was.
 """
 
 from __future__ import annotations
@@ -21,47 +21,48 @@ from typing import Any
 from bench.roles import answering, end_with_parent, tell
 
 JITTER = 0.05
-"""Standard deviation of when a message is sent, in periods; never more than four times that."""
+"""Standard deviation of the time at which a message is sent, in periods; the deviation never exceeds four times that.
+"""
 
 REMEMBERED = 15.0
-"""Seconds of sending that are remembered."""
+"""Seconds of sending that are recorded."""
 
 BEHIND = 0.1
-"""Seconds behind at which a sender goes on from now, as after a stop, rather than catch up in a burst."""
+"""Seconds of delay above which a sender continues from now, as after a stop, instead of sending a burst."""
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Messages of one kind on a topic."""
+    """Messages of one type on a topic."""
 
     topic: str
     type: str
     hertz: float
     name: str = ""
-    """What it is called where a topic has several."""
+    """The name of the stream, if a topic has several."""
     frames: tuple[str, str] = ("odom", "base_link")
     """Of a transform: parent and child."""
 
     @property
     def key(self) -> str:
-        """What it is called."""
+        """The key of the stream."""
         return self.name or self.topic
 
 
 class _Sender:
-    """One stream as it is sent."""
+    """One stream and its state."""
 
     def __init__(self, stream: Stream, publish: Callable[[Any], None], message: Any) -> None:
         self.stream, self.publish, self.message = stream, publish, message
         self.period = 1 / stream.hertz
         self.spoil = ""
-        """What is wrong with its messages; empty where nothing is."""
+        """What is wrong with its messages; empty if nothing is."""
         self.old = 0.0
         """Seconds that its stamps are too old."""
         self.announce = False
         """Whether the next message is to be reported."""
         self.sent: deque[tuple[float, float]] = deque(maxlen=math.ceil(stream.hertz * REMEMBERED))
-        """When each was stamped, and when it had been sent (Unix seconds)."""
+        """When each message was stamped, and when it had been sent (Unix seconds)."""
 
     def send(self) -> None:
         fill(self.message, self.stream, self.spoil)
@@ -75,10 +76,11 @@ class _Sender:
 
 
 def publish(streams: Sequence[Stream], node: Any, *, answers: Mapping[str, Any] | None = None, seed: int = 0) -> None:
-    """Publish them with a node until killed, and do what one is asked to.
+    """Publish streams with a node until killed, and answer requests.
 
-    ``set`` changes a stream: its ``hertz``, what is ``spoil``ed in it, how ``old`` its stamps are; the next message is reported
-    of. ``sends`` says when its last messages were stamped and sent. ``answers`` are more.
+    ``set`` changes a stream: its ``hertz``, its fault (``spoil``), and the age of its stamps (``old``); the next
+    message is then reported. ``sends`` returns when its last messages were stamped and sent. ``answers`` adds further
+    requests.
     """
     end_with_parent()
     publishers: dict[str, Any] = {}
@@ -125,7 +127,8 @@ def _loop(senders: Sequence[_Sender], chance: random.Random) -> None:
 
 
 def work_on_goals(node: Any, *actions: str) -> list[Any]:
-    """Say, as an action's server does, that a goal of each is being executed; the publishers, to be kept."""
+    """Publish, as an action's server does, that a goal of each action is being executed. Returns the publishers, which
+    must be kept."""
     from action_msgs.msg import GoalStatus, GoalStatusArray
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
@@ -139,7 +142,7 @@ def work_on_goals(node: Any, *actions: str) -> list[Any]:
 
 
 def node(name: str) -> Any:
-    """A node, whose logs go to /rosout alone."""
+    """Return a node whose logs go to /rosout only."""
     import rclpy
 
     with contextlib.suppress(RuntimeError):  # there is a context already
@@ -148,7 +151,7 @@ def node(name: str) -> Any:
 
 
 def spin(*nodes: Any) -> None:
-    """Have nodes answer, in a thread of their own."""
+    """Process callbacks of nodes in a thread of its own."""
     from rclpy.executors import SingleThreadedExecutor
 
     executor = SingleThreadedExecutor()
@@ -161,20 +164,20 @@ def spin(*nodes: Any) -> None:
 
 
 def message_class(type_name: str) -> Any:
-    """The class of a message, or of an action's feedback."""
+    """Return the class of a message, or of an action's feedback."""
     from understudy.ros.runtime import interface_types
 
     return interface_types.message_class(type_name)
 
 
 def fill(message: Any, stream: Stream, spoil: str) -> None:
-    """Give a message what it says, of which something may be ``spoil``ed."""
+    """Fill in a message's fields, with the fault ``spoil``, if any."""
     if (filler := _FILLERS.get(stream.type)) is not None:
         filler(message, stream, spoil)
 
 
 def sizes(streams: Iterable[Stream]) -> list[int]:
-    """Bytes of each stream's messages, serialized."""
+    """Return the serialized size of each stream's messages, in bytes."""
     from rclpy.serialization import serialize_message
 
     found = []
@@ -186,7 +189,7 @@ def sizes(streams: Iterable[Stream]) -> list[int]:
 
 
 def _stamp(message: Any, moment: float) -> None:
-    """Set its stamps, where it has any."""
+    """Set the stamps of a message, if it has any."""
     headers = [message.header] if hasattr(message, "header") else []
     headers += [transform.header for transform in getattr(message, "transforms", ())]
     for header in headers:
@@ -209,7 +212,7 @@ def _image(message: Any, stream: Stream, spoil: str) -> None:
 def _compressed(message: Any, stream: Stream, spoil: str) -> None:
     if not message.data:
         message.header.frame_id, message.format = "camera", "jpeg"
-        message.data = array("B", bytes(40_000))  # about what 640 x 480 pixels of a room take
+        message.data = array("B", bytes(40_000))  # about the size of a picture of a room with 640 x 480 pixels
 
 
 def _camera(message: Any, stream: Stream, spoil: str) -> None:
@@ -250,7 +253,7 @@ def _number(message: Any, stream: Stream, spoil: str) -> None:
 
 
 def _diagnostics(message: Any, stream: Stream, spoil: str) -> None:
-    """``spoil`` is the name of the status that is an error."""
+    """``spoil`` is the name of the status that reports an error."""
     from diagnostic_msgs.msg import DiagnosticStatus
 
     names = ("camera: driver", "motors: left", "motors: right", "battery")

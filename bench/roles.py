@@ -1,7 +1,7 @@
-"""The processes of a bench that publish and watch: started, asked and ended here.
+"""Starts, queries and ends the processes of a bench that publish and watch.
 
-A process writes a line of JSON for each thing that it tells by itself (these have ``told``), and one for each answer to
-a line that it is asked by.
+A process writes one line of JSON for each of its own reports (these have ``told``), and one for each answer to a line
+of input.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from typing import Any
 DOMAIN = "97"
 
 Answers = Mapping[str, Callable[[dict[str, Any]], Mapping[str, Any]]]
-"""What answers a question, by its ``ask``."""
+"""Functions that answer questions, by the ``ask`` of a question."""
 
 
 def environment() -> None:
-    """Set what all processes share: a domain of their own, and no shared memory, as between pods."""
+    """Set what all processes share: their own domain, and no shared memory, as between pods."""
     for name in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
         os.environ.pop(name, None)
     os.environ["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
@@ -38,8 +38,8 @@ def environment() -> None:
 
 
 def gate_ports(file: Path, outputs: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """The environment of a process whose readers of gated outputs have ports of their own, as in the monitor."""
-    from understudy.api.kinds.robot_workload import Output  # here, so that it isn't in the baseline's memory
+    """Return the environment of a process whose readers of gated outputs have their own ports, as in the monitor."""
+    from understudy.api.kinds.robot_workload import Output  # here, so that the module is not in the baseline's memory
     from understudy.ros.dds.profiles import profiles_xml
 
     file.write_text(profiles_xml(Output(topic=output["topic"], type=output["type"]) for output in outputs))
@@ -53,7 +53,7 @@ class Role:
     """One process of the run."""
 
     def __init__(self, module: str, name: str, **environment: str) -> None:
-        """Start it: ``module`` is run with ``--role`` and the name."""
+        """Start the process: ``module`` is run with ``--role`` and the name."""
         self.name = name
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, "--role", name],
@@ -71,11 +71,11 @@ class Role:
         return self._process.pid
 
     def told(self, timeout: float) -> dict[str, Any]:
-        """The next thing that it tells by itself."""
+        """Return the next report of the process."""
         return self._next(self._told, timeout)
 
     def told_so_far(self) -> list[dict[str, Any]]:
-        """What it has told by itself since it was listened to last."""
+        """Return the reports since the last call."""
         found = []
         with contextlib.suppress(queue.Empty):
             while (told := self._told.get_nowait()) is not None:
@@ -84,19 +84,19 @@ class Role:
         return found
 
     def ask(self, what: str, **more: Any) -> dict[str, Any]:
-        """Its answer."""
+        """Ask a question, and return the answer."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps({"ask": what, **more}) + "\n")
         self._process.stdin.flush()
         return self._next(self._answers, 20)
 
     def cpu(self) -> float:
-        """CPU seconds so far of all threads that run (none ends while we measure)."""
+        """Return the CPU seconds of all running threads so far. No thread ends during a measurement."""
         tasks = Path(f"/proc/{self.pid}/task")
         return sum(int((task / "schedstat").read_text().split()[0]) for task in tasks.iterdir()) * 1e-9
 
     def rss(self) -> float:
-        """Resident memory in MB."""
+        """Return the resident memory in MB."""
         status = Path(f"/proc/{self.pid}/status").read_text()
         return int(status.split("VmRSS:")[1].split()[0]) * 1024 / 1e6
 
@@ -122,7 +122,7 @@ class Role:
             if line.startswith("{"):
                 found = json.loads(line)
                 (self._told if "told" in found else self._answers).put(found)
-            else:  # the middleware's own
+            else:  # a line of the middleware itself
                 print(f"{self.name}: {line}", end="", file=sys.stderr)
         self._told.put(None)
         self._answers.put(None)
@@ -130,7 +130,7 @@ class Role:
 
 @contextlib.contextmanager
 def running(module: str, roles: Mapping[str, Mapping[str, str]]) -> Iterator[dict[str, Role]]:
-    """Processes by name, once they are ready, each with what it has in its environment beside what all share."""
+    """Yield processes by name, once they are ready, each with its own variables in addition to the shared environment."""
     started: dict[str, Role] = {}
     try:
         for name, environment in roles.items():
@@ -145,7 +145,7 @@ def running(module: str, roles: Mapping[str, Mapping[str, str]]) -> Iterator[dic
 
 
 def await_messages(watchers: Sequence[Role], rate: float) -> None:
-    """Wait until each watcher receives so many messages a second, nearly."""
+    """Wait until each watcher receives nearly this many messages per second."""
     end = time.monotonic() + 60
     while True:
         before = [watcher.ask("received")["received"] for watcher in watchers]
@@ -168,24 +168,24 @@ def await_messages(watchers: Sequence[Role], rate: float) -> None:
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process when the one that started it does, however that ends (prctl(2))."""
+    """Let the kernel end this process when its parent ends for any reason (prctl(2))."""
     set_death_signal = 1
     ctypes.CDLL(None).prctl(set_death_signal, signal.SIGKILL)
 
 
 def tell(what: str, **more: Any) -> None:
-    """Tell by oneself."""
+    """Write a report."""
     say({"told": what, **more})
 
 
 def say(found: Mapping[str, Any]) -> None:
-    """Write one line, in one piece whichever thread does."""
+    """Write one line at once, from any thread."""
     sys.stdout.write(json.dumps(found) + "\n")
     sys.stdout.flush()
 
 
 def answer(line: str, answers: Answers) -> None:
-    """Answer one line; without one, he who asks is gone."""
+    """Answer one line. At the end of the input, exit, because the parent is gone."""
     if not line:
         os._exit(0)
     asked = json.loads(line)
@@ -193,7 +193,7 @@ def answer(line: str, answers: Answers) -> None:
 
 
 def answering(answers: Answers) -> None:
-    """Answer in a thread of its own, for as long as somebody asks."""
+    """Answer in a thread of its own until the input ends."""
 
     def run() -> None:
         while True:
@@ -210,12 +210,12 @@ def callbacks(
     most: int | None = None,
     raw: bool = False,
 ) -> None:
-    """Watch topics as one writes it: a callback for each message, and a timer that looks at the times.
+    """Watch topics in the usual way: a callback for each message, and a timer that checks the times.
 
-    ``look`` is given the times of receipt by topic, of which ``most`` are kept, and the present; it looks every ``every``
-    seconds. With ``raw`` messages aren't decoded, and best effort is enough, as for ``ros2 topic hz``.
+    ``look`` receives the last ``most`` times of receipt by topic, and the current time; it is called every ``every``
+    seconds. With ``raw``, messages are not decoded, and the subscription is best effort, as for ``ros2 topic hz``.
     """
-    # Nothing of the product, which keeps some of ROS out of memory.
+    # Nothing of the product is imported, because it keeps parts of ROS out of memory.
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node

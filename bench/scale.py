@@ -38,69 +38,69 @@ RESYNC_MOST = START_MOST
 """The bounds: ms, API writes per failover, milli-CPU and MB at rest, seconds."""
 
 SETTLED = 1200.0
-"""Most seconds that the bench waits for a fleet to be built, or to be well again."""
+"""Maximum seconds that the bench waits for a fleet to be built, or to recover."""
 
 CALM = 12.0
-"""Seconds in which nothing is written before something is measured: longer than a simulated monitor takes from look to look."""
+"""Seconds without a write before something is measured: longer than the period of a simulated monitor."""
 
 CLAIMED = 0.8
-"""Of a pool's pods, how many are claimed by the bench at most: who waits for the next one is another question."""
+"""Maximum share of a pool's pods that the bench claims. How long a robot waits for the next pod is another question."""
 
 LARGE = 10_000
-"""Robots for which figures are extrapolated."""
+"""Number of robots for which figures are extrapolated."""
 
 CHUNK = 100
-"""Robots that are passed to a process of monitors in one line."""
+"""Robots that a process of monitors receives in one line."""
 
 NODES = "BENCH_SCALE_CONFIG"
-"""Variable that holds how a process of monitors reaches the API server."""
+"""Environment variable with the configuration of a monitors' process for the API server."""
 
 
 @dataclass
 class Found:
-    """What was measured with so many robots."""
+    """The results for a number of robots."""
 
     robots: int
     built: float = 0.0
-    """Seconds until those that came last were built and driven."""
+    """Seconds until the fleets that were added last were built and driven."""
     rest: Usage | None = None
     resync: float = 0.0
     """Seconds that the operator's last list of everything took."""
     rest_writes: dict[str, float] = field(default_factory=dict)
-    """By whom and what, during all of the rest."""
+    """The writes of the whole rest, by account and kind."""
     rest_counted: Reading | None = None
     watches: float = 0.0
     server_memory: float = 0.0
-    """Of the API server, in MB."""
+    """Memory of the API server, in MB."""
     recoveries: list[float] = field(default_factory=list)
     """Seconds from each failure of the burst until the robot was driven again."""
     burst: int = 0
     burst_writes: dict[str, dict[str, float]] = field(default_factory=dict)
-    """By whom and what, per failover."""
+    """The writes per failover, by account and kind."""
     failed: list[float] = field(default_factory=list)
-    """Seconds of recoveries from failures that came independently of each other."""
+    """Seconds of recoveries from failures that occurred independently of each other."""
     loaded: Usage | None = None
     writes: dict[str, dict[str, float]] = field(default_factory=dict)
-    """By whom and what, per failover."""
+    """The writes per failover, by account and kind."""
     reads: float = 0.0
     events: float = 0.0
     """Events and MB that watches sent, per failover."""
     bytes: float = 0.0
     unrecovered: int = 0
     others: list[str] = field(default_factory=list)
-    """What recovered by something else than the pool, or didn't."""
+    """Recoveries by another strategy than the pool, and failed ones."""
     claims: list[float] = field(default_factory=list)
-    """ms from when each claim was to be made until it was acknowledged."""
+    """ms from the planned time of each claim until it was acknowledged."""
     retried: float = 0.0
-    """Claims of another robot that were first, per claim."""
+    """Claims per claim that another robot won."""
     double: int = 0
     lost: int = 0
     claiming: dict[str, float] = field(default_factory=dict)
-    """Seconds of a processor that each took from the first claim until all were answered, per claim, by who."""
+    """Seconds of processor time per claim, by process, from the first claim until all were answered."""
     claim_reads: float = 0.0
-    """Of the monitors, per claim."""
+    """Reads of the monitors, per claim."""
     claim_writes: dict[str, dict[str, float]] = field(default_factory=dict)
-    """By whom and what, per claim."""
+    """The writes per claim, by account and kind."""
     claim_events: float = 0.0
     """Events that watches sent meanwhile, per claim."""
     claim_collections: float = 0.0
@@ -108,12 +108,12 @@ class Found:
     refilled: float = 0.0
     """Seconds until the pools were full again after the claims."""
     start: float = 0.0
-    """Seconds from the operator's start until it had looked at everything."""
+    """Seconds from the operator's start until it had processed everything."""
     start_writes: dict[str, float] = field(default_factory=dict)
     dry_runs: float = 0.0
     start_memory: float = 0.0
     missed: float = 0.0
-    """Changes that only a list brought the operator."""
+    """Changes that the operator learned only from a list."""
     restarts: int = 0
     """How often the operator ended by itself, and was started again."""
 
@@ -132,7 +132,7 @@ class Bench:
         self._operator_config = made.operator_kubeconfig()
 
     def run(self) -> Iterator[list[Found]]:
-        """Measure at every size; what was found so far, after each."""
+        """Measure at every size, and yield the results so far after each."""
         all_of_them = fleets(self._options.robots, self._options.fleet)
         self._cluster.count_apart(all_of_them)
         found = []
@@ -288,7 +288,7 @@ class Bench:
     # -- robots -----------------------------------------------------------------------------------------------------
 
     def _fairly(self, count: int) -> list[Robot]:
-        """So many robots, of no fleet more than its pool has pods for, each as rarely as can be."""
+        """Choose robots, no more of a fleet than its pool has pods for, and each as rarely as possible."""
         left = dict.fromkeys((robot.namespace for robot in self._robots), round(CLAIMED * self._options.pool))
         found = []
         for robot in spread(self._robots, 10 * count + len(self._robots), self._random):
@@ -308,11 +308,11 @@ class Bench:
             role.ask(what, **{key: mine})
 
     def _await(self, what: str, count: int, within: float) -> list[dict[str, object]]:
-        """What the monitors tell, until there is so much of it or the time is over."""
+        """Return this many reports of a kind from the monitors, or fewer after ``within`` seconds."""
         found: list[dict[str, object]] = []
         end = time.monotonic() + within
         while len(found) < count and time.monotonic() < end:
-            time.sleep(0.5)  # it runs on the processors that it measures
+            time.sleep(0.5)  # the bench runs on the processors that it measures
             for role in self._monitors:
                 for told in role.told_so_far():
                     if told["told"] == what:
@@ -324,7 +324,8 @@ class Bench:
         return found
 
     def _judged(self, one: Found, told: Sequence[dict[str, object]]) -> list[float]:
-        """Seconds from each failure until the robot was driven again; what went otherwise than by the pool is noted."""
+        """Return the seconds from each failure until the robot was driven again, and note recoveries that did not use
+        the pool."""
         found = []
         for t in told:
             moments = t["moments"]
@@ -344,7 +345,7 @@ class Bench:
             yield operator
 
     def _used(self, operator: Operator) -> dict[str, float]:
-        """Seconds of a processor so far, of those that the API server doesn't count."""
+        """Return the seconds of processor time so far of the processes that the API server's metrics do not cover."""
         return {"monitors": sum(role.cpu() for role in self._monitors), "operator": operator.cpu()}
 
     def _own(self, operator: Operator) -> Own:
@@ -374,7 +375,7 @@ class Bench:
         self._until(driven, "every robot to be driven")
 
     def _calm(self) -> None:
-        """Wait until all is well and nobody but the lease's holder writes anything."""
+        """Wait until everything is healthy and nobody but the lease's holder writes anything."""
         self._until_driven()
         self._until(lambda: self._cluster.built() == (len(self._robots), self._pods), "the pools to be full")
         begun, before = time.monotonic(), self._cluster.counted()
@@ -387,7 +388,7 @@ class Bench:
         self.say(f"something is still written after {SETTLED:g} s")
 
     def say(self, text: str) -> None:
-        """A line of progress."""
+        """Print a line of progress."""
         print(f"[{time.monotonic() - self._begun:6.0f} s] {text}", flush=True)
 
 
@@ -395,20 +396,21 @@ WHO = ("monitor", "operator")
 
 
 def _all_writes(counted: Reading) -> dict[str, float]:
-    """Writes of operator and monitors."""
+    """Return the writes of operator and monitors."""
     return {f"{who}: {what}": n for who in WHO for what, n in counting.writes(counted, who).items()}
 
 
 def _writes_of_each(counted: Reading, failovers: int) -> dict[str, dict[str, float]]:
-    """By whom and what, per failover."""
+    """Return the writes per failover, by account and kind."""
     return {who: {what: n / failovers for what, n in counting.writes(counted, who).items()} for who in WHO}
 
 
 def exclusive(acknowledged: Sequence[tuple[str, str]], pods: Sequence[cluster.Object]) -> tuple[int, int]:
-    """How many claims were made twice, and how many were lost, from what was acknowledged (UID of the pod, claim) and the present state.
+    """Return how many claims were made twice, and how many were lost, by what was acknowledged (UID of the pod, claim)
+    and the present state.
 
-    Twice: two claims were acknowledged for one pod, or a claim is on two. Lost: it was acknowledged and its pod doesn't have it,
-    or a pod has one that nobody knows of.
+    Twice: two claims were acknowledged for one pod, or one claim is on two pods. Lost: a claim was acknowledged but is
+    not on its pod, or a claim on a pod was never acknowledged.
     """
     has = {pod["metadata"]["uid"]: pod["metadata"]["annotations"][cluster.names.CLAIM] for pod in pods}
     uids, claims = [uid for uid, _ in acknowledged], list(has.values())
@@ -426,7 +428,7 @@ def _told(kinds: dict[str, float]) -> str:
 
 
 def told(found: Sequence[Found], options: argparse.Namespace) -> Report:
-    """The figures of all sizes; the bounds are of the greatest."""
+    """Return the report on all sizes; the bounds apply to the largest."""
     report = Report("scale-rest" if options.only_rest else "scale")
     for one in found:
         _tell_one(report, one, options, last=one is found[-1])
@@ -507,7 +509,7 @@ def _tell_one(report: Report, one: Found, options: argparse.Namespace, *, last: 
 
 
 def grown(found: Sequence[Found]) -> dict[str, dict[int, float]]:
-    """What is looked at for its growth: by name and number of robots."""
+    """Return the figures whose growth is evaluated: by name and number of robots."""
     values: dict[str, dict[int, float]] = {}
     for one in found:
         assert one.rest is not None
@@ -528,7 +530,7 @@ def grown(found: Sequence[Found]) -> dict[str, dict[int, float]]:
 
 
 def draw(found: Sequence[Found], options: argparse.Namespace) -> None:
-    """The pictures."""
+    """Draw the pictures."""
     folder: Path = options.pictures
     folder.mkdir(parents=True, exist_ok=True)
     title = f"Claims at {options.rate:g}/s"
@@ -541,7 +543,7 @@ def draw(found: Sequence[Found], options: argparse.Namespace) -> None:
 
 
 def sizes(robots: int, fleet: int) -> list[int]:
-    """A tenth, three tenths and all of the robots, in whole fleets."""
+    """Return a tenth, three tenths and all of the robots, in whole fleets."""
     smaller = {max(1, round(share * robots / fleet)) * fleet for share in (0.1, 0.3)}
     return sorted({size for size in smaller if size < robots} | {robots})
 
@@ -589,7 +591,7 @@ def main() -> None:
             roles.append(role)
         for found in Bench(options, made, roles).run():
             report = told(found, options)
-            written = report.write()  # a run that is given up leaves what it had
+            written = report.write()  # a run that is interrupted keeps its results so far
     print(report.table())
     print(written)
     if options.pictures:

@@ -24,12 +24,12 @@ from bench.results import Report
 from bench.roles import Role
 
 LOOK = 5.0
-"""Seconds between two questions for what was received, of which the last 10 s are kept."""
+"""Seconds between two requests for what was received, of which the last 10 s are kept."""
 
 
 @dataclass
 class Soak:
-    """What was found, minute by minute."""
+    """The results, minute by minute."""
 
     roles: Mapping[str, Role]
     false: list[str] = field(default_factory=list)
@@ -39,23 +39,23 @@ class Soak:
     rates: dict[str, list[float]] = field(default_factory=dict)
     """Least rate in Hz over the leaf's window, by topic."""
     late: list[float] = field(default_factory=list)
-    """The largest delay of a look, in ms."""
+    """The largest delay of a check, in ms."""
     waited: list[float] = field(default_factory=list)
-    """The longest that a message waited which is to be looked at as it comes, in ms."""
+    """The longest wait of a message that must be evaluated on arrival, in ms."""
     memory: list[float] = field(default_factory=list)
-    """Resident, in MB."""
+    """Resident memory, in MB."""
     cpu: list[float] = field(default_factory=list)
     verdicts: int = 0
     doubted: int = 0
 
     def begin(self) -> None:
-        """Leave out what was before."""
+        """Discard earlier results."""
         seen = self.roles["ours"].ask("seen", windows=WINDOWS)
         self.verdicts, self.doubted = -seen["verdicts"], -seen["doubted"]
         self.memory.append(self.roles["ours"].rss())
 
     def minute(self, length: float) -> None:
-        """Look for this many seconds."""
+        """Record for this many seconds."""
         judge = self.roles["ours"]
         gaps: dict[str, float] = {}
         least: dict[str, float] = {}
@@ -83,7 +83,7 @@ class Soak:
         self.seen = seen
 
     def end(self) -> None:
-        """Take in how many verdicts there were."""
+        """Add the number of verdicts."""
         self.verdicts += self.seen["verdicts"]
         self.doubted += self.seen["doubted"]
 
@@ -101,7 +101,7 @@ WINDOWS = {leaf.topic: leaf.window.length for leaf in LEAVES if leaf.window is n
 
 
 def limits(topic: str) -> str:
-    """What a topic's gap stands beside: the leaves that judge it by one."""
+    """Return the limits of the leaves that judge a topic's gap."""
     found = [
         f"{leaf.path} fails at {1000 * leaf.gap:g}" for leaf in LEAVES if leaf.topic == topic and leaf.gap is not None
     ]
@@ -138,7 +138,7 @@ def main() -> None:
     report.figure("looks after a message that calls for one, most of each minute", soak.waited, unit="ms")
     for topic, found in soak.gaps.items():
         if not any(found):
-            continue  # as of transitions, of which there were none
+            continue  # such as a topic of transitions, of which there were none
         report.figure(f"worst gap of {topic}, each minute", found, unit="ms", limit=limits(topic))
     for leaf in LEAVES:
         if leaf.window is not None and leaf.topic in soak.rates:

@@ -1,4 +1,5 @@
-"""Robots that lose what drives them again and again on one long tour: what the benches of the paper's experiments have in common."""
+"""Common parts of the benches of the paper's experiments: robots on one long tour that lose what drives them
+repeatedly."""
 
 from __future__ import annotations
 
@@ -26,26 +27,26 @@ from tests.e2e.navigation import Navigator
 from tests.e2e.scenario import Late
 
 TIMEOUT = 0.5
-"""Seconds of silence of the commands that the examples' policies call a failure, as in the paper."""
+"""Seconds without commands that the examples' policies treat as a failure, as in the paper."""
 
 ALLOWED = 0.1
-"""Seconds beyond the timeout that the robot may be without commands where a standby executes, at p95."""
+"""Seconds beyond the timeout that the robot may be without commands if a standby executes, at p95."""
 
 WITHIN = 120.0
-"""Seconds for the robot to be on its way to a goal again."""
+"""Maximum seconds until the robot moves to a goal again."""
 
 
 @dataclass
 class Drive:
-    """What one configuration gave."""
+    """The results of one configuration."""
 
     recoveries: list[Recovered] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
     overlaps: list[float] = field(default_factory=list)
     others: dict[str, list[float]] = field(default_factory=dict)
-    """What only this experiment measures, by what it is."""
+    """Values that only this experiment measures, by name."""
     cpu: dict[str, float] = field(default_factory=dict)
-    """Mean milli-CPU by what the pods are for."""
+    """Mean milli-CPU by purpose of the pods."""
     goals: int = 0
 
     def parts(self) -> dict[str, list[float]]:
@@ -56,30 +57,30 @@ class Drive:
 
 
 class Experiment(ABC):
-    """What is driven, and when and how it fails."""
+    """An experiment: what is driven, and when and how it fails."""
 
     name: str
-    """Of the bench, of the example, and of the container that drives."""
+    """The name of the bench, of the example, and of the container that drives."""
     robot: type[Navigator]
     configurations: Mapping[str, str]
-    """By name the strategy that each recovers by."""
+    """By name, the strategy with which each configuration recovers."""
     labels: Mapping[str, str]
-    """What the paper calls them."""
+    """The paper's names of the configurations."""
 
     @abstractmethod
     def far(self, robot: Navigator) -> bool:
-        """Whether the robot, which is moving, won't reach its goal at once."""
+        """Return whether the moving robot needs some more time to its goal."""
 
     @abstractmethod
     def measure(self, robot: Navigator, recovery: Recovered, handover: Handover, drive: Drive) -> str:
-        """Note what else a recovery meant for the robot; a word on it."""
+        """Note further effects of a recovery on the robot, and describe them in a few words."""
 
     @abstractmethod
     def report(self, report: Report, name: str, drive: Drive) -> None:
-        """Add the figures of what only this experiment measures."""
+        """Add the figures that only this experiment measures."""
 
     def compare(self, report: Report, drives: Mapping[str, Drive]) -> None:
-        """Add what the paper found, beside what was found here."""
+        """Add figures to compare with the paper's."""
         cluster = {name: fmean(drive.parts()["cluster"]) for name, drive in drives.items()}
         gaps = {name: fmean(drive.gaps) for name, drive in drives.items()}
         hot = self.labels["executing"]
@@ -102,7 +103,7 @@ class Experiment(ABC):
 
 
 def options(experiment: Experiment, described: str | None) -> argparse.Namespace:
-    """What the command line asks for."""
+    """Parse the command line."""
     known = list(experiment.configurations)
     parser = argparse.ArgumentParser(description=described, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--failures", type=int, default=10)
@@ -112,7 +113,7 @@ def options(experiment: Experiment, described: str | None) -> argparse.Namespace
 
 
 def run(experiment: Experiment, options: argparse.Namespace) -> int:
-    """All configurations, one after the other; the exit status. Writes two pictures beside the results."""
+    """Run all configurations one after the other, and return the exit status. Writes two pictures beside the results."""
     kubeconfig = Path(os.environ["KUBECONFIG"])
     install(kubeconfig)
     drives = {name: _drive(kubeconfig, experiment, name, options) for name in options.configurations}
@@ -145,7 +146,7 @@ def run(experiment: Experiment, options: argparse.Namespace) -> int:
 
 
 def _drive(kubeconfig: Path, experiment: Experiment, configuration: str, options: argparse.Namespace) -> Drive:
-    """So many failures on one long drive, in a namespace of its own."""
+    """Run the failures of one configuration on one long drive, in a namespace of its own."""
     kubectl = Kubectl(kubeconfig, f"bench-{uuid.uuid4().hex[:6]}")
     kubectl("create", "namespace", kubectl.namespace)
     drive = Drive()
@@ -153,7 +154,7 @@ def _drive(kubeconfig: Path, experiment: Experiment, configuration: str, options
         robot = experiment.robot(kubectl)
         robot.set_up(configuration)
         robot.wait_ready()
-        robot.send_client(500)  # more than will be reached
+        robot.send_client(500)  # more goals than the robot will reach
         robot.wait_driving(WITHIN)
         nodes = [node["metadata"]["name"] for node in kubectl.list("nodes")]
         with Sampler(
@@ -192,9 +193,9 @@ def _drive(kubeconfig: Path, experiment: Experiment, configuration: str, options
 
 
 def _wait_under_way(experiment: Experiment, robot: Navigator) -> None:
-    """Wait until the robot has been moving for two seconds and won't reach its goal at once.
+    """Wait until the robot has been moving for two seconds and needs some more time to its goal.
 
-    At a goal it stands until the client sends the next one, with nobody at fault for its having no commands.
+    At a goal the robot stands until the client sends the next one, so missing commands are no failure there.
     """
     end = time.monotonic() + WITHIN
     while True:
@@ -219,7 +220,7 @@ def _fail(robot: Navigator, active: str, how: str, number: int) -> Recovered:
 
 
 def _group(container: Container, namespace: str, stack: str) -> str | None:
-    """What a container is for; the robot's simulation and the client aren't part of what is compared."""
+    """Return a container's purpose; None for the robot's simulation and the client, which are not compared."""
     if container.namespace == "understudy-system":
         return "operator"
     if container.namespace != namespace or container.pod.startswith("robot-1-client"):

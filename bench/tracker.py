@@ -89,7 +89,7 @@ class Supervised:
         self.odometry: Any = None
 
     def step(self, command: tuple[float, float] | Driver) -> Verdict:
-        """Go on by STEP with a command, and judge."""
+        """Advance by STEP with a command, and judge."""
         now = self.scene.time
         if now >= self._next_command - 1e-9:
             self._next_command += PERIOD
@@ -125,9 +125,10 @@ class Supervised:
 
 
 def stop(seed: int, fault: Fault = "stands", speed: float = 0.3, **leaf: str) -> tuple[float | None, Verdict]:
-    """How many seconds after the robot's stop (or whatever it does) that is found, and the verdict; None for not in 5 s.
+    """Return the seconds from the robot's stop (or another fault) to its detection, and the verdict; None if it takes
+    more than 5 s.
 
-    The robot drives straight, its commands go on, and from some moment on they don't reach it.
+    The robot drives straight. Its commands continue, but from some time on they do not reach it.
     """
     random = np.random.default_rng(seed)
     scene = Scene(Pose(-1.4, float(random.uniform(-0.8, 0.8)), float(random.uniform(-0.1, 0.1))), seed=seed)
@@ -159,11 +160,11 @@ class Ordinary:
     seen: int = 0
     alarms: list[str] = field(default_factory=list)
     locating: float = 0.0
-    """ms of computing for an image."""
+    """ms of computation per image."""
 
 
 def ordinary(minutes: float, seed: int = 0, *, leaves: bool = True, **leaf: str) -> Ordinary:
-    """Drive about for some minutes of simulated time."""
+    """Drive around for some minutes of simulated time."""
     scene = Scene(seed=seed)
     supervised = Supervised(scene, leaf=leaf)
     driver, found = Driver(scene, seed, leaves=leaves), Ordinary(minutes)
@@ -182,7 +183,7 @@ def ordinary(minutes: float, seed: int = 0, *, leaves: bool = True, **leaf: str)
 
 
 def exactness(count: int, seed: int = 0) -> tuple[list[tuple[float, float]], int]:
-    """By how much the place (m) and the heading (rad) of a robot that stands somewhere are wrong, and how often it isn't seen."""
+    """Return the errors of the place (m) and the heading (rad) of a standing robot, and how often it is not seen."""
     random = np.random.default_rng(seed)
     scene, missed, errors = Scene(seed=seed), 0, []
     supervised = Supervised(scene)
@@ -204,7 +205,8 @@ def exactness(count: int, seed: int = 0) -> tuple[list[tuple[float, float]], int
 def speeds(
     seed: int, speed: float = 0.3, turn: float = 0.0, seconds: float = 6.0
 ) -> list[tuple[float, float, float, float]]:
-    """Of each velocity over a window of steady driving: forward in m/s and turn in rad/s as seen, and as they really were."""
+    """Return each velocity over a window of steady driving: forward in m/s and turn in rad/s, as seen and as they
+    really were."""
     scene = Scene(Pose(-1.0, -0.6, 0.2), seed=seed)
     supervised, found = Supervised(scene), []
     true: list[Pose] = []
@@ -215,7 +217,7 @@ def speeds(
             true.append(scene.pose)
             odometry, window = supervised.odometry, supervised.configuration.window
             if odometry is not None and odometry is not before and scene.time > 2.0:
-                # Of the image that was taken before this step.
+                # The time of the image that was taken before this step.
                 now, then = true[-2], true[-2 - round(window / STEP)]
                 turned = math.remainder(now.heading - then.heading, math.tau)
                 chord = math.hypot(now.x - then.x, now.y - then.y)
@@ -228,7 +230,7 @@ def speeds(
 
 
 def picture(file: Path) -> None:
-    """What the camera sees of a robot that has driven a curve, with what the tracker made of it drawn in."""
+    """Draw the camera's view of a robot that has driven a curve, with the tracker's results in it."""
     scene = Scene(Pose(-1.0, -0.7, 0.1), seed=5)
     supervised, trail = Supervised(scene), []
     matrix = np.array(Scene.matrix()).reshape(3, 3)

@@ -1,4 +1,4 @@
-"""Who fails when: open-loop, so that what is slow to recover doesn't put off the next failure."""
+"""Open-loop times of failures: a slow recovery does not delay the next failure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ T = TypeVar("T")
 
 
 def poisson(rate: float, seconds: float, source: random.Random) -> list[float]:
-    """The times, in seconds from the start and in order, of events that come independently of each other at a rate per second."""
+    """Return the times of independent events at a rate per second, in seconds from the start and in order."""
     found, at = [], source.expovariate(rate)
     while at < seconds:
         found.append(at)
@@ -19,7 +19,7 @@ def poisson(rate: float, seconds: float, source: random.Random) -> list[float]:
 
 
 def spread(items: Sequence[T], count: int, source: random.Random) -> list[T]:
-    """So many of them in a random order; each comes again only after all others."""
+    """Return ``count`` items in random order. An item is repeated only after all others."""
     found: list[T] = []
     while len(found) < count:
         found += source.sample(items, min(len(items), count - len(found)))

@@ -1,5 +1,5 @@
-"""A control plane of the bench's own with simulated nodes: the API server, its store, controllers and scheduler are real, and
-kwok plays the kubelets.
+"""A control plane of the bench's own with simulated nodes: API server, etcd, controllers and scheduler are real, and
+kwok simulates the kubelets.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FLOWS = Resource("flowcontrol.apiserver.k8s.io", "v1", "flowschemas")
 BINDINGS = Resource("rbac.authorization.k8s.io", "v1", "clusterrolebindings")
 TOKEN_SECONDS = 6 * 3600
 AT_ONCE = 16
-"""Requests of the bench's own that are under way together."""
+"""Number of the bench's own requests that run at the same time."""
 
 T = TypeVar("T")
 
@@ -68,7 +68,7 @@ def _script(*arguments: str) -> str:
 
 @contextlib.contextmanager
 def running(*, keep: bool) -> Iterator[Cluster]:
-    """A cluster, new and empty, until the end; with ``keep`` it is left running after it."""
+    """Provide a new and empty cluster for the duration of the context; with ``keep`` it continues to run afterwards."""
     kwok = shutil.which("kwok")
     if kwok is None:
         raise SystemExit("there is no kwok: run this by scripts/bench, which builds it")
@@ -79,7 +79,7 @@ def running(*, keep: bool) -> Iterator[Cluster]:
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "kwok.log"
             with log.open("wb") as out:
-                # Kubelets have machines of their own: what simulates them gives way to what is measured.
+                # Real kubelets have their own machines, so their simulator has a lower priority than what is measured.
                 command = [
                     "nice",
                     "-n",
@@ -105,19 +105,19 @@ def running(*, keep: bool) -> Iterator[Cluster]:
 
 @dataclass(frozen=True)
 class Cluster:
-    """The bench's hands on it, as its administrator."""
+    """The bench's administrative access to the cluster."""
 
     kubeconfig: Path
     folder: Path
-    """For files of this run."""
+    """The folder for files of this run."""
 
     @property
     def access(self) -> Access:
-        """As the administrator."""
+        """The access of the administrator."""
         return load_access(str(self.kubeconfig))
 
     def do(self, work: Callable[[Client], Coroutine[Any, Any, T]]) -> T:
-        """Do something with a client of its own."""
+        """Run some work with a client of its own, and return its result."""
 
         async def run() -> T:
             async with Client(self.access, timeout=120) as client:
@@ -126,15 +126,16 @@ class Cluster:
         return asyncio.run(run())
 
     def counted(self) -> counting.Reading:
-        """What the API server has counted until now."""
+        """Return what the API server has counted so far."""
         return asyncio.run(counting.fetch(self.access))
 
     def collect(self) -> None:
-        """Have the API server collect its garbage now. What fleets' making has left there isn't to be paid for by what is measured next."""
+        """Let the API server collect its garbage now, so that garbage from the creation of fleets does not count in the
+        next measurement."""
         self.do(lambda client: client.read("/debug/pprof/heap", params={"gc": "1"}))
 
     async def prepare(self, client: Client) -> None:
-        """Nodes, the product's kinds and the operator's account."""
+        """Create the nodes, the product's kinds and the operator's account."""
         for number in range(NODE_COUNT):
             node = {"apiVersion": "v1", "kind": "Node", "metadata": {"name": f"simulated-{number}"}}
             await _made(client, NODES, None, node)
@@ -153,7 +154,7 @@ class Cluster:
         await _made(client, BINDINGS, None, binding)
 
     def count_apart(self, fleets: Sequence[Fleet]) -> None:
-        """Have requests of the operator and of these fleets' monitors counted apart."""
+        """Count requests of the operator and of these fleets' monitors separately."""
 
         async def work(client: Client) -> None:
             for schema in counting.schemas([fleet.namespace for fleet in fleets], SYSTEM):
@@ -162,7 +163,7 @@ class Cluster:
         self.do(work)
 
     def operator_kubeconfig(self) -> Path:
-        """A kubeconfig with the operator's token."""
+        """Return a kubeconfig with the operator's token."""
         token = self.do(lambda client: _token(client, SYSTEM, ACCOUNT))
         config = yaml.safe_load(self.kubeconfig.read_text())
         config["users"][0]["user"] = {"token": token}
@@ -171,7 +172,7 @@ class Cluster:
         return file
 
     def add(self, fleets: Iterable[Fleet], pool: int) -> None:
-        """Make fleets."""
+        """Create fleets."""
 
         async def work(client: Client) -> None:
             for fleet in fleets:
@@ -184,7 +185,7 @@ class Cluster:
         self.do(work)
 
     def tokens(self, robots: Sequence[Robot]) -> list[tuple[str, str, str]]:
-        """Namespace, name and the token of its monitor's account, of each robot."""
+        """Return namespace and name of each robot, and the token of its monitor's account."""
 
         async def work(client: Client) -> list[tuple[str, str, str]]:
             async def one(robot: Robot) -> tuple[str, str, str]:
@@ -196,7 +197,7 @@ class Cluster:
         return self.do(work)
 
     def built(self) -> tuple[int, int]:
-        """How many workloads the operator has built, and how many pods of shared pools are ready."""
+        """Return how many workloads the operator has built, and how many pods of shared pools are ready."""
 
         async def work(client: Client) -> tuple[int, int]:
             workloads = (await client.list(WORKLOADS))["items"]
@@ -207,7 +208,7 @@ class Cluster:
         return self.do(work)
 
     def claimed(self) -> list[Object]:
-        """The pods that were claimed and are there."""
+        """Return the claimed pods that exist."""
 
         async def work(client: Client) -> list[Object]:
             pods = (await client.list(PODS, labels=names.POOL))["items"]

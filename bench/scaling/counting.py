@@ -1,8 +1,8 @@
-"""What the API server has counted: requests of operator and monitors apart, and all that its watches sent.
+"""The API server's own counts: requests of operator and monitors separately, and everything that its watches sent.
 
-Its own metric of requests doesn't say whose they are. The one of flow control names the FlowSchema, and a schema can select
-accounts, verbs and resources: so the bench has one for each kind of request that is counted. They have the priority that
-such requests have anyway.
+Its metric of requests does not name their senders. The metric of flow control names the FlowSchema, and a schema can
+select accounts, verbs and resources. So the bench has a schema for each kind of request that is counted. They have the
+same priority as such requests have without them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MONITOR = {
     "events": ["events"],
     "scale": ["replicasets/scale"],
 }
-"""Resources that monitors write, by what the figure calls them; of pods these are claims, labels and deletions."""
+"""Resources that monitors write, by name of the figure. For pods, these are claims, labels and deletions."""
 OPERATOR = {
     "leases": ["leases"],
     "pods": ["pods"],
@@ -49,7 +49,8 @@ def _name(who: str, what: str) -> str:
 
 
 def schemas(monitors: list[str], operator: str) -> list[Object]:
-    """The FlowSchemas; ``monitors`` are the namespaces of monitors' accounts, ``operator`` is that of the operator's."""
+    """Return the FlowSchemas. ``monitors`` are the namespaces of the monitors' accounts; ``operator`` is that of the
+    operator's."""
     found = []
     for who, namespaces, kinds in (("monitor", monitors, MONITOR), ("operator", [operator], OPERATOR)):
         subjects = [{"kind": "Group", "group": {"name": f"system:serviceaccounts:{n}"}} for n in namespaces]
@@ -88,7 +89,8 @@ def _schema(name: str, precedence: int, subjects: list[Object], verbs: tuple[str
 
 
 def writes(reading: Reading, who: str) -> dict[str, float]:
-    """Writes of ``monitor`` or ``operator`` by kind, for kinds that occurred. The operator's lease and dry runs aren't among them."""
+    """Return the writes of ``monitor`` or ``operator`` by kind, for kinds that occurred, without the operator's lease
+    and dry runs."""
     kinds = [*(MONITOR if who == "monitor" else OPERATOR), "other"]
     found = {kind: reading.total(DISPATCHED, flow_schema=_name(who, kind)) for kind in kinds if kind != "leases"}
     if who == "operator":
@@ -97,17 +99,17 @@ def writes(reading: Reading, who: str) -> dict[str, float]:
 
 
 def dry_runs(reading: Reading) -> float:
-    """Pods that the API server was asked to judge only: by the operator, of whom nobody else asks for that."""
+    """Return the number of pods that were only validated by the API server (dry run). Only the operator requests that."""
     return reading.total(REQUESTS, resource="pods", dry_run="All")
 
 
 def requests(reading: Reading, who: str, kind: str) -> float:
-    """``reads`` or ``watches`` of ``monitor`` or ``operator``."""
+    """Return the number of ``reads`` or ``watches`` of ``monitor`` or ``operator``."""
     return reading.total(DISPATCHED, flow_schema=_name(who, kind))
 
 
 async def fetch(access: Access) -> Reading:
-    """What the API server says now."""
+    """Return the API server's present counts."""
     connector = aiohttp.TCPConnector(ssl=access.context)
     timeout = aiohttp.ClientTimeout(total=120)
     async with (

@@ -1,4 +1,4 @@
-"""Metrics as Prometheus' text has them: sums of samples by their labels, and what came to them between two readings."""
+"""Metrics in the text format of Prometheus: sums of samples by their labels, and increases between two readings."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Reading:
     samples: Mapping[tuple[str, Labels], float]
 
     def total(self, name: str, **labels: str | Collection[str]) -> float:
-        """The sum of a metric's samples whose labels are these; of a collection, one of its values."""
+        """Return the sum of a metric's samples with these labels. A collection matches any of its values."""
         return sum(
             value for (found, has), value in self.samples.items() if found == name and _matches(dict(has), labels)
         )
 
     def by(self, name: str, label: str) -> dict[str, float]:
-        """A metric's sums by one of its labels, of those that aren't 0."""
+        """Return a metric's sums by one of its labels, without those that are 0."""
         sums: dict[str, float] = {}
         for (found, has), value in self.samples.items():
             if found == name and value:
@@ -34,7 +34,7 @@ class Reading:
         return sums
 
     def since(self, before: Reading) -> Reading:
-        """The increase of each sample since another reading; one that is smaller now was reset."""
+        """Return the increase of each sample since another reading. A sample that is smaller now was reset."""
         return Reading(
             {
                 key: value - then if value >= (then := before.samples.get(key, 0.0)) else value
@@ -51,7 +51,7 @@ def _matches(has: Mapping[str, str], wanted: Mapping[str, str | Collection[str]]
 
 
 def read(text: str, names: Collection[str]) -> Reading:
-    """The samples with one of these names."""
+    """Return the samples with one of these names."""
     samples: dict[tuple[str, Labels], float] = {}
     for line in text.splitlines():
         if line.startswith("#") or (match := _SAMPLE.match(line)) is None or match[1] not in names:

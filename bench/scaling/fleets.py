@@ -1,4 +1,4 @@
-"""What the bench's users write: robots in fleets, each fleet in a namespace with its policy and its shared pool."""
+"""The objects of the bench's users: robots in fleets, each fleet in a namespace with its policy and its shared pool."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Robot:
 
     @property
     def key(self) -> str:
-        """What it is called among all."""
+        """A unique key of the robot."""
         return f"{self.namespace}/{self.name}"
 
 
@@ -35,7 +35,7 @@ class Fleet:
 
 
 def fleets(robots: int, size: int) -> list[Fleet]:
-    """So many robots in fleets of a size; the last may be smaller."""
+    """Return this many robots in fleets of a size; the last fleet may be smaller."""
     found = []
     for number, first in enumerate(range(0, robots, size)):
         namespace = f"fleet-{number}"
@@ -45,13 +45,13 @@ def fleets(robots: int, size: int) -> list[Fleet]:
 
 
 def _template() -> Object:
-    """One container; its scheduling is real, its node isn't."""
+    """Return a pod template with one container. Its scheduling is real, its node is not."""
     app = {"name": "app", "image": IMAGE, "command": ["run"], "resources": {"requests": {"cpu": "100m"}}}
     return {"metadata": {"labels": dict(_LABELS)}, "spec": {"terminationGracePeriodSeconds": 1, "containers": [app]}}
 
 
 def shared(pool: int) -> Iterator[Object]:
-    """A fleet's policy, and its pool of so many pods."""
+    """Yield a fleet's policy, and its pool of ``pool`` pods."""
     tree = {"topic": {"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "gap": "500ms"}}
     strategies = [
         {"type": "Fallback", "poolRef": {"name": POOL}, "verifyWithin": "30s", "waitFor": "30s"},
@@ -68,7 +68,7 @@ def shared(pool: int) -> Iterator[Object]:
 
 
 def workload(robot: Robot) -> Object:
-    """A robot's application."""
+    """Return a robot's RobotWorkload."""
     spec = {
         "template": _template(),
         "outputs": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}],

@@ -1,4 +1,4 @@
-"""How figures grow with the number of robots, and what they come to for more of them."""
+"""How figures grow with the number of robots, and their extrapolation to more robots."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 LEAST = 1e-9
-"""What counts as 0: it has no logarithm."""
+"""The value that counts as 0, which has no logarithm."""
 
 
 def exponent(sizes: Sequence[float], values: Sequence[float]) -> float | None:
-    """The power of the size with which the values grow, by least squares of their logarithms; None where one of them is 0.
+    """Return the power of the size with which the values grow, by least squares of their logarithms; None if one of
+    them is 0.
 
-    0: they don't depend on the size, 1: they grow in proportion, 2: with its square.
+    0: they do not depend on the size, 1: they grow in proportion, 2: with its square.
     """
     if len(sizes) < 2 or any(value <= LEAST for value in values):
         return None
@@ -24,10 +25,10 @@ def exponent(sizes: Sequence[float], values: Sequence[float]) -> float | None:
 
 
 def extrapolated(sizes: Sequence[float], values: Sequence[float], to: float) -> tuple[float, float]:
-    """The least and the most that a value comes to at a greater size.
+    """Return the least and the greatest expected value at a larger size.
 
-    The one if it goes on in a straight line from the two greatest sizes, the other if it goes on by the steepest power that it
-    had between two sizes, and both not less than it was at the greatest size.
+    One is a straight line through the two largest sizes. The other uses the steepest power between two successive
+    sizes. Neither is less than the value at the largest size.
     """
     (before, b), (last, a) = sorted(zip(sizes, values, strict=True))[-2:]
     line = max(a, a + (a - b) / (last - before) * (to - last))

@@ -1,4 +1,4 @@
-"""Many monitors in one process: the real ones but for their senses (bench/scaling/senses.py), each with its own account,
+"""Many monitors in one process, real except for their senses (bench/scaling/senses.py), each with its own account,
 connections and watches. Run as a role of the bench (bench/roles.py).
 """
 
@@ -50,7 +50,7 @@ from understudy.monitor.observe.wakeups import Wakeups
 from understudy.monitor.report.status_writer import StatusWriter
 
 TICK = 10.0
-"""Seconds between two looks of a monitor that nothing wakes: what it looks at is simulated here, and wakes it."""
+"""Maximum seconds between two rounds of a monitor. Its senses are simulated here and wake it."""
 
 AT_ONCE = 16
 """Monitors that start at the same time."""
@@ -66,7 +66,7 @@ class Recording(Notices):
 
     robot = ""
     intended = 0.0
-    """When the bench wanted the failure, in unix seconds."""
+    """The planned time of the failure, in unix seconds."""
 
     def record(self, progress: Progress) -> Any:
         """Add a finished recovery."""
@@ -84,7 +84,7 @@ class Recording(Notices):
 
 
 class PodWakeups(Wakeups):
-    """Wakes a monitor, but not for a pod that it merely claims: to a recovery that is no surprise."""
+    """Wakes a monitor, but not for a pod that the monitor claims itself."""
 
     claiming = False
 
@@ -97,7 +97,8 @@ class Monitor:
     """One robot's monitor."""
 
     def __init__(self, robot: Robot, client: Drain, waiting: Reflector, state: Path) -> None:
-        """``waiting`` is a copy of the gates of its namespace that wait for pods: all monitors of it watch them alike."""
+        """``waiting`` is a copy of the gates of the robot's namespace that wait for pods. All monitors of the namespace
+        share it."""
         self.robot, self._client, self._waiting, self._state = robot, client, waiting, state
         self.application = Application()
         self.wakeups, self.current = PodWakeups(), CurrentRecovery()
@@ -107,7 +108,8 @@ class Monitor:
         self.notices: Recording | None = None
 
     async def run(self, watching: asyncio.Event) -> None:
-        """As ``understudy.monitor.process`` puts it together; ``watching`` is set once its copies are there."""
+        """Run the parts as ``understudy.monitor.process`` composes them; ``watching`` is set once their copies are
+        complete."""
         client, namespace = self._client, self.robot.namespace
         async with asyncio.TaskGroup() as group:
             view = ClusterView(client, namespace, self.robot.name, self.wakeups)
@@ -141,19 +143,19 @@ class Monitor:
             await self.monitor_loop.run()
 
     def wake(self) -> None:
-        """Have it look at once."""
+        """Wake the monitor at once."""
         self.wakeups.pod_changed()
 
     @property
     def drives(self) -> str:
-        """UID of the instance in control if its outputs flow and nothing is being recovered, else nothing."""
+        """UID of the active instance if its outputs flow and there is no recovery, else empty."""
         if self.gate is None or self.monitor_loop is None or self.current.progress is not None:
             return ""
         uid = self.gate.state.active_uid
         return uid if self.application.well(uid) else ""
 
     def fail(self, intended: float) -> bool:
-        """Have the instance in control fail now; whether there was one."""
+        """Let the active instance fail now, and return whether there was one."""
         uid = self.drives
         if not uid or self.notices is None:
             return False
@@ -163,7 +165,7 @@ class Monitor:
         return True
 
     async def claim(self, intended: float) -> None:
-        """Claim a pod of the pool as a recovery does, and nothing else of it."""
+        """Claim a pod of the pool as a recovery does, without the rest of a recovery."""
         assert self.monitor_loop is not None
         self.wakeups.claiming = True
         begun = time.time()
@@ -215,23 +217,23 @@ class Process:
         return {}
 
     def state(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """How many there are, and how many of their robots are driven."""
+        """Return how many monitors there are, and how many of their robots are driven."""
         return {"monitors": len(self._monitors), "driven": sum(bool(m.drives) for m in self._monitors.values())}
 
     def settle(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """What is there now stays: looking through all of it for garbage would stop every monitor of this process at once."""
+        """Exclude all present objects from garbage collection, which would stop every monitor of this process at once."""
         gc.collect()
         gc.freeze()
         return {}
 
     def fail(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """Have robots fail: ``failures`` has unix time and robot of each."""
+        """Let robots fail: ``failures`` has unix time and robot of each."""
         for at, robot in asked["failures"]:
             self._do(self._fail(at, self._monitors[robot]))
         return {}
 
     def claim(self, asked: Mapping[str, Any]) -> dict[str, Any]:
-        """Have robots claim: ``claims`` has unix time and robot of each."""
+        """Let robots claim pods: ``claims`` has unix time and robot of each."""
         for at, robot in asked["claims"]:
             self._do(self._claim(at, self._monitors[robot]))
         return {}
@@ -268,7 +270,7 @@ class Process:
 
     async def _fail(self, at: float, monitor: Monitor) -> None:
         await asyncio.sleep(at - time.time())
-        # It may be recovering from another; nothing tells when that is over.
+        # The robot may be recovering from another failure, and nothing reports the end of that.
         while not monitor.fail(at):  # noqa: ASYNC110
             await asyncio.sleep(0.05)
 
@@ -278,7 +280,8 @@ class Process:
 
 
 def _shared(access: Access) -> Any:
-    """The context of TLS connections without the administrator's certificate: monitors prove who they are by tokens."""
+    """Return the context of TLS connections without the administrator's certificate, because monitors authenticate by
+    tokens."""
     global _context
     if _context is None:
         import ssl

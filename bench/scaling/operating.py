@@ -1,4 +1,4 @@
-"""The operator as a process that is measured: its processor time and memory as the kernel counts them, and its own metrics."""
+"""The operator as a measured process: its processor time and memory by the kernel's account, and its own metrics."""
 
 from __future__ import annotations
 
@@ -23,10 +23,11 @@ RECONCILED, MISSED = "understudy_reconciliations_total", "understudy_watch_misse
 RESYNC = "understudy_last_resync_seconds"
 NAMES = frozenset({QUEUE, RESYNCED, LEADER, RECONCILED, MISSED, RESYNC})
 SAMPLE = 0.5
-"""Seconds between two looks at its memory, and whether it is there."""
+"""Seconds between two samples of its memory, and checks whether it runs."""
 
 BACKOFF_FIRST, BACKOFF_MOST = 10.0, 300.0
-"""Seconds after which one that has ended again is started, as a kubelet does it; the first time at once."""
+"""Seconds until the operator is started again after another end, as by a kubelet. The first time it is started at once.
+"""
 
 PROGRAM = """
 import sys
@@ -34,18 +35,19 @@ sys.modules["kubernetes"] = sys.modules["kubernetes_asyncio"] = None
 from understudy.main import main
 sys.exit(main())
 """
-"""``understudy`` as in its image: kopf imports these clients wherever it finds them, which takes 75 MB, and only tests need them."""
+"""Runs ``understudy`` as in its image: kopf imports these clients if they are installed, which takes 75 MB, and only
+tests need them."""
 
 
 @dataclass
 class Usage:
-    """Between two moments."""
+    """The use of resources between two times."""
 
     seconds: float
     cpu: float
-    """Seconds of a processor."""
+    """Seconds of processor time."""
     memory: list[float] = field(default_factory=list)
-    """Resident, in MB, at each look."""
+    """Resident memory in MB, at each sample."""
 
     @property
     def milli(self) -> float:
@@ -54,7 +56,8 @@ class Usage:
 
 
 class Operator:
-    """The operator between ``with`` and its end: one that ends by itself is started again, as its Deployment's kubelet would."""
+    """The operator for the duration of the context. If it ends by itself, it is started again, as its Deployment's
+    kubelet would."""
 
     def __init__(self, kubeconfig: Path, log: Path) -> None:
         self._kubeconfig, self._log = kubeconfig, log
@@ -85,7 +88,7 @@ class Operator:
         self._ended.set()
         self._keeping.join()
         assert self._process is not None
-        self._process.terminate()  # it gives its lease back
+        self._process.terminate()  # the operator releases its lease
         try:
             self._process.wait(30)
         except subprocess.TimeoutExpired:
@@ -93,7 +96,7 @@ class Operator:
             self._process.wait()
 
     def metrics(self) -> Reading | None:
-        """Its own metrics; None while it doesn't answer."""
+        """Return the operator's own metrics; None if it does not answer."""
         try:
             with urllib.request.urlopen(f"http://127.0.0.1:{self._port}/metrics", timeout=10) as answer:
                 return read(answer.read().decode(), NAMES)
@@ -102,7 +105,7 @@ class Operator:
 
     @property
     def idle(self) -> bool:
-        """Whether it leads, has listed everything and has nothing left to look at."""
+        """Whether the operator leads, has listed everything and has nothing left to process."""
         found = self.metrics()
         if found is None or not found.total(LEADER) or not found.total(RESYNCED):
             return False
@@ -113,7 +116,7 @@ class Operator:
         return Measure(self)
 
     def cpu(self) -> float:
-        """Processor time so far, in seconds, of those too that have ended."""
+        """Return the processor time so far in seconds, including that of processes that have ended."""
         return self._used + self._own_cpu()
 
     def _own_cpu(self) -> float:
@@ -122,22 +125,22 @@ class Operator:
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
     def memory(self) -> float:
-        """Resident, in MB."""
+        """Return the resident memory in MB."""
         assert self._process is not None
         status = Path(f"/proc/{self._process.pid}/status").read_text()
         return int(status.split("VmRSS:")[1].split()[0]) * 1024 / 1e6
 
     @property
     def samples(self) -> list[float]:
-        """All looks at its memory so far."""
+        """All samples of the operator's memory so far."""
         return self._memory
 
     def _keep(self) -> None:
-        """Sample its memory, and start it again a moment after it has ended: the first time soon, then more and more slowly."""
+        """Sample the operator's memory, and start it again after it has ended, with increasing delays."""
         assert self._process is not None
         again = 0.0
         while not self._ended.wait(SAMPLE):
-            # Not yet waited for, so that its processor time can still be read.
+            # WNOWAIT leaves the process unreaped, so that its processor time can still be read.
             if os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
                 with contextlib.suppress(OSError, IndexError):
                     self._memory.append(self.memory())
@@ -152,14 +155,14 @@ class Operator:
 
 
 class Measure:
-    """What an operator uses from now on."""
+    """Measures the operator's use of resources from now on."""
 
     def __init__(self, operator: Operator) -> None:
         self._operator = operator
         self._begun, self._cpu, self._first = time.monotonic(), operator.cpu(), len(operator.samples)
 
     def end(self) -> Usage:
-        """What it has used."""
+        """Return the use so far."""
         memory = self._operator.samples[self._first :] or [self._operator.memory()]
         return Usage(time.monotonic() - self._begun, self._operator.cpu() - self._cpu, memory)
 

@@ -1,4 +1,5 @@
-"""What a run looks like: how long claims took, how long until all had recovered, how figures grow with the fleet."""
+"""Pictures of a run: the time of claims, the time until all robots had recovered, and the growth of figures with the
+fleet."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ def _axes(width: float = 7.0) -> tuple[Figure, Axes]:
 
 
 def latencies(values: Mapping[int, Sequence[float]], bound: float, path: Path, *, title: str) -> None:
-    """The share of claims that took at most so long (in ms), by the number of robots; the bound is of the 99th percentile."""
+    """Draw the share of claims that took at most a given time (in ms), by number of robots. The bound is for the 99th
+    percentile."""
     figure, axes = _axes()
     for colour, (robots, found) in zip(COLOURS, sorted(values.items()), strict=False):
         ordered = sorted(found)
@@ -38,7 +40,7 @@ def latencies(values: Mapping[int, Sequence[float]], bound: float, path: Path, *
 
 
 def recoveries(values: Mapping[int, Sequence[float]], path: Path, *, title: str) -> None:
-    """How many robots are driven again so many seconds after all of them failed, by the number of robots there are."""
+    """Draw how many robots are driven again at each second after all of them failed, by number of robots."""
     figure, axes = _axes()
     for colour, (robots, found) in zip(COLOURS, sorted(values.items()), strict=False):
         ordered = sorted(found)
@@ -55,7 +57,7 @@ def recoveries(values: Mapping[int, Sequence[float]], path: Path, *, title: str)
 
 
 def growth(values: Mapping[str, Mapping[int, float]], path: Path, *, title: str) -> None:
-    """Figures over the number of robots, each as a multiple of what it is for the fewest of them."""
+    """Draw figures over the number of robots, each as a multiple of its value for the fewest robots."""
     figure, axes = _axes(10.0)
     sizes = sorted({size for found in values.values() for size in found})
     for number, (name, found) in enumerate(values.items()):

@@ -1,6 +1,7 @@
-"""What a monitor knows of its robot and of its instances' agents, where the real one has DDS and connections.
+"""A monitor's senses for its robot and for its instances' agents, in place of DDS and connections.
 
-Everything goes well at once, but for failures that the bench asks for: what is measured is the API server and what is asked of it.
+Nothing fails or takes time except for the failures that the bench requests, because the subject is the API server and
+the requests to it.
 """
 
 from __future__ import annotations
@@ -18,32 +19,32 @@ from understudy.kube.gates.base import Proof
 from understudy.trees.core.health_tree import Verdict
 
 STARTUP = 0.1
-"""Seconds from telling a claimed instance to start until its outputs flow."""
+"""Seconds from the order to start a claimed instance until its outputs flow."""
 
 LOOK = 0.02
-"""Seconds between two looks at what is waited for."""
+"""Seconds between two checks during a wait."""
 
 
 class Application:
-    """The instances of one workload, as far as they drive or could."""
+    """The instances of one workload, with their health."""
 
     def __init__(self) -> None:
         self.healthy_since: dict[str, float] = {}
-        """By UID, in unix seconds."""
+        """Start of health by UID, in unix seconds."""
         self.failed: dict[str, float] = {}
-        """When an instance failed for good, by UID."""
+        """Time of the final failure, by UID."""
 
     def well(self, uid: str) -> bool:
-        """Whether its outputs flow, into a gate or through it."""
+        """Return whether the instance's outputs flow, through an open gate or into a closed one."""
         return self.healthy_since.get(uid, float("inf")) <= time.time() and uid not in self.failed
 
     def start(self, uid: str, after: float = 0.0) -> None:
-        """Its processes begin."""
+        """Start the instance's processes."""
         self.healthy_since.setdefault(uid, time.time() + after)
 
 
 class HealthObserver:
-    """What arrives at the gated readers of one robot."""
+    """The data that arrives at the gated readers of one robot."""
 
     graph = None
     coming = None
@@ -93,7 +94,7 @@ class HealthObserver:
 
 
 class Outputs:
-    """What the failover protocol sees of it."""
+    """The failover protocol's view of the robot's data."""
 
     expected: Sequence[str] = ("/cmd_vel",)
 
@@ -110,7 +111,7 @@ class Outputs:
 
 
 class Probes(Proof):
-    """Enforced at once: there is no network."""
+    """Reports every gate as enforced at once, because there is no network."""
 
     def __init__(self, application: Application) -> None:
         self._application = application
@@ -125,7 +126,8 @@ class Probes(Proof):
 
 
 class AgentConnections:
-    """The agents of a workload's instances: those of its own controller start by themselves, claimed ones when their agent starts them."""
+    """The agents of a workload's instances. Instances of its own controller start by themselves, claimed ones are
+    started by their agent."""
 
     def __init__(self, application: Application) -> None:
         self._application = application

@@ -1,7 +1,7 @@
-"""A copy of what all monitors of a fleet watch alike: each has its watch, and what it brings is read once.
+"""A shared copy of what all monitors of a fleet watch: each has its own watch, but only one is decoded.
 
-In a real fleet each monitor reads it on a machine of its own. Here they share some processors with the API server, of which is
-measured what all these watches ask of it.
+In a real fleet each monitor decodes its watch on its own machine. Here the monitors share some processors with the API
+server, whose cost for all these watches is measured.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ LIFETIME = 300
 
 
 class Drain(Client):
-    """A client that can hold a watch open without reading what it brings."""
+    """A client that can hold a watch open without decoding its events."""
 
     async def drain(self, resource: Resource, namespace: str, selector: Mapping[str, str], version: str) -> None:
-        """Take in what comes until the server ends the watch."""
+        """Receive data until the server ends the watch."""
         assert self._session is not None
         params = {
             **selector,
@@ -40,7 +40,7 @@ class Drain(Client):
 
 
 class Borrowed(Reflector):
-    """What another reflector has a copy of, with a watch of one's own that isn't read."""
+    """Another reflector's copy, with a watch of its own whose events are not decoded."""
 
     def __init__(
         self, original: Reflector, client: Drain, resource: Resource, namespace: str, *, labels: str | None = None
@@ -52,16 +52,16 @@ class Borrowed(Reflector):
 
     @property
     def items(self) -> dict[str, Object]:  # type: ignore[override]
-        """As the original has them."""
+        """The objects of the original."""
         return self._original.items
 
     @property
     def revision(self) -> int:  # type: ignore[override]
-        """As the original has it."""
+        """The revision of the original."""
         return self._original.revision
 
     async def run(self) -> None:
-        """Watch until cancelled, through every error."""
+        """Watch until cancelled, and continue after every error."""
         await self.synced.wait()
         while True:
             try:
@@ -70,8 +70,8 @@ class Borrowed(Reflector):
                 await asyncio.sleep(RETRY_FIRST)
 
     def put(self, item: Object) -> None:
-        """Never needed: nobody writes these."""
+        """Do nothing: nobody writes these objects."""
 
     def changed(self) -> Awaitable[object]:
-        """What ends with the next change."""
+        """Return an awaitable that ends with the next change."""
         return self._original.changed()

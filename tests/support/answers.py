@@ -1,4 +1,4 @@
-"""How an API server applies a patch and formats a list, for tests that stand in for one."""
+"""Applies patches and formats lists like an API server, for tests that stand in for one."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def json_patched(item: Object, operations: list[Object]) -> Object:
 
 
 def tabled(pods: Object) -> Object:
-    """Return a list of pods as a table without the pods themselves."""
+    """Return a list of pods as a table that does not contain the pods themselves."""
     return {
         "kind": "Table",
         "apiVersion": "meta.k8s.io/v1",

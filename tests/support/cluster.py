@@ -1,5 +1,4 @@
-"""Accesses the cluster under test with the official client, because tests must not use the code that they test for
-that."""
+"""Accesses the cluster under test with the official client, because tests must not use the code under test for that."""
 
 from __future__ import annotations
 

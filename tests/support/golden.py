@@ -1,8 +1,8 @@
-"""Compares what the product says with the wording that is kept: in ``tests/golden``, and in pages of the documentation.
+"""Compares texts of the product with the expected wording: in ``tests/golden``, and in pages of the documentation.
 
-A test asserts on reasons, fields and numbers. The sentences around them stand in one file per surface, such as
-``tests/golden/explain.yaml``, under the test's file and name. After an intended change of wording, ``UPDATE_GOLDEN=1`` makes the
-tests write what the product says now; the difference in these files is what a review reads.
+A test asserts on reasons, fields and numbers. The sentences around them are in one file per surface, such as
+``tests/golden/explain.yaml``, under the test's file and name. After an intended change of wording, ``UPDATE_GOLDEN=1``
+makes the tests write the product's present texts. A review reads the difference in these files.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ FOLDER = Path(__file__).resolve().parent.parent / "golden"
 
 _test = ""
 _compared: dict[str, int] = {}
-"""How many texts of each surface the test that runs has compared so far."""
+"""How many texts of each surface the running test has compared so far."""
 
 
 def begin(test: str) -> None:
-    """Forget what the test before has compared (``tests/conftest.py`` calls this before each test)."""
+    """Forget what the previous test has compared (``tests/conftest.py`` calls this before each test)."""
     global _test
     _test = test
     _compared.clear()
@@ -31,7 +31,7 @@ def begin(test: str) -> None:
 def assert_golden(surface: str, said: str | Iterable[str], *facts: str) -> None:
     """Assert that the next text of this test is the one in the surface's file, or write it there.
 
-    Several lines can be given instead of one text. ``facts`` are what the text must contain whatever its wording: reasons,
+    A text can be given as several lines. ``facts`` are what the text must contain whatever its wording: reasons,
     fields, names, numbers.
     """
     text = said if isinstance(said, str) else "\n".join(said)
@@ -49,21 +49,21 @@ def assert_golden(surface: str, said: str | Iterable[str], *facts: str) -> None:
 
 
 def texts(path: Path) -> dict[str, list[str]]:
-    """The texts of a golden file by the name of their test."""
+    """Return the texts of a golden file by the name of their test."""
     return (yaml.load(path.read_text(), yaml.CSafeLoader) if path.exists() else None) or {}
 
 
 def _write(path: Path, number: int, text: str) -> None:
     path.parent.mkdir(exist_ok=True)
     with path.open("a") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)  # Several test processes write at a time.
+        fcntl.flock(file, fcntl.LOCK_EX)  # Several test processes may write at the same time.
         kept = texts(path)
         kept[_test] = [*kept.get(_test, [])[:number], text]
         path.write_text(yaml.dump(kept, Dumper=_Dumper, allow_unicode=True, width=10**6))
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes a text of several lines as such."""
+    """Writes a text of several lines as a block."""
 
     def represent_text(self, text: str) -> yaml.ScalarNode:
         return self.represent_scalar("tag:yaml.org,2002:str", text, style="|" if "\n" in text else None)

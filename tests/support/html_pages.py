@@ -55,7 +55,7 @@ class Read(HTMLParser):
         return found
 
     def texts_with(self, *facts: str) -> list[str]:
-        """The texts in which one of these facts stands."""
+        """Return the texts that contain one of these facts."""
         return [text for text in self.texts if any(fact in text for fact in facts)]
 
     @property

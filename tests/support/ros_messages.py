@@ -89,7 +89,7 @@ class Image:
 
 @dataclass
 class CameraInfo:
-    """sensor_msgs/msg/CameraInfo: what a calibration says."""
+    """sensor_msgs/msg/CameraInfo."""
 
     width: int
     height: int

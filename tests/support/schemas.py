@@ -1,11 +1,11 @@
 """JSON schemas of the kinds that are applied to clusters, in the folders in which kubeconform looks for them.
 
-Those that it would ask the network for are made of the same documents: Kubernetes' own descriptions of its API, as they are in the
-module that the local cluster is built of; and what CustomResourceDefinitions say of the kinds of others. All are closed: an API
-server drops a field that it doesn't know, and here that is an error.
+The schemas have the same sources as those that kubeconform would download: Kubernetes' own descriptions of its API,
+from the module from which the local cluster is built, and CustomResourceDefinitions. All are closed: an API server
+drops an unknown field, and here that is an error.
 
-``python -m tests.support.schemas`` makes those of Kubernetes and of the Prometheus operator, once; what their modules hold is
-downloaded where it isn't there.
+``python -m tests.support.schemas`` makes those of Kubernetes and of the Prometheus operator, once. It downloads their
+modules if they are missing.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from testcluster.shell import run
 Schema = dict[str, Any]
 
 LOCATION = "{{.Group}}/{{.ResourceKind}}_{{.ResourceAPIVersion}}.json"
-"""Where a kind's schema is in such a folder, in kubeconform's words."""
+"""The path of a kind's schema in such a folder, as a kubeconform template."""
 
 PROMETHEUS_OPERATOR = "v0.85.0"
 _SCRAPING = ("podmonitors", "prometheusrules")
-"""Those of the Prometheus operator's kinds of which the chart has objects."""
+"""The Prometheus operator's kinds of which the chart has objects."""
 
 _LEFT_TO_KUBERNETES = {
     ("spec", "template", "spec"): "io.k8s.api.core.v1.PodSpec",
     ("spec", "monitor", "resources"): "io.k8s.api.core.v1.ResourceRequirements",
 }
-"""What our own definitions leave open, since Kubernetes looks at it when the pods are made."""
+"""Fields that our own definitions leave open, since Kubernetes checks them when it creates the pods."""
 
 _METADATA = "io.k8s.apimachinery.pkg.apis.meta.v1.ObjectMeta"
 _OPEN = "x-kubernetes-preserve-unknown-fields"
@@ -45,16 +45,16 @@ _ALL = "kubernetes.json"
 
 
 def folder() -> Path:
-    """Where the schemas of Kubernetes and of the Prometheus operator are, once they are made."""
+    """Return the folder of the schemas of Kubernetes and of the Prometheus operator."""
     decided = f"{kubernetes_version()} {PROMETHEUS_OPERATOR} {Path(__file__).read_text()}"
     return cache() / "schemas" / hashlib.sha256(decided.encode()).hexdigest()[:12]
 
 
 def ensure(progress: Progress) -> None:
-    """Makes that folder, unless that was done before.
+    """Make that folder, unless it exists.
 
     Raises:
-        CommandFailed, MissingPrograms: there is no Go compiler, or a module could not be had.
+        CommandFailed, MissingPrograms: there is no Go compiler, or a module could not be downloaded.
     """
     with locks.held("schemas", progress):
         if folder().exists():
@@ -69,11 +69,11 @@ def ensure(progress: Progress) -> None:
 
 
 def of_definitions(definitions: Iterable[Path], out: Path, kubernetes: Path) -> None:
-    """Writes the schemas of the kinds that CustomResourceDefinitions define.
+    """Write the schemas of the kinds that CustomResourceDefinitions define.
 
     Args:
-        definitions: files, each with one.
-        out: where to.
+        definitions: files with one definition each.
+        out: the folder to write to.
         kubernetes: the folder with the schemas of Kubernetes, as seen from a schema that is written.
     """
 
@@ -94,7 +94,8 @@ def of_definitions(definitions: Iterable[Path], out: Path, kubernetes: Path) -> 
 
 
 def closed(schema: Schema) -> Schema:
-    """A schema of which objects have no other fields than those that it names, without what decides nothing."""
+    """Return a schema whose objects have no fields other than the named ones, without parts that do not affect
+    validation."""
     found = {key: value for key, value in schema.items() if key not in ("description", "default", "example")}
     if "properties" in schema:
         found["properties"] = {name: closed(one) for name, one in schema["properties"].items()}
@@ -110,12 +111,13 @@ def _field(schema: Schema, fields: Iterable[str]) -> Schema | None:
     found: Schema | None = schema
     for field in fields:
         found = found and found.get("properties", {}).get(field)
-    # A definition that isn't ours says itself what it means.
+    # A definition of somebody else states itself which fields it leaves open.
     return found if found and found.get(_OPEN) else None
 
 
 def _of_kubernetes(documents: Iterable[Path], out: Path) -> None:
-    """All definitions in one file, since they refer to one another, and for each kind one that refers to its own."""
+    """Write all definitions in one file, since they refer to each other, and for each kind a file that refers to its
+    definition."""
     definitions: dict[str, Schema] = {}
     for document in documents:
         definitions |= json.loads(document.read_text()).get("components", {}).get("schemas", {})
@@ -135,7 +137,7 @@ def _write(out: Path, group: str, kind: str, version: str, schema: Schema) -> No
 
 
 def _module(go: str, module: str) -> Path:
-    """The folder with a Go module's files."""
+    """Return the folder with a Go module's files."""
     told = json.loads(run(go, "mod", "download", "-json", module, cwd=cache(), env={"GOFLAGS": "", "GOWORK": "off"}))
     return Path(told["Dir"])
 
