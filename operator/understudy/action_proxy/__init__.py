@@ -1,4 +1,4 @@
-"""The action proxy: an action server for clients, whose goals outlive the instance that works on them.
+"""The action proxy: an action server for clients, whose goals outlive the instance that executes them.
 
-The monitor reports the active instance to it.
+The monitor reports the active instance to the proxy.
 """

@@ -1,4 +1,4 @@
-"""What the monitor reports to the task proxy: the tasks, the instances, and the active one."""
+"""The monitor's report to the task proxy: the tasks, the instances, and the active one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Keeps what the task proxy needs after a restart of its container, in a file."""
+"""A file with the state that the task proxy needs after a restart of its container."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which goals exist, at which instances, and what follows from events: the rules of the task proxy, without ROS.
+"""Records which goals exist at which instances, and concludes what to do: the rules of the task proxy, without ROS.
 
 The proxy records every event in the ledger. Then :meth:`GoalLedger.advance` draws the conclusions. The orders for an
 instance can be read at any time (:meth:`GoalLedger.orders`), and sent repeatedly. So no lost event, and no restart of

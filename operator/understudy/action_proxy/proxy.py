@@ -1,7 +1,7 @@
-"""The task proxy: serves the workload's actions to clients, and has the instances work on their goals.
+"""The task proxy: serves the workload's actions to clients, and assigns their goals to the instances.
 
-Every event is recorded in the ledger. The conclusions are stored in the journal first and carried out then, so that a
-process that is killed at any time continues from there.
+The proxy records every event in the ledger. It stores the conclusions in the journal before it carries them out, so that a process that is
+killed at any time continues from there.
 """
 
 from __future__ import annotations

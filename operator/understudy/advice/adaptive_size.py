@@ -1,7 +1,7 @@
 """Adapts the size of a pool to the failures: it grows at once, and shrinks slowly, by one, if the smaller size surely suffices.
 
-It grows by the expected rate and shrinks by the upper bound of the rate. This hysteresis prevents a size that alternates between
-two values.
+It grows by the expected rate and shrinks by the upper bound of the rate. This hysteresis prevents the size from alternating between two
+values.
 """
 
 from __future__ import annotations

@@ -115,15 +115,15 @@ class Agent:
     # -- what a monitor sees ----------------------------------------------------------------------------------------
 
     def greeting(self) -> Mapping[str, str]:
-        """Name and UID of the pod."""
+        """Return the name and UID of the pod."""
         return {"pod": self._identity.pod, "uid": self._identity.uid}
 
     def token(self) -> bytes:
-        """The shared secret. Raises OSError."""
+        """Return the shared secret. Raises OSError."""
         return self._identity.token()
 
     def refuses(self, workload: str, claim: str) -> str | None:
-        """Why a monitor may not command this pod; None if it may."""
+        """Return why a monitor may not command this pod; None if it may."""
         mine = self._identity.workload
         if mine and workload != mine:
             return f"pod {self._identity.pod} is an instance of {mine}, not of {workload}"
@@ -182,7 +182,7 @@ class Agent:
     # -- what a monitor commands ------------------------------------------------------------------------------------
 
     def operations(self) -> Mapping[str, Operation]:
-        """The operations that a monitor can request."""
+        """Return the operations that a monitor can request."""
         own: dict[str, Operation] = {"configure": self.configure, "start": self.start, "probe": self.probe}
         own["give_way"] = self.give_way
         return {
@@ -281,7 +281,7 @@ class Agent:
         return bound
 
     async def give_way(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Another instance is active: a container of this pod that restarts must not reach the robot.
+        """Prevent restarted containers of this pod from reaching the robot, because another instance is active.
 
         Raises Refused.
         """
@@ -323,7 +323,7 @@ class Agent:
             raise Refused(str(error)) from error
 
     def _procedure_begins(self, name: str, brought: str) -> None:
-        """Forget what the instance was brought to, because a procedure is about to change it."""
+        """Forget which procedure the instance completed, because another one is about to change the instance."""
         if brought:
             self._memory.brought = ""
             self._save()

@@ -33,9 +33,9 @@ class AgentMemory:
     configuration: dict[str, Any] | None = None
     """The monitor's last ``configure`` request."""
     standby: dict[str, Any] | None = None
-    """What that request expects of a waiting instance."""
+    """The readiness that the request expects of a waiting instance."""
     brought: str = ""
-    """What a procedure brought the instance to, under the monitor's name for it."""
+    """The procedure that the instance completed, under the monitor's name for it."""
 
     def variables(self, containers: Sequence[str]) -> dict[str, dict[str, str]]:
         """Return the environment of each held container.

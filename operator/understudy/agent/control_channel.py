@@ -71,13 +71,13 @@ class AgentInterface(Protocol):
     """The agent, as the sessions use it."""
 
     def greeting(self) -> Mapping[str, str]:
-        """Name (``pod``) and ``uid`` of the pod."""
+        """Return the name (``pod``) and ``uid`` of the pod."""
 
     def token(self) -> bytes:
-        """The shared secret. Raises OSError."""
+        """Return the shared secret. Raises OSError."""
 
     def refuses(self, workload: str, claim: str) -> str | None:
-        """Why a monitor may not command this pod; None if it may."""
+        """Return why a monitor may not command this pod; None if it may."""
 
     def status(self) -> AgentStatus:
         """Return the state of the instance."""
@@ -90,7 +90,7 @@ class AgentInterface(Protocol):
         """Wait until the status is newer than this version."""
 
     def operations(self) -> Mapping[str, Operation]:
-        """Operations that a monitor can request, by their ``op``."""
+        """Return the operations that a monitor can request, by their ``op``."""
 
 
 class _Session:

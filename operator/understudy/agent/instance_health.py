@@ -59,7 +59,7 @@ RETRY = 5.0
 
 @dataclass(frozen=True)
 class HealthPlan:
-    """What the instance is evaluated by, from the monitor."""
+    """The monitor's settings for evaluating the instance."""
 
     tree: HealthTree
     outputs: Sequence[Output]
@@ -84,7 +84,7 @@ class HealthPlan:
             raise ValueError(str(error)) from error
 
     def topics(self) -> list[WatchedTopic]:
-        """Topics to watch. The outputs give the types that the tree leaves open."""
+        """Return the topics to watch. The outputs give the types that the tree leaves open."""
         types = {output.topic: output.type for output in self.outputs if output.topic}
         return [dataclasses.replace(topic, type=topic.type or types.get(topic.name)) for topic in self.tree.topics]
 
@@ -172,7 +172,7 @@ class InstanceHealth:
         self._also_since = 0.0
 
     def place(self) -> GraphLocation | None:
-        """The location of this process in the ROS graph; None while it has not joined."""
+        """Return the location of this process in the ROS graph; None while it has not joined."""
         from understudy.ros.actions.calling_node import GraphLocation
 
         if self._joined is None:

@@ -63,7 +63,7 @@ class MonitorSessions(Protocol):
         """Return whether the other side of a session has received everything that was sent."""
 
     def abort(self) -> None:
-        """End all of them at once."""
+        """End all sessions at once."""
 
 
 class Isolation:
@@ -80,7 +80,7 @@ class Isolation:
         nudge: Callable[[], None] = lambda: None,
         attempts: Callable[[], ConnectionAttempts] | None = None,
     ) -> None:
-        """``on_change`` is called when the containers are frozen or continue, ``nudge`` to have something sent in every session.
+        """``on_change`` is called when the containers are frozen or continue, ``nudge`` to send something in every session.
 
         ``attempts`` makes the connections that show whether somebody answers.
         """
@@ -140,7 +140,7 @@ class Isolation:
         self.containers = tuple(containers)
 
     def operations(self) -> Mapping[str, Operation]:
-        """The operations that a monitor can request."""
+        """Return the operations that a monitor can request."""
         return {agent_messages.RENEW_PERMIT: self.renew}
 
     async def renew(self, body: Mapping[str, Any], peer: Peer) -> None:
@@ -221,7 +221,7 @@ class Isolation:
         state, before = self.permit.state, self._applied
         self._applied = state
         if (before, state) == ("Isolated", "Reconnected") and self.contacts is not None:
-            # TCP repeats what was sent meanwhile only after seconds; a monitor whose session ends connects again at once.
+            # TCP repeats unacknowledged data only after seconds; a monitor whose session ends connects again at once.
             self.contacts.abort()
         if self.permit.frozen != (self.since is not None):
             try:

@@ -28,7 +28,7 @@ PATIENCE = 0.4
 """Seconds without any answer after which the instance is frozen; 0.45 at most if this process is not late."""
 
 ROUNDS = 2
-"""Rounds without any answer that must come before that; each lasts RETRY seconds."""
+"""Minimum number of rounds without any answer before the instance is frozen; each lasts RETRY seconds."""
 
 STALLED = 0.25
 """Delay of an evaluation, in seconds, that shows that this process was stalled. Then everybody is asked again first."""
@@ -56,9 +56,9 @@ class Permit:
     answered_at: float = 0.0
     """When somebody answered last."""
     waiting: bool = False
-    """Whether somebody was asked since then."""
+    """Whether somebody was asked since the last answer."""
     rounds: int = 0
-    """Rounds since then."""
+    """Rounds of questions since the last answer."""
     asked_at: float = 0.0
     """When somebody was asked last."""
     evaluated_at: float | None = None
@@ -89,7 +89,7 @@ class Permit:
                 self.state = "Reconnected"
 
     def ask(self, now: float) -> Questioned:
-        """Return who is to be asked now, and note that they are."""
+        """Return whom to ask now, and record the question."""
         if self.state == "Replaced":
             return "Nobody"
         everybody = self.waiting or self.state in ("Idle", "Isolated")

@@ -1,4 +1,4 @@
-"""The readiness of a standby: what procedures have brought it to, and a check that must succeed."""
+"""The readiness of a standby: the procedure that it must have completed, and a check that must succeed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class StandbyExpectation:
     """What the monitor expects of a standby."""
 
     brought: str = ""
-    """What procedures must have brought it to, under the monitor's name for it; empty if no procedure is needed."""
+    """The procedure that it must have completed, under the monitor's name for it; empty if no procedure is needed."""
     check: Mapping[str, Any] | None = None
     """A check in the short form, instead of the health tree."""
     period: float = 1.0

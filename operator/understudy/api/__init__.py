@@ -1,4 +1,4 @@
-"""The kinds of `understudy.dev` and the vocabulary that all parts share.
+"""The kinds of `understudy.dev` and the names and formats that all parts share.
 
-It imports nothing else of ours and makes no calls.
+This package imports no other package of Understudy and makes no calls.
 """

@@ -20,8 +20,10 @@ API_VERSION = f"{GROUP}/{VERSION}"
 
 
 def rules(*entries: tuple[str, str] | tuple[str, str, str]) -> dict[str, Any]:
-    """``json_schema_extra`` with CEL validation rules (KEP-2876). Each is a rule, a message and, if the rule is about one field of the
-    object, the path of that field such as ``.poolRef``, under which the API server reports the error.
+    """Return ``json_schema_extra`` with CEL validation rules (KEP-2876).
+
+    Each entry is a rule, a message and, if the rule is about one field of the object, the path of that field, such as ``.poolRef``. The API
+    server reports the error under that path.
     """
     return {
         "x-kubernetes-validations": [
@@ -45,7 +47,7 @@ def with_rules(*entries: tuple[str, str] | tuple[str, str, str]) -> Callable[[Mo
 
 
 def length(field: str, least: str, most: str = "") -> tuple[str, str, str]:
-    """The rule for the bounds of a duration."""
+    """Return the rule for the bounds of a duration."""
     bounds = f"duration(self.{field}) >= duration('{least}')"
     if most:
         bounds = f"({bounds} && duration(self.{field}) <= duration('{most}'))"
@@ -54,18 +56,18 @@ def length(field: str, least: str, most: str = "") -> tuple[str, str, str]:
 
 
 def unique(field: str, key: str, message: str, *, required: bool = False) -> tuple[str, str, str]:
-    """The rule for a list whose items differ in a key; ``required`` is whether there always is a list."""
+    """Return the rule for a list whose items differ in a key; ``required`` is whether the list is always present."""
     rule = f"self.{field}.all(a, self.{field}.exists_one(b, b.{key} == a.{key}))"
     return rule if required else f"!has(self.{field}) || {rule}", message, f".{field}"
 
 
 def matching(pattern: str, message: str, **more: Any) -> Any:
-    """The field of a text with a pattern, and with ``more`` as for ``Field``."""
+    """Return the field of a text with a pattern; ``more`` are further arguments of ``Field``."""
     return Field(pattern=pattern, json_schema_extra=pattern_rule(pattern, message), **more)
 
 
 def pattern_rule(pattern: str, message: str) -> dict[str, Any]:
-    """The rule for a text with a pattern. The error shows the value and says what is expected.
+    """Return the rule for a text with a pattern. The error shows the value and the expected form.
 
     The error for a schema's own ``pattern`` shows only the expression, so CRD generation replaces it by this rule.
     """
@@ -106,7 +108,7 @@ class Model(BaseModel):
     model_config = ConfigDict(alias_generator=to_camel, populate_by_name=True, extra="ignore")
 
     def to_wire(self) -> dict[str, Any]:
-        """The object as the API server stores it."""
+        """Return the object as the API server stores it."""
         return self.model_dump(by_alias=True, exclude_none=True, mode="json")
 
 

@@ -37,7 +37,7 @@ def decisive(health: str, active: str, conditions: Iterable[Condition]) -> Condi
         return degraded
     if health in ("Failed", "Recovering") and recovering is not None and recovering.reason not in PAST:
         return recovering
-    # Without an instance in control, what was said last is of one that is gone.
+    # Without an active instance, the condition Healthy is about one that is gone.
     if health != "Unknown" and active and judged is not None and judged.status != "True" and judged.message:
         return judged
     return None

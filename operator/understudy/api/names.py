@@ -67,7 +67,7 @@ SWITCHOVER = f"{GROUP}/switchover"
 """Annotation of a RobotWorkload: a requested switchover (api/kinds/switchover_spec.py)."""
 
 WAITS_FOR = f"{GROUP}/waits-for"
-"""Annotation of the gate while its workload waits for a pod of a shared pool: the pool. Other monitors read it to see who waits."""
+"""Label of the gate while its workload waits for a pod of a shared pool: the pool. Other monitors read it to see who waits."""
 
 RESUMED = f"{GROUP}/resumed"
 """Annotation of a RobotWorkload: when a user resumed it. Earlier recoveries do not count against the budget, and no backoff applies."""

@@ -1,4 +1,4 @@
-"""What all long-running processes share: logs, HTTP pages, CPU scheduling.
+"""The parts that all long-running processes share: logs, HTTP pages, CPU scheduling.
 
-It depends neither on Kubernetes nor on ROS.
+This package depends neither on Kubernetes nor on ROS.
 """

@@ -1,4 +1,4 @@
-"""How an agent brings kept state and goals to its instance, with procedures and poses.
+"""Restores kept state and goals to the agent's instance, and runs procedures on it.
 
-When it does so the monitor decides.
+The monitor decides when that happens.
 """

@@ -71,7 +71,7 @@ class InstanceActions:
             raise RuntimeError(report.problem)
 
     async def resend_goals(self, within: float) -> None:
-        """Have unfinished goals sent to the instance."""
+        """Request that the action proxy sends unfinished goals to the instance."""
         await self._resend(within)
 
     def health(self, tree: HealthTree) -> Verdict:
@@ -109,7 +109,7 @@ class ProcedureRunner:
         return f"{self.doing} is under way" if self.doing else self.failure
 
     def operations(self) -> Mapping[str, Operation]:
-        """The operations that a monitor can request."""
+        """Return the operations that a monitor can request."""
         return {"procedure": self._on_procedure}
 
     async def _on_procedure(self, body: Mapping[str, Any], peer: Peer) -> Mapping[str, Any]:

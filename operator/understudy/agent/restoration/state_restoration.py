@@ -53,7 +53,7 @@ class StateRestorer:
         self._caller = caller
 
     def operations(self) -> Mapping[str, Operation]:
-        """The operations that a monitor can request."""
+        """Return the operations that a monitor can request."""
         return {"restore": self._on_restore, "inspect": self._on_inspect}
 
     # -- restoring --------------------------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ class TaskGoals:
         self._resent: dict[int, asyncio.Future[None]] = {}
 
     def operations(self) -> Mapping[str, Operation]:
-        """The operations that the task proxy can request."""
+        """Return the operations that the task proxy can request."""
         return {"goal": self.goal, "cancel": self.cancel, "goals": self.list, "resent": self.resent}
 
     async def goal(self, body: Mapping[str, Any], peer: Peer) -> None:
@@ -157,7 +157,7 @@ class TaskGoals:
             waiting.set_result(None)
 
     async def resend(self, within: float) -> None:
-        """Have the task proxy send unfinished goals to this instance. Raises TimeoutError if no proxy does."""
+        """Request that the task proxy sends unfinished goals to this instance. Raises TimeoutError if no proxy does."""
         number = next(self._numbers)
         future = self._resent[number] = asyncio.get_running_loop().create_future()
         try:

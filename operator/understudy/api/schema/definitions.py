@@ -26,7 +26,7 @@ Schema = dict[str, Any]
 PRESERVE = "x-kubernetes-preserve-unknown-fields"
 VALIDATIONS = "x-kubernetes-validations"
 
-# In the order in which they are written. Whatever isn't here has no meaning for the API server, so it's an error and not dropped.
+# In the order in which they are written. A keyword that is not listed here has no meaning for the API server, so it is an error.
 _KEYWORDS = (
     "type",
     "format",
@@ -58,7 +58,7 @@ _KEYWORDS = (
 
 
 def definition(kind: Kind) -> dict[str, Any]:
-    """The CustomResourceDefinition (apiextensions.k8s.io/v1) of a kind."""
+    """Return the CustomResourceDefinition (apiextensions.k8s.io/v1) of a kind."""
     version: dict[str, Any] = {
         "name": VERSION,
         "served": True,
@@ -98,7 +98,7 @@ def definition(kind: Kind) -> dict[str, Any]:
 
 
 def definitions() -> dict[str, dict[str, Any]]:
-    """All CustomResourceDefinitions by file name, such as ``understudy.dev_robotworkloads.yaml``."""
+    """Return all CustomResourceDefinitions by file name, such as ``understudy.dev_robotworkloads.yaml``."""
     return {f"{GROUP}_{kind.plural}.yaml": definition(kind) for kind in KINDS}
 
 
@@ -111,7 +111,7 @@ def root(kind: Kind) -> Schema:
         "properties": {
             "apiVersion": {"type": "string", "description": f"{GROUP}/{VERSION}"},
             "kind": {"type": "string", "description": kind.name},
-            # The one field of the metadata that rules may name.
+            # The only field of the metadata that rules may use.
             "metadata": {"type": "object", "properties": {"name": {"type": "string"}}}
             if kind.rules
             else {"type": "object"},
@@ -170,7 +170,7 @@ def _convert(node: Mapping[str, Any], shared: Mapping[str, Schema], where: str) 
     if "description" in schema:
         schema["description"] = schema["description"].replace("``", "`")
     if any(rule["rule"] == f"self.matches(r'{schema.get('pattern')}')" for rule in schema.get(VALIDATIONS, ())):
-        del schema["pattern"]  # said by the rule, in words
+        del schema["pattern"]  # the rule reports it in words
 
     if unknown := schema.keys() - set(_KEYWORDS):
         raise ValueError(f"{where}: a structural schema cannot express {', '.join(sorted(unknown))}")

@@ -3,8 +3,8 @@
 Two policies make this gate, both on a workload's instances and never on the robot's pods. Policies add up, so the switch only patches the
 selector of the gate object:
 
-- ``W-standby`` selects every instance, and allows all traffic with pods of other workloads except UDP to the gated ports. - ``W-gate``, the
-gate object, selects the one instance in control, and allows all that it sends.
+- ``W-standby`` selects every instance, and allows all traffic with pods of other workloads except UDP to the gated ports.
+- ``W-gate``, the gate object, selects the one instance in control, and allows all that it sends.
 """
 
 from __future__ import annotations
