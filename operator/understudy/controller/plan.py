@@ -23,7 +23,7 @@ class Create:
     resource: Resource
     body: Object
     counted: bool = False
-    """Whether a maximum number of such objects must not be exceeded.
+    """Whether the number of such objects has a maximum that must not be exceeded.
 
     The operator then counts it before it is observed.
     """
@@ -53,7 +53,7 @@ Write = Apply | Create | Patch | Delete
 
 
 UNANSWERED = "WebhookUnavailable"
-"""Reason of a Problem that says nothing about the object: an admission webhook for the write does not answer."""
+"""Reason of a Problem that is not the object's own: an admission webhook for the write does not answer."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Plan:
 
     writes: list[Write] = field(default_factory=list)
     again_after: float | None = None
-    """Seconds until the object is reconciled again even if nothing changes; None for never."""
+    """Seconds until the object is reconciled again even if nothing changes; None if it is not."""
 
     def later(self, delay: float) -> None:
         """Reconcile again after at most this number of seconds."""
@@ -79,7 +79,7 @@ class Plan:
 
 @dataclass(frozen=True)
 class Images:
-    """The image of everything that Understudy itself runs, and how its pods pull it and are scheduled."""
+    """The image of Understudy's own containers, and how its pods pull the image and are scheduled."""
 
     monitor: str
     pull_policy: str = "IfNotPresent"
@@ -90,22 +90,22 @@ class Images:
 
 
 def variables(environment: Mapping[str, str]) -> list[Object]:
-    """The env of a container with these values."""
+    """Return the env of a container with these values."""
     return [{"name": key, "value": value} for key, value in sorted(environment.items())]
 
 
 def from_field(name: str, path: str) -> Object:
-    """An entry of a container's env whose value is a field of its pod."""
+    """Return an entry of a container's env whose value is a field of its pod."""
     return {"name": name, "valueFrom": {"fieldRef": {"apiVersion": "v1", "fieldPath": path}}}
 
 
 def config_map(name: str, data: Mapping[str, str]) -> Object:
-    """A ConfigMap."""
+    """Return a ConfigMap."""
     return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": {"name": name}, "data": dict(data)}
 
 
 def deployment(name: str, labels: Mapping[str, str], annotations: Mapping[str, str], pod: Object) -> Object:
-    """A Deployment of one pod, whose predecessor ends before it starts."""
+    """Return a Deployment of one pod, whose predecessor ends before it starts."""
     template = {"labels": labels, "annotations": annotations} if annotations else {"labels": labels}
     return {
         "apiVersion": "apps/v1",
@@ -121,11 +121,11 @@ def deployment(name: str, labels: Mapping[str, str], annotations: Mapping[str, s
 
 
 def priority(images: Images) -> Object:
-    """The priorityClassName field of a pod spec, or an empty mapping."""
+    """Return the priorityClassName field of a pod spec, or an empty mapping."""
     return {"priorityClassName": images.priority_class} if images.priority_class else {}
 
 
 def pull_secrets(names: Sequence[str], given: Sequence[Object] = ()) -> Object:
-    """The imagePullSecrets field of a pod spec with these Secrets and the given ones, or an empty mapping."""
+    """Return the imagePullSecrets field of a pod spec with these Secrets and the given ones, or an empty mapping."""
     added = [{"name": name} for name in names if {"name": name} not in given]
     return {"imagePullSecrets": [*given, *added]} if given or added else {}

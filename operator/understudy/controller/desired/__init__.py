@@ -1,4 +1,4 @@
-"""The objects that a workload should have, computed from what is observed.
+"""The objects that a workload should have, computed from the observed state.
 
-Pure: the writes are made in `controller.reconcile`.
+Pure: `controller.reconcile` makes the writes.
 """

@@ -1,4 +1,4 @@
-"""The objects for tasks: action endpoints that only an instance's own agent reaches, and one proxy in front of all."""
+"""The objects for tasks: action endpoints that only an instance's own agent reaches, and one proxy for all instances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def profiles_map(workload: str, profiles: str) -> Object:
 
 
 def problem(workload: str, spec: RobotWorkloadSpec, template: Mapping[str, Any]) -> str:
-    """Return why the tasks have no proxy, or one that cannot do everything; empty if there is no problem."""
+    """Return why the tasks have no proxy, or a proxy with limitations; empty if there is no problem."""
     if spec.tasks and spec.workload_ref is not None:
         return (
             f"spec.tasks: the pods of {spec.workload_ref.kind} {spec.workload_ref.name} serve {_actions(spec)} "

@@ -1,7 +1,7 @@
 """Determines which strategies are in force: those of the policy, those selected for the workload, or its situation's.
 
-The settings that the operator last wrote for the monitor also serve as memory. The operator keeps to them while the
-policy is missing or invalid, and during a recovery.
+The settings that the operator last wrote for the monitor also serve as memory. The operator keeps their strategies while
+the policy is missing or invalid, and during a recovery.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def order(observed: Observed, name: str | None = None) -> Order | None:
 def chosen(observed: Observed) -> list[Strategy] | None:
     """Return the strategies that were selected for the workload or its situation; None if its policy lists them.
 
-    The current ones stay while the policy is missing or invalid. They also stay during a recovery, which identifies a
-    strategy by its position in the order. They may change between two failed recoveries, because the change may be what
-    helps.
+    The current strategies stay while the policy is missing or invalid. They also stay during a recovery, which
+    identifies a strategy by its position in the order. They may change between two failed recoveries, because the change
+    may help the next one.
     """
     policy = observed.policy
     if policy is not None and not strategy_selection.varies(policy):

@@ -65,8 +65,7 @@ def choices(observed: Observed, workload_plan: WorkloadPlan) -> list[PoolChoice]
         if name not in served:
             continue
         if observed.refused(name) is not None:
-            # Its standbys were created and initialized with the settings that were last accepted, and are judged by
-            # these.
+            # Its standbys were created and initialized with the settings that were last accepted, so these still apply.
             found += [present[name]] if name in present else []
             continue
         pool = pool_reader.spec(served[name])

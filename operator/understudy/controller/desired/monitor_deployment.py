@@ -21,8 +21,8 @@ from understudy.kube.gates.base import GateKind
 from understudy.ros.rmw import MIDDLEWARE
 
 STATE_DIR = "/var/lib/understudy"
-# The request determines its share of a busy node's processors. In a recovery it briefly needs more than its average use
-# (15m).
+# The request determines the monitor's share of a busy node's processors. In a recovery, the monitor briefly needs more
+# than its average use (15m).
 _REQUESTS = {"cpu": "50m", "memory": "96Mi"}
 _TASKS_REQUESTS = {"cpu": "20m", "memory": "96Mi"}
 _DISTANCE = 100  # the loss of one node must not take both the active instance and its monitor, which replaces it
@@ -169,11 +169,11 @@ def _tasks(
 
 
 def asks_by_name(workload: Object, *deployments: Object | None) -> bool:
-    """Whether the monitor of all these Deployments reads only its own policy, and other gates only if there is a pool.
+    """Whether the image of all these Deployments reads only its own policy, and other gates only if there is a pool.
 
     A monitor before 0.2.0 reads all policies of the namespace. A user's own image may contain such a version long after
-    an upgrade of the operator, and without that right it would watch nothing after its next start. So this relies on
-    the image that the monitor reports in the workload's status.
+    an upgrade of the operator, and without that right it would watch nothing after its next start. So this function
+    relies on the image that the monitor reports in the workload's status.
     """
     reported = ((workload.get("status") or {}).get("monitor") or {}).get("image")
     images = {item["spec"]["template"]["spec"]["containers"][0].get("image") for item in deployments if item}

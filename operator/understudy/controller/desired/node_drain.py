@@ -1,4 +1,4 @@
-"""Node drains while the active instance runs on the node.
+"""Delays node drains while the active instance runs on the node.
 
 A PodDisruptionBudget delays evictions of that instance until its monitor has switched over to an understudy on another
 node, or until the workload's time limit has passed. The operator watches the nodes and informs the monitor, so that the
@@ -25,7 +25,7 @@ CONDITION = "Draining"
 
 
 def seen(observed: Observed) -> Drain | None:
-    """Return the drain that is reported to the monitor, if the node of its active instance is cordoned."""
+    """Return the drain to report to the monitor; None unless the node of the active instance is cordoned."""
     active, cordoned = observed.active, observed.cordoned
     if active is None or (node := leaving_nodes.of(active)) not in cordoned:
         return None
@@ -78,7 +78,7 @@ def hold(observed: Observed, workload_plan: WorkloadPlan) -> Hold:
 
 
 def _falls_back(observed: Observed, workload_plan: WorkloadPlan) -> bool:
-    """Whether its policy has a pool that serves it. While the policy is missing or invalid, whether it had one."""
+    """Whether the workload's policy has a pool that serves it; if the policy is missing or invalid, whether it had one."""
     if workload_plan.policy_problem is not None:
         return bool(observed.written_pools)
     served = observed.serving

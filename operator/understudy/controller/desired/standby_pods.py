@@ -1,4 +1,4 @@
-"""The standbys of one workload: how many of which pool it should have, and the writes to get there."""
+"""The standbys of one workload: how many of each pool it should have, and the writes for that."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def wanted(observed: Observed, pool: str) -> int:
 def _kept(observed: Observed, pool: str) -> int:
     """Return how many standbys of a pool the workload should always have.
 
-    It is none if other strategies were selected for the workload.
+    It is zero if other strategies were selected for the workload.
     """
     chosen = effective_policy.chosen(observed)
     if chosen is not None and pool not in effective_policy.counted_on(observed, chosen):
@@ -185,7 +185,7 @@ def awaited(observed: Observed, workload_plan: WorkloadPlan) -> str | None:
     """Return why the ReplicaSet does not receive the current template yet, or None.
 
     A restart must not fail because of a template that cannot start. So if there are standbys, one of the new template
-    must be ready first. While a standby is active, there is none to go first.
+    must be ready first. While a standby is active, this does not apply.
     """
     built, live = (
         workload_plan.builts.get(""),

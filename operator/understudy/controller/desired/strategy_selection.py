@@ -1,6 +1,6 @@
 """Selects the order of a workload's strategies, if its policy leaves the order open.
 
-Takes the objects as the API has them. This is the only place where requirements become strategies. The operator,
+Takes objects of the API. This is the only place where requirements become strategies. The operator,
 ``understudy check`` and ``understudy recommend`` all use it, and the monitor receives the result.
 """
 

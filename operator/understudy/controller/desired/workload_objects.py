@@ -1,7 +1,7 @@
 """RobotWorkloads: from the observed state to the desired objects.
 
-A spec that has a problem changes nothing: what already protects the robot stays. If the policy is missing or invalid,
-only the objects that were derived from it stay unchanged. The others are still maintained.
+A spec that has a problem changes nothing: the objects that already protect the robot stay. If the policy is missing or
+invalid, only the objects that were derived from it stay unchanged. The others are still maintained.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class WorkloadPlan:
 
     spec: RobotWorkloadSpec | None = None
     problem: Problem | None = None
-    """Why its spec cannot be followed."""
+    """Why the spec cannot be followed."""
     policy_problem: Problem | None = None
     template: Mapping[str, Any] = field(default_factory=dict)
     environment: Mapping[str, str] | None = None

@@ -1,1 +1,1 @@
-"""The state of the cluster around a workload as the operator reads it, and what follows from it alone. Pure."""
+"""The state of the cluster around a workload as the operator reads it, and values that follow from it alone. Pure."""

@@ -15,8 +15,8 @@ from understudy.kube.client import Object
 def degraded(workload: Object) -> bool:
     """Whether a workload's monitor reports that it is degraded.
 
-    This uses the condition, which stays while the workload fails and recovers: the standby that was prepared for that
-    moment is then in use.
+    This function reads the condition, which stays while the workload fails and recovers: the standby that was prepared
+    for that moment is then in use.
     """
     conditions = (workload.get("status") or {}).get("conditions") or []
     return any(c["type"] == "Degraded" and c["status"] == "True" for c in conditions)

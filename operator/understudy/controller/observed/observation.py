@@ -1,4 +1,4 @@
-"""The observed state around a workload, and what follows from it alone."""
+"""The observed state around a workload, and values that follow from it alone."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ def ours(body: Object, owner: Object, parent: Object) -> Object:
 
 
 def nobodys(body: Object, namespace: str) -> Object:
-    """Return the same without an owner, so that only the operator deletes it."""
+    """Return an object with its namespace and that label, but without an owner, so that only the operator deletes it."""
     metadata = body["metadata"]
     labels = {**(metadata.get("labels") or {}), **kube_objects.MANAGED_BY}
     return {**body, "metadata": {**metadata, "namespace": namespace, "labels": labels}}

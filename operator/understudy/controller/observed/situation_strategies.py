@@ -1,4 +1,4 @@
-"""Determines the strategies for the robot's situation, from the objects as the API has them.
+"""Determines the strategies for the robot's situation, from objects of the API.
 
 The monitor reports the situation. The strategies change when the first strategy of the new situation can run. The old
 strategies are given up only after the monitor has received the change. Until then the pods of both stay, so that the
@@ -45,7 +45,7 @@ def named_pools(policy: Object) -> list[str]:
 
 
 def pool_paths(policy: Object) -> list[tuple[str, str]]:
-    """Return these pools, each with the path of its field."""
+    """Return the pools that :func:`named_pools` names, each with the path of its field."""
     return [
         (f"spec.situations[{i}].strategies[{j}].poolRef.name", name)
         for i, situation in enumerate(_listed(policy))

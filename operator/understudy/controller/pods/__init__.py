@@ -1,1 +1,1 @@
-"""The pods of workloads and pools: their templates, how many there should be, and which are deleted. Pure."""
+"""The pods of workloads and pools: their templates, their numbers, and which of them are deleted. Pure."""

@@ -1,4 +1,4 @@
-"""Determines how many pods to create and which to delete, both for a workload's standbys and for a pool's held pods."""
+"""Determines how many pods to create and which to delete, for a workload's standbys and for a pool's held pods."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Update:
     """How pods of an old template are replaced."""
 
     stay: bool = False
-    """Whether they count like new ones, and stay until they are claimed."""
+    """Whether old pods count like new ones, and stay until they are claimed."""
     min_ready: int | None = None
     """How many ready pods stay claimable during the update; None if no pod is deleted before its replacement is ready."""
 

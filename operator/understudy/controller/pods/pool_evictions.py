@@ -1,4 +1,4 @@
-"""Delays evictions of a shared pool's waiting pods, as by ``kubectl drain``, until there are pods on other nodes.
+"""Delays evictions of a shared pool's waiting pods, such as by ``kubectl drain``, until there are pods on other nodes.
 
 A PodDisruptionBudget makes the API server refuse the evictions. Drain tools retry until the operator has replaced the
 pods.

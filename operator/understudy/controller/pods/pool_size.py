@@ -92,7 +92,7 @@ def sized(pool: Object, spec: FallbackPoolSpec, asking: Sequence[Object], now: f
     before = _held(pool)
     decision = decide_size(aim, found.robots, rate, before, now)
     status = _settled(_stored(pool), _status(found, rate, decision))
-    # Reported until it certainly no longer holds, in the same way as the size is kept.
+    # Like the size, this report stays until it is certain that it no longer applies.
     short = decision.needed > sizing.max or (_was_short(pool) and decision.safe > sizing.max)
     return Sized(sizing, rate, decision, status, before, short)
 

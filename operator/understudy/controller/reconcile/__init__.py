@@ -1,4 +1,4 @@
 """Brings one object to its desired state: observe, plan, write, report.
 
-What should exist is computed in `controller.desired` and `controller.pods`.
+`controller.desired` and `controller.pods` compute the desired state.
 """

@@ -122,7 +122,7 @@ def _spec_changed(change: ObservedChange) -> bool:
 
 
 def _differs(change: ObservedChange, part: Callable[[Object], object]) -> bool:
-    """Whether an object was there before and after a change, and a part of it is different now."""
+    """Whether an object existed before and after a change, and a part of it is different now."""
     return change.old is not None and change.new is not None and part(change.old) != part(change.new)
 
 

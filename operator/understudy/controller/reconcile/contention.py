@@ -1,6 +1,6 @@
 """Limits how often the operator repairs an object that another client changes back each time.
 
-Without a limit, the two writers would overwrite each other for ever, as fast as they observe each other's changes. The
+Without a limit, the two writers would overwrite each other forever, as fast as they observe each other's changes. The
 other writer can be another controller, or another installation of Understudy. A process that sees only one of them,
 such as a monitor that is restarted each time, cannot find the cause.
 """

@@ -58,14 +58,14 @@ class Executor:
 
     @property
     def remembered(self) -> frozenset[tuple[str, str, str]]:
-        """Plural, namespace and name of the objects of which it remembers how they were found."""
+        """Plural, namespace and name of the objects whose last comparison is remembered."""
         return frozenset(self._settled.keys() | self._compared.keys())
 
     async def run(self, key: Key, writes: Sequence[Write]) -> list[Problem]:
         """Carry out the writes, and return the permanent refusals of the API server.
 
-        A refusal does not stop the other writes. Raises Stale, Ending, LeadershipLost, and the errors of a server that
-        cannot answer now (ApiError 429 and 5xx, aiohttp.ClientError, TimeoutError).
+        A refusal does not stop the other writes. Raises Stale, NamespaceTerminating, LeadershipLost, and the errors of a
+        server that cannot answer now (ApiError 429 and 5xx, aiohttp.ClientError, TimeoutError).
         """
         problems: list[Problem] = []
         stale: ApiError | None = None

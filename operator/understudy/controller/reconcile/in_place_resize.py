@@ -116,7 +116,7 @@ def _restarting(container: Object) -> set[str]:
 
 
 def _progress(pod: Object, name: str, resize: Resize, done: str, begun: str) -> ResizeOutcome:
-    """Return the outcome that the kubelet reports in the pod's status."""
+    """Return the outcome of a resize as the kubelet reports it in the pod's status."""
     status = pod.get("status") or {}
     conditions = {c["type"]: c for c in status.get("conditions") or [] if c["status"] == "True"}
     if (pending := conditions.get("PodResizePending")) is not None:

@@ -46,7 +46,7 @@ from understudy.kube.gates import unclaimed_pod_policy
 
 
 class Reader(Protocol):
-    """Reads what is not in the store, as :class:`understudy.kube.client.Client` does."""
+    """Reads objects that are not in the store. :class:`understudy.kube.client.Client` implements it."""
 
     async def find(self, resource: Resource, namespace: str | None, name: str) -> Object | None:
         """Return an object, or None if it does not exist."""
@@ -279,7 +279,7 @@ class Observer:
         return kube_objects.name(pool) in policy_reader.named_pools(policy)
 
     def _spared(self, pool: Object, workload: Object) -> bool:
-        """Whether a pool serves this workload but need not hold a standby for it, as other strategies are in force.
+        """Whether a pool serves this workload but need not hold a standby for it, because other strategies are in force.
 
         This reads the workload's status, so that strategies are not selected again for every pod of a pool.
         """

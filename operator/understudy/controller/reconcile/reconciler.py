@@ -271,7 +271,7 @@ class Reconciler:
         return condition, again
 
     async def _count(self, key: Key, pool: Object, status: Object) -> float | None:
-        """Do as :meth:`_tell`, but at most once in COUNT_SECONDS."""
+        """Write a pool's status like :meth:`_write_status`, but at most once in COUNT_SECONDS."""
         now = time.monotonic()
         wait = self._counted.get(key, now - COUNT_SECONDS) + COUNT_SECONDS - now
         stored = pool.get("status") or {}

@@ -34,7 +34,7 @@ The operator's options can change it.
 HOLD = 300.0
 """Seconds for which a workload that does not become ready keeps its place.
 
-By then an alert has fired (UnderstudyMonitorNotReady). A robot that was switched off meanwhile does not keep the fleet
+By then an alert has fired (UnderstudyMonitorNotReady). So a robot that was switched off meanwhile does not keep the fleet
 from receiving a fix.
 """
 

@@ -15,7 +15,7 @@ FORGET_REFUSAL = 30.0
 """Seconds after which a refused template is validated again: a quota, an account or an admission rule may have changed."""
 _REMEMBERED_MOST = 2048
 _NO_ROOM = "exceeded quota"
-"""Text of the error if a ResourceQuota has no room for the pod. It says nothing about the template."""
+"""Text of the error if a ResourceQuota has no room for the pod, which is no problem of the template."""
 _POD_SECURITY = "violates PodSecurity"
 _ADVICE = (
     ". Set these fields in the template, or enforce another level in the namespace. Understudy's own containers comply with every level. "
@@ -33,7 +33,7 @@ class Judge:
     async def judge(self, pod: Object, path: str) -> Problem | None:
         """Return the API server's objection to a pod made from a template, or None.
 
-        Raises ApiError if the server cannot answer now, and Ending if the namespace is being deleted.
+        Raises ApiError if the server cannot answer now, and NamespaceTerminating if the namespace is being deleted.
         """
         namespace = pod["metadata"]["namespace"]
         key = (namespace, instance_pod.template_hash(pod))

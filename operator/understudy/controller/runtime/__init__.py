@@ -1,1 +1,4 @@
-"""The operator's process: watches, store, queue, workers, metrics. It knows when an object is reconciled, not how."""
+"""The operator's process: watches, queue, workers, metrics. It decides when an object is reconciled.
+
+`controller.reconcile` contains how.
+"""

@@ -53,10 +53,10 @@ The lists of a fleet of 1000 robots are 86 MB. While the API server sends them a
 """
 
 PATIENCE, QUIET = 30.0, 0.5
-"""How long such a list waits in total while watches report changes, and the quiet time that ends a wait; in seconds.
+"""Maximum total wait of such a list while watches report changes, and the quiet time that ends a wait; in seconds.
 
-Watches that report changes are not silent. In a burst of failures, those who make the changes wait for the API server
-too.
+Watches that report changes are not silent. In a burst of failures, the clients that make the changes wait for the API
+server too.
 """
 
 TREES = f"{names.HEALTH_TREE}=true"

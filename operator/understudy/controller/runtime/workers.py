@@ -26,8 +26,8 @@ WORKERS = 8
 SOON = 0.2
 """Seconds that a change waits for further changes.
 
-A monitor makes several changes in a failover. After this time it has finished, on processors that this operator may
-share with it.
+A monitor makes several changes in a failover, and may share processors with the operator. After this time, the monitor
+has finished.
 """
 
 CLAIMED = {POOLS.plural: 1.0, WORKLOADS.plural: 15.0}

@@ -1,1 +1,1 @@
-"""What the status of the three kinds reports: conditions, numbers and printed columns. Pure."""
+"""The status of the three kinds: conditions, numbers and printed columns. Pure."""

@@ -67,7 +67,7 @@ def _held(observed: pool_pods.Observed) -> list[Object]:
 def status(observed: pool_pods.Observed, pool_plan: pool_pods.PoolPlan, problems: Sequence[Problem]) -> Object:
     """Return the pool's status, without the times of its conditions."""
     pool, spec = observed.pool, pool_plan.spec
-    # A webhook that does not answer says nothing about the pool.
+    # A webhook that does not answer is not a problem of the pool's spec.
     found = pool_plan.problem or next((one for one in problems if one.reason != UNANSWERED), None)
     if found is not None:
         accepted = condition("Accepted", False, found.reason, found.message)

@@ -1,4 +1,4 @@
-"""What would happen at a failure now: which strategies could run, with which pods, and what the others lack.
+"""Determines what would happen at a failure now: which strategies could run, with which pods, and what the others lack.
 
 This module describes the objects around a workload as ``failover.availability.Resources``, and the limits that its
 monitor reports as ``failover.decide.Facts``. Those modules then decide.
@@ -39,7 +39,7 @@ class StrategyAvailability:
 
     strategy: Strategy
     name: str
-    """Its name in messages."""
+    """The strategy's name in messages."""
     availability: Availability
 
 
@@ -269,13 +269,13 @@ def _discovery(observed: Observed, workload_plan: WorkloadPlan) -> Problem | Non
 
 
 def _restart(observed: Observed) -> Problem | None:
-    """Return why the workload's own controller cannot run a pod."""
+    """Return why the workload's own controller cannot run a pod, or None."""
     own = [p for p in observed.instances if names.POOL not in kube_objects.labels(p) and kube_objects.alive(p)]
     return None if any(kube_objects.ready(pod) for pod in own) else _problem(own)
 
 
 def _beside_active(observed: Observed, found: Sequence[Object]) -> bool:
-    """Return whether all of these would be lost with the node of the active pod."""
+    """Return whether all of these pods would be lost with the node of the active pod."""
     active = kube_objects.active(observed.gate)[1]
     its = next((leaving_nodes.of(pod) for pod in observed.instances if kube_objects.uid(pod) == active), "")
     return its != "" and all(leaving_nodes.of(pod) == its for pod in found)

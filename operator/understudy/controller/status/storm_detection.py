@@ -1,8 +1,8 @@
 """Detects storms: so many workloads of a policy fail at once that the network or the cluster is the likely cause.
 
 The limits are in limits.stormGuard. The result is a condition of the policy, which the monitors watch anyway: one write
-for a whole fleet. No monitor waits for it. A monitor that has not received the condition acts as if there were no
-storm. Pure.
+for a whole fleet. No monitor waits for the condition. Until a monitor has received it, the monitor acts as if there were
+no storm. Pure.
 """
 
 from __future__ import annotations

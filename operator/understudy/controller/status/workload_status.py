@@ -1,4 +1,4 @@
-"""The status of a workload: whether it is accepted, built and protected, and by what."""
+"""The status of a workload: whether it is accepted, built and protected, and with which strategies and pods."""
 
 from __future__ import annotations
 
