@@ -13,7 +13,7 @@ class Progress:
         self._start = time.monotonic()
 
     def __call__(self, text: str) -> None:
-        """Prints one line."""
+        """Print one line."""
         print(f"[{time.monotonic() - self._start:6.1f} s] {text}", file=sys.stderr, flush=True)
 
     @contextmanager

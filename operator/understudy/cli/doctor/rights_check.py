@@ -26,7 +26,7 @@ class Right:
     use: str = ""
 
     def attributes(self, namespace: str) -> Object:
-        """The attributes of an access review."""
+        """Return the attributes of an access review."""
         resource, _, sub = self.resource.partition("/")
         return {
             "namespace": namespace,

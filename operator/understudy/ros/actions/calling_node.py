@@ -149,4 +149,4 @@ class CallingNode:
 
 
 def _never_called(message: object) -> None:
-    """Satisfies rclpy, which requires a callback; the queue is drained instead."""
+    """Satisfy rclpy, which requires a callback; the queue is drained instead."""

@@ -181,7 +181,7 @@ class ServedNode:
         return {kind: tuple(entries) for kind, entries in self._entities.items()}
 
     def _timeout(self) -> int:
-        """Nanoseconds until something is due."""
+        """Return the nanoseconds until something is due."""
         if self._work:
             return 0
         due = min((moment for moment, _ in self._later), default=float("inf"))

@@ -23,7 +23,7 @@ class Finding(NamedTuple):
     why: str
     """Why the condition does not hold, in plain words with figures; empty if it holds."""
     starting: bool = False
-    """Whether the condition does not hold only because something is still starting, for which it has never held."""
+    """Whether the only reason is something that is still starting, for which the condition has never held."""
 
 
 @dataclass

@@ -147,7 +147,7 @@ class LeafKind:
 
 
 def topic_key(example: str, about: str = "", *, name: str = "topic", default: str = "", xml: str = "") -> Key:
-    """A key with a topic as its value. It may be left out if it has a default."""
+    """Return a key with a topic as its value. A tree may omit a key with a default."""
     return Key(
         name,
         about or f"the topic, fully qualified, such as {example}",
@@ -162,18 +162,18 @@ TYPE = Key("type", "package/msg/Name", read=type_of("msg"))
 
 
 def node_key(about: str, *, name: str = "node", xml: str = "", required: bool = True) -> Key:
-    """A key with a node as its value."""
+    """Return a key with a node as its value."""
     missing = "give the node's fully qualified name, such as /controller_server" if required else ""
     return Key(name, about, xml=xml, read=name_of("node", "/controller_server"), missing=missing)
 
 
 def time_key(name: str, about: str, *, default: str = "", missing: str = "") -> Key:
-    """A key with a duration as its value."""
+    """Return a key with a duration as its value."""
     return Key(name, about, "time", default=default, read=duration_of, missing=missing)
 
 
 def word_key(name: str, about: str, type_: str, members: Sequence[str], *, default: str = "", missing: str = "") -> Key:
-    """A key with one of some words as its value; ``type_`` is the name of the enum in OpenSCENARIO 2."""
+    """Return a key with one of some words as its value; ``type_`` is the name of the enum in OpenSCENARIO 2."""
     return Key(name, about, type_, tuple(members), default, read=word_of(members), missing=missing)
 
 

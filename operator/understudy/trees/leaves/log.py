@@ -56,7 +56,7 @@ class Pattern:
     looks for one part after the other."""
 
     def matched(self, content: Content) -> Any:
-        """When that message was received, by the clock at that time."""
+        """Return the message if it counts, else None. Raises Unreadable."""
         if self.level is not None and (content.byte(LEVEL) or 255) < LEVELS[self.level]:
             return None
         parts = [part for part in (self.says or "").split("*") if part]
