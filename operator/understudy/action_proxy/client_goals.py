@@ -47,7 +47,7 @@ class Attempt:
 
     @property
     def open(self) -> bool:
-        """Whether the instance has it, or may have it."""
+        """Whether the instance has the goal, or may have it."""
         return self.at in (AttemptState.SENT, AttemptState.RUNNING)
 
 
@@ -128,7 +128,7 @@ class Goal:
         return made
 
     def note(self) -> str:
-        """The note that an instance keeps with the goal. From it, a proxy without a journal can adopt the goal."""
+        """Return the note that an instance keeps with the goal. A proxy without a journal can adopt the goal from this note."""
         kept = ("id", "action", "number", "received", "request", "accepted", "results")
         return json.dumps({name: getattr(self, name) for name in kept})
 

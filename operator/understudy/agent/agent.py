@@ -1,4 +1,4 @@
-"""The agent of one pod: which monitor may command it, the phase of its instance, and what it remembers of both."""
+"""The agent of one pod. It decides which monitor may command it, and stores the phase of its instance."""
 
 from __future__ import annotations
 

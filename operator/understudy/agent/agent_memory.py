@@ -1,4 +1,4 @@
-"""What an agent stores over a restart of its container: who claimed the pod, and the progress of its instance."""
+"""The state that an agent keeps over a restart of its container: who claimed the pod, and the progress of its instance."""
 
 from __future__ import annotations
 

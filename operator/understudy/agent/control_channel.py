@@ -50,7 +50,7 @@ _UNACKNOWLEDGED = 6000  # milliseconds
 
 
 class Refused(Exception):
-    """The request cannot be carried out. The text of the error says why."""
+    """The request cannot be carried out. The text of the error is the reason."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StandbyExpectation:
-    """What the monitor expects of a standby."""
+    """The monitor's requirements for a ready standby."""
 
     brought: str = ""
     """The procedure that it must have completed, under the monitor's name for it; empty if no procedure is needed."""
@@ -26,7 +26,7 @@ class StandbyExpectation:
     tree: bool = True
     """Whether the health tree must succeed if there is no check."""
     places: Mapping[str, str] = field(default_factory=dict)
-    """Where the check's nodes were written, if they were written in another language."""
+    """Positions of the check's nodes in the text, if they were written in another language."""
 
     @classmethod
     def from_wire(cls, data: object) -> StandbyExpectation | None:
@@ -86,7 +86,7 @@ class StandbyReadiness:
     def judge(self, ready: bool, reason: str, *, brought: str, busy: str) -> tuple[bool, str]:
         """Return whether the standby is ready, and otherwise why not.
 
-        ``ready`` and ``reason`` are the health tree's. ``busy`` says which procedure runs, or how it failed.
+        ``ready`` and ``reason`` are the health tree's. ``busy`` describes the procedure that runs, or how the last one failed.
         """
         expectation = self._expectation
         if expectation is None:

@@ -25,7 +25,9 @@ class AbandonedRecovery(Model):
         return found is not None and (found.id, found.result) == (self.id, "Running") and ours
 
     def may_still_commit(self, epoch: int) -> bool:
-        """Return whether a gate at this epoch may still get this recovery's commit. A commit replaces only what its sender knew."""
+        """Return whether a gate at this epoch may still receive this recovery's commit: a commit replaces only the state that its sender
+        knew.
+        """
         return epoch <= self.epoch
 
 

@@ -79,15 +79,15 @@ class Pool:
 
 @dataclass(frozen=True)
 class Resources:
-    """What the strategies of one workload need, at one instant."""
+    """The resources of the strategies of one workload, at one instant."""
 
     pools: Mapping[str, Pool] = field(default_factory=dict)
     discovery: Problem | None = None
-    """Why the ROS discovery server is not ready. Whatever starts without it does not find its robot."""
+    """Why the ROS discovery server is not ready. A process that starts without it does not find its robot."""
     restart: Problem | None = None
     """Why the workload's own controller cannot run a pod."""
     hints: Mapping[str, str] = field(default_factory=dict)
-    """By the name of a pool that does not exist, which ones do."""
+    """The existing pools, as text, by the name of a pool that does not exist."""
 
 
 def restart(there: Resources) -> Availability:

@@ -17,7 +17,7 @@ from understudy.trees.source.problems import TreeError
 
 @dataclass(frozen=True)
 class BringUp:
-    """A procedure, and what messages call it."""
+    """A procedure, with its name in messages."""
 
     name: str
     """Such as bringUp, recovery or initialization."""

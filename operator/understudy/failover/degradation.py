@@ -24,8 +24,8 @@ class Period:
     def note(self, so: bool | None, now: float, *, after: float, clear_after: float) -> bool:
         """Record whether it holds now (None if that is unknown), and return whether it counts as holding.
 
-        It does after it has held for ``after`` seconds without a break, until it has not held for ``clear_after`` seconds without a break.
-        An unknown observation breaks both.
+        The condition counts after it has held for ``after`` seconds without a break, until it has not held for ``clear_after`` seconds
+        without a break. An unknown observation breaks both.
         """
         self._so = (now if self._so is None else self._so) if so else None
         self._not_so = (now if self._not_so is None else self._not_so) if so is False else None

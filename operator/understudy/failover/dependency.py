@@ -36,7 +36,7 @@ class Recovered:
 
 @dataclass(frozen=True)
 class UpstreamState:
-    """What is known of a workload that this one depends on."""
+    """The known state of a workload that this one depends on."""
 
     health: str = ""
     """As its monitor reported last; empty if the workload does not exist."""

@@ -56,7 +56,7 @@ class Instance:
     template_hash: str = ""
     created: str = ""
     restarts: int = 0
-    """How often its containers were restarted. A restart loses what was done to their processes."""
+    """How often its containers were restarted. A restart loses the state of their processes."""
     crashing: bool = False
     """Whether one of its containers is in CrashLoopBackOff."""
     evicted: bool = False

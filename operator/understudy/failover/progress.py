@@ -1,7 +1,7 @@
-"""The progress of a recovery: what a new monitor needs to finish it, and what the status records.
+"""The progress of a recovery, from which a new monitor can finish it and which the status records.
 
-It is written next to the gate with every commit, and into the monitor's journal in between. If a monitor is killed at any step, the next
-one completes the recovery or safely repeats it.
+A monitor writes it next to the gate with every commit, and into its journal in between. If a monitor is killed at any step, the next one
+completes the recovery or safely repeats it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One recovery: choose a strategy, carry it out, verify it, escalate to the next one.
 
-It can continue the progress of an interrupted run; every step reads the present state before it acts.
+A recovery can continue the progress of an interrupted run: every step reads the present state before it acts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ IN_FLIGHT = 0.010
 """Seconds for which samples of the failed pod may still arrive after it was fenced."""
 
 LOST = 2.0
-"""Seconds without its pod after which an instance that is being brought up counts as lost; a claimed pod is seen earlier."""
+"""Seconds without its pod after which an instance that is being brought up counts as lost; the watch shows a claimed pod earlier."""
 
 LOST_CHECK_PERIOD = 0.1
 """Seconds between two checks whether the instance is lost."""

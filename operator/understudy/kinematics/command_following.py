@@ -108,7 +108,7 @@ class Reach:
         self._pieces.append(_Piece(value, time, time))
 
     def _interrupt(self, time: float) -> None:
-        """If no command came for some time, record that the robot may have stopped."""
+        """Record that the robot may have stopped, if no command came for some time."""
         if time - self._last > SILENT:
             self._pieces.append(_Piece(0.0, self._last + SILENT, time))
 
@@ -130,7 +130,7 @@ class Reach:
         return low, high
 
     def shift(self, seconds: float) -> None:
-        """The clock was set."""
+        """Adjust all times after the clock was set by ``seconds``."""
         self._begin += seconds
         self._last += seconds
         self._pieces = deque(
@@ -173,7 +173,7 @@ class Sums:
             self.failed = self.failed or largest >= self._threshold
 
     def shift(self, seconds: float) -> None:
-        """The clock was set."""
+        """Adjust all times after the clock was set by ``seconds``."""
         self._since = self._since + seconds if self._since is not None else None
 
 
@@ -209,7 +209,7 @@ class CommandFollowing:
         self._well: float | None = None
 
     def command(self, time: float, motion: Motion) -> None:
-        """A command came."""
+        """Record a command."""
         self._commanded = True
         for reach, value in zip(self._reaches, motion, strict=True):
             reach.command(time, value)
@@ -270,7 +270,7 @@ class CommandFollowing:
 
     @property
     def is_known(self) -> bool:
-        """Whether both commands and the robot have been seen."""
+        """Whether both commands and the robot's motion have been observed."""
         return self._known
 
     def shift(self, seconds: float) -> None:

@@ -25,7 +25,7 @@ ANSWER = 5.0  # seconds
 
 
 class AgentGone(ConnectionError):
-    """There is no connection to the agent, or it was lost before the answer came.
+    """There is no connection to the agent, or it was lost before the answer arrived.
 
     The agent may have carried out the request.
     """
@@ -126,10 +126,10 @@ class AgentLink:
     ) -> None:
         """Send the health tree (of the policy's ``monitoring``) and the workload's outputs, in their wire form.
 
-        ``form`` is the language of the tree, ``grace`` is in seconds. ``probe`` is the address to which the agent sends
-        its probe of every second; the default is this side of the connection, at the probe port. ``standby`` says when
-        a waiting instance is ready (agent/readiness.py). ``managed`` says that procedures bring the instance's nodes
-        up. Raises AgentRefused (for example if the tree does not load) and AgentGone.
+        ``form`` is the language of the tree, ``grace`` is in seconds. ``probe`` is the address to which the agent sends its probe of every
+        second; the default is this side of the connection, at the probe port. ``standby`` defines when a waiting instance is ready
+        (agent/readiness.py). ``managed`` is whether procedures bring the instance's nodes up. Raises AgentRefused (for example if the tree
+        does not load) and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "outputs": list(outputs), "grace": grace}
         if form != "yaml":
@@ -165,10 +165,9 @@ class AgentLink:
     ) -> Mapping[str, Any]:
         """Run a procedure on the agent's instance for at most ``within`` seconds.
 
-        It replaces a procedure that is running. ``state`` is kept state in its wire form for the procedure's leaves.
-        The agent remembers the success under the name ``brought``. ``places`` says where the nodes were written, if not
-        in the short form. The answer reports the outcome of the state. Raises AgentRefused with the reason if the
-        procedure failed, and AgentGone.
+        It replaces a procedure that is running. ``state`` is kept state in its wire form for the procedure's leaves. The agent remembers
+        the success under the name ``brought``. ``places`` has the positions of the nodes in the text, if it is not in the short form. The
+        answer reports the outcome of the state. Raises AgentRefused with the reason if the procedure failed, and AgentGone.
         """
         body: dict[str, Any] = {"tree": tree, "within": within, "name": name, "state": state, "as": brought}
         if places:

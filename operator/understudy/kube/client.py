@@ -55,7 +55,7 @@ class ApiError(Exception):
 
     @property
     def passing(self) -> bool:
-        """Whether the error says nothing about the request: the server was busy or failed.
+        """Whether the error does not depend on the request: the server was busy or failed.
 
         It may even have carried out the request.
         """
@@ -233,11 +233,11 @@ class Listener(Protocol):
     """Receives a report of each request and of each event of a watch."""
 
     def request_ended(self, method: str, path: str, status: int | None) -> None:
-        """A request has ended; ``status`` is None if there was no answer."""
+        """Called when a request has ended; ``status`` is None if there was no answer."""
         ...
 
     def event_received(self, resource: str) -> None:
-        """A watch of this resource has received something."""
+        """Called when a watch of this resource has received something."""
         ...
 
 

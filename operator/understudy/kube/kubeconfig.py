@@ -42,7 +42,7 @@ class Credentials:
     """The client's certificate and key (PEM)."""
     token: str | None
     expires: float | None
-    """When the credential expires, in unix seconds; None if the plugin does not say."""
+    """When the credential expires, in unix seconds; None if the plugin does not report it."""
     plugin: bool
     """Whether a credential plugin gave it, so that it can be renewed."""
 

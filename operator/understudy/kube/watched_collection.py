@@ -35,7 +35,7 @@ class Reflector:
     ) -> None:
         """``on_change`` is called whenever an object is new, changed or deleted.
 
-        ``cached`` says how the collection is listed.
+        ``cached`` is passed to :meth:`Client.list`.
         """
         self._client, self._resource, self._namespace = client, resource, namespace
         self._labels, self._fields, self._cached = labels, fields, cached

@@ -44,7 +44,7 @@ class PosePublication:
     """A kept message, as it is to be published now."""
 
     def __init__(self, sample: KeptSample, listener: Listener | None = None, missing: str = "") -> None:
-        """``missing`` says why a pose cannot be propagated as long as no odometry arrives."""
+        """``missing`` is the reason why a pose cannot be propagated as long as no odometry arrives."""
         self._sample, self._listener, self._missing = sample, listener, missing
         self.outcome: PoseOutcome | None = None
         """Outcome of the last publication; None for a message that is not to be propagated."""

@@ -61,8 +61,8 @@ class StateRestorer:
     async def restore(self, state: KeptState, *, within: float, only: Collection[str] = ()) -> RestoreReport:
         """Restore this state within ``within`` seconds.
 
-        With ``only``, only the part of it that belongs to these topics and nodes is restored. The report says what
-        could not be restored, and why. No error is raised for it.
+        With ``only``, only the part of it that belongs to these topics and nodes is restored. The report lists what could not be restored,
+        and why. No error is raised for that.
         """
         end = time.monotonic() + within - LAST_MOMENT
         restored: list[Restored] = []

@@ -151,7 +151,7 @@ class TaskGoals:
         }
 
     async def resent(self, body: Mapping[str, Any], peer: Peer) -> None:
-        """Note that the proxy has done what :meth:`resend` requested."""
+        """Record that the proxy has sent the goals that :meth:`resend` requested."""
         waiting = self._resent.get(body.get("number", 0))
         if waiting is not None and not waiting.done():
             waiting.set_result(None)

@@ -79,7 +79,7 @@ class Strategy(ABC):
         return self.available(context)
 
     async def refresh(self, context: StrategyContext, progress: Progress | None = None) -> None:
-        """Request what ``available`` needs, if that is not known yet."""
+        """Request the state that ``available`` needs, if it is not known yet."""
         return
 
 

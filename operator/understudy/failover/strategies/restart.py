@@ -50,7 +50,7 @@ class Restart(Strategy):
     async def make_ready(
         self, progress: Progress, context: StrategyContext, *, within: float, unfit: Unfit
     ) -> Instance:
-        """Possible only while a pod of a pool is active: then the workload's own controller can run a pod beside it."""
+        """Prepare a pod of the workload's own controller. Possible only while a pod of a pool is active."""
         end, active = loop_time() + within, context.gate.state.active_uid
         instances = context.instances.of_workload()
         if any(i.from_source for i in instances if i.uid == active):

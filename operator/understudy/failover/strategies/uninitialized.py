@@ -117,7 +117,7 @@ class UninitializedFallback(Strategy):
         raise NotAvailable("; ".join(reasons))
 
     def _restarted(self, progress: Progress, context: StrategyContext) -> Instance | None:
-        """Return an instance that the workload's own controller created meanwhile and that can drive: then no pod is waited for."""
+        """Return a usable instance that the workload's own controller created meanwhile: then no pod is waited for."""
         own = (
             i for i in context.instances.of_workload() if i.from_source and i.usable and not progress.has_failed(i.uid)
         )

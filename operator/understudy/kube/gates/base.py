@@ -37,7 +37,7 @@ class GateRecord:
     version: str
     """The resourceVersion of the gate object."""
     admitted: str = ""
-    """The standby that may reach the robot beside the pod in control, for the reflex."""
+    """The standby that may reach the robot in addition to the pod in control, for the reflex."""
     admitted_uid: str = ""
 
     @classmethod
@@ -72,7 +72,7 @@ class Proof(Protocol):
 
 
 class GateKind(ABC):
-    """A kind of gate. It has no state: the gate objects have it."""
+    """A kind of gate. It has no state; the gate objects hold the record."""
 
     kind: ClassVar[str]
     """Value of ``spec.gate.kind``."""
