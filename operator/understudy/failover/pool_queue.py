@@ -71,7 +71,7 @@ class Queue(Protocol):
 
 
 def in_order(waiters: Iterable[Waiter], pool: str, now: float) -> list[Waiter]:
-    """Return the workloads that wait for a pod of a pool at a time, first to be served first."""
+    """Return the workloads that wait for a pod of a pool at a time, in the order in which they are served."""
     return sorted((w for w in waiters if w.pool == pool and now < w.until), key=lambda w: w.rank)
 
 
@@ -84,7 +84,7 @@ def due(ahead: int, free_since: Collection[float]) -> float | None:
     """Return when a waiter may take one of the free pods; None if there are none.
 
     ``free_since`` has the time at which this waiter first saw each pod free. If there are more pods than waiters ahead of it, it may take
-    one at once. Otherwise each waiter ahead has YIELD seconds.
+    one at once. Otherwise it waits YIELD seconds for each missing pod, but no more than YIELD_MOST.
     """
     if not free_since:
         return None
