@@ -47,7 +47,7 @@ SLOW = 1.0
 
 @dataclass(frozen=True)
 class Parts:
-    """What the loop works with."""
+    """The parts that the loop works with."""
 
     cluster: Cluster
     senses: Senses
@@ -256,7 +256,7 @@ class MonitorLoop:
         self._housekeeping()
 
     def _housekeeping(self) -> None:
-        """Do what is not urgent. Returns at once."""
+        """Do the work that is not urgent. Returns at once."""
         self.act.keep_connected()
         policy, settings = self._view.policy, self._view.settings
         if policy is None or settings is None:

@@ -1,4 +1,4 @@
-"""What the stages of a monitor report: an append-only stream of notices, and the status that follows from them.
+"""The reports of a monitor's stages: an append-only stream of notices, and the status that follows from them.
 
 The lowest layer of the monitor. Every stage may add notices and may read ``Notices.status``. The report stage subscribes to the
 stream and writes later: adding a notice never waits, so it does not delay a failover.
@@ -34,10 +34,10 @@ ConditionReport = tuple[Literal["True", "False", "Unknown"], str, str]
 """Status, reason and message of a condition."""
 
 RECOVERIES_KEPT = 10
-"""Recoveries that the status lists."""
+"""Maximum number of recoveries that the status lists."""
 
 NAMES_SHOWN = 3
-"""Names that a printer column shows."""
+"""Maximum number of names that a printer column shows."""
 
 CONDITIONS = frozenset(
     {
@@ -110,11 +110,11 @@ class PublishedStatus:
         return list(self.by_type.values())
 
     def find(self, type_: str) -> Condition | None:
-        """The condition of a type; None if it was never set."""
+        """Return the condition of a type; None if it was never set."""
         return self.by_type.get(type_)
 
     def reason(self, type_: str) -> str:
-        """The reason of a condition; empty if it was never set."""
+        """Return the reason of a condition; empty if it was never set."""
         found = self.by_type.get(type_)
         return found.reason if found else ""
 
@@ -124,7 +124,7 @@ class PublishedStatus:
         return self.recoveries[0] if self.recoveries else None
 
     def recovery(self, id_: str) -> Recovery | None:
-        """A recovery by its id; None if the status does not list it."""
+        """Return a recovery by its id; None if the status does not list it."""
         return next((recovery for recovery in self.recoveries if recovery.id == id_), None)
 
     @property
@@ -156,7 +156,7 @@ class PublishedStatus:
         return max(times, default=None)
 
     def to_wire(self) -> dict[str, Any]:
-        """The status as it is applied to the object."""
+        """Return the status in the form in which it is applied to the object."""
         return RobotWorkloadStatus(
             active=self.active,
             health=self.health,

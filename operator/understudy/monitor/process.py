@@ -58,7 +58,7 @@ STATE = Path("/var/lib/understudy")
 
 
 def main(argv: list[str]) -> int:
-    """Run until SIGTERM or SIGINT. The workload is named by UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE."""
+    """Run until SIGTERM or SIGINT. UNDERSTUDY_WORKLOAD and UNDERSTUDY_NAMESPACE name the workload."""
     json_logs.configure(os.environ.get("UNDERSTUDY_LOG_LEVEL", "INFO"))
     workload, namespace = os.environ.get("UNDERSTUDY_WORKLOAD"), os.environ.get("UNDERSTUDY_NAMESPACE")
     if not workload or not namespace:

@@ -67,7 +67,7 @@ class Unattended:
             self._since = time.time()
 
     def driven(self) -> None:
-        """Note that an instance is in control and healthy."""
+        """Note that an instance is active and healthy."""
         self._since = None
 
 

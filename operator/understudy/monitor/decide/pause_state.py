@@ -64,7 +64,7 @@ class PauseState:
             self._notices.event("Normal", "PauseEnded", f"No longer {pause.words}; {why}")
 
     def _words(self) -> str:
-        """Who ended the pause and why, if they gave a reason."""
+        """Return who ended the pause and why, for messages; empty if no reason was given."""
         found = self._annotation(names.RESUMED_FOR) if self._annotation(names.RESUMED) != self._resumed else ""
         return f" by {found}" if found else ""
 

@@ -118,7 +118,7 @@ class DecideStage:
         return lacking is None
 
     def judged(self, judgement: Judgement) -> None:
-        """Note the judgement. A healthy instance ends the report of a failure and, once it is settled, the backoff."""
+        """Note the judgement: the report about the next failure, and the first strategy of its recovery, depend on it."""
         if judgement.active is not None and judgement.verdict is not None and judgement.failure is None:
             self._dependencies.well(judgement.active.name)
         if judgement.healthy:

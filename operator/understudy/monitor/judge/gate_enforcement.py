@@ -89,7 +89,7 @@ class Readers(Protocol):
 
     @property
     def ungated(self) -> str:
-        """The readers of the robot that the gate does not reach, as a sentence; empty if there are none."""
+        """The readers of the robot that the gate does not control, as a sentence; empty if there are none."""
 
 
 class GateEnforcement:

@@ -26,7 +26,7 @@ class Judgement:
 
     now: float
     trusted_from: float = 0.0
-    """From when on silence counts. Later than ``now`` if the process was stalled and has not caught up."""
+    """Silence counts from this time on. It is later than ``now`` if the process was stalled and has not caught up."""
     active: Instance | None = None
     """The active instance; None if the gate is closed, or if the pod is gone."""
     verdict: Verdict | None = None

@@ -60,7 +60,7 @@ class EvaluationSchedule:
         self.late = 0.0
         """Lateness of the present evaluation, in seconds."""
         self.trusted_from = 0.0
-        """From when on silence counts (Unix seconds)."""
+        """Silence counts from this time on (Unix seconds)."""
         self.count = 0
         """Number of evaluations so far."""
         self.overruns = 0

@@ -1,7 +1,7 @@
 """The black box: keeps the messages that the monitor received around a failure in a file, so that users can find its cause.
 
-Until a failure, messages are bytes in a ring. During a recovery, the ring drops nothing. Once the recovery is over and the next instance
-has driven for a moment, a thread writes the file. Nothing here delays the monitor's loop, and nothing depends on it.
+Until a failure, messages are bytes in a ring. During a recovery, the ring no longer drops old messages. Once the recovery is over and
+the next instance has driven for a moment, a thread writes the file. Nothing here delays the monitor's loop, and nothing depends on it.
 """
 
 from __future__ import annotations

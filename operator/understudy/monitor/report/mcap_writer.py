@@ -47,9 +47,9 @@ class Node(Model):
     reason: str
     topic: str | None = None
     received: int | None = None
-    """Of a leaf: how many messages of its topic have counted so far."""
+    """For a leaf: number of messages of its topic that have counted so far."""
     age: float | None = None
-    """Of a leaf: seconds since the last one."""
+    """For a leaf: seconds since the last of these messages."""
     task: str | None = None
     children: list[Node] = field(default_factory=list)
 
@@ -61,9 +61,9 @@ class Trace(Model):
     """Unix seconds."""
     health: str
     active: str
-    """The pod in control."""
+    """The active pod."""
     epoch: int
-    """Of the gate."""
+    """Epoch of the gate."""
     tree: Node | None
 
 

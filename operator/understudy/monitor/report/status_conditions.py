@@ -49,7 +49,7 @@ class StatusConditions:
         self._notices.set(active="", health=health, gate=GateStatus(epoch=self._gate.state.epoch))
 
     def housekeeping(self) -> None:
-        """Report what changes seldom. Policy and settings must be known."""
+        """Report the values that change seldom. Policy and settings must be known."""
         usable = self._options.usable()
         item = self._view.object
         self._notices.observe(item["metadata"].get("generation") if item else None)

@@ -1,4 +1,4 @@
-"""Who may drive: the first opening of the gate, permits and the reflex.
+"""Decides which instance may drive: the first opening of the gate, permits and the reflex.
 
-The commits themselves are in `objects`, and what happens to pods is in `instances`.
+`objects` contains the writes of the gate, and `instances` handles the pods.
 """

@@ -58,7 +58,7 @@ Word = Literal["Go", "Stay"]
 
 
 def word(instance: Instance, state: GateState, replaced: Collection[str], recovering: Progress | None) -> Word:
-    """Return whether an instance that was cut off may act again (``Go``) or stays held (``Stay``).
+    """Return whether an instance that was cut off may act again (``Go``) or stays frozen (``Stay``).
 
     ``replaced`` has the UIDs of the pods that failed in earlier recoveries. During a recovery the active instance stays
     active until the gate names another. But if the robot already follows a standby, that instance must not take the

@@ -51,8 +51,8 @@ class GarbageCollection:
         self._failed[pod.uid] = pod
 
     def failed(self) -> list[PodIdentity]:
-        """Pods that failed in earlier recoveries and still exist: the next recovery deletes them too, whichever monitor
-        finishes it."""
+        """Return the pods that failed in earlier recoveries and still exist. The next recovery deletes them too,
+        whichever monitor finishes it."""
         self.remember()
         active = self._gate.state.active_uid
         there = {i.uid for i in self._fleet.of_workload() if i.usable}

@@ -1,4 +1,4 @@
-"""What the act stage reads and changes in the cluster, as one value."""
+"""The objects that the act stage reads and changes in the cluster, as one value."""
 
 from __future__ import annotations
 

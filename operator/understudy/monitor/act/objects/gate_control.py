@@ -87,8 +87,9 @@ class GateControl:
     async def commit(self, target: Instance | None, progress: Progress | None) -> GateState:
         """Open the gate for one instance, or close it (None), at the next epoch.
 
-        Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if another writer changed the
-        gate: in this epoch, since the last commit of this recovery, or for a pod that this recovery is not about.
+        Tries again until the API server answers. Raises ApiError if it refuses, and Superseded if the gate does not exist or
+        another writer changed it: during this commit, since the last commit of this recovery, or for a pod that this recovery
+        is not about.
         """
         begun = self.record
         if begun is None:

@@ -243,7 +243,7 @@ class PlannedSwitchovers:
             return (
                 f"The request expired: no monitor handled it for {now - found.at:.0f} s. Request the switchover again."
             )
-        # The gate's record is newer than the status, if an earlier monitor ended before it wrote the status.
+        # The gate's record is reliable even if a late status write of an earlier monitor overwrote a newer status.
         last = self._gate.state.recovery
         if last is not None and last.moments.get("detected", 0.0) > found.at:
             what = "another switchover took place" if last.planned else "the active instance failed and was recovered"

@@ -1,4 +1,4 @@
-"""What the monitor reads from the Kubernetes API: its workload, the workloads that it depends on, pools, storms and metrics.
+"""Reads from the Kubernetes API: the workload, the workloads that it depends on, pools, storms and metrics.
 
 It writes nothing.
 """

@@ -39,7 +39,7 @@ POD_CHECK_PERIOD = 0.1
 
 
 class HealthObserver:
-    """The health tree over drained subscriptions."""
+    """Receives the topics of the health tree, and evaluates the tree."""
 
     def __init__(self, meter: ResourceMeter | None = None) -> None:
         """``meter`` measures CPU and memory of the active pod; without it, no leaf can judge them."""
